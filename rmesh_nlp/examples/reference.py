@@ -64,8 +64,8 @@ def reference_solution(fine: ContactProblem) -> ExactSolution:
     model = ContactSolver(fine)
     solution = model.solve(fine.mesh.p)
     place = np.searchsorted(x, p[0]), np.searchsorted(y, p[1])
-    splines = []
-    for component in model.displacement.values(solution.u):
+    splines, at_nodes = [], model.displacement.values(solution.u)
+    for component in model.discretisation.space.at_vertices(at_nodes):
         values = np.empty((x.size, y.size))
         values[place] = component
         splines.append(ca.interpolant("reference", "bspline", [x, y], values.ravel(order="F")))

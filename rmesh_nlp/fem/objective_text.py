@@ -5,7 +5,7 @@ Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest
 ``body(EXPR)``                  integral over the body
 ``boundary(NAME, EXPR)``        integral over a named boundary
 ``mean(NAME, EXPR)``            the same over the boundary's length
-``node(X, Y, EXPR)``            value at the node that is at (X, Y) on the given mesh
+``node(X, Y, EXPR)``            value at the vertex that is at (X, Y) on the given mesh
 ``peak-pressure(NAME, P)``      smoothed peak of the pressure on a boundary, P a pressure of its size
 ``peak-pressure(NAME, P, K)``   the same with exponent K, by default 8
 

@@ -80,7 +80,8 @@ def _friction(on: Fields) -> list[ElementGroup]:
 
     u_t is the discrete slip and T_t(u) the exact tangential stress on the body, of size g at most, so the
     integrand is not negative; it vanishes where the discrete solution sticks and slides as the exact one.
-    The first part is taken by the trapezoidal rule, as in the energy (5.9), the second accurately.
+    The first part is that of the energy, for a constant bound and order 1 the trapezoidal rule of (5.9), the
+    second is taken accurately.
     """
     exact = _theorem(on, "friction")
     if not on.problem.frictional:

@@ -62,7 +62,7 @@ def body_integral(
     ----------
     density : function
         ``density(x, y, u, slope)`` with the position, the displacement (components,) and its
-        gradient (components, 2), constant on each element.
+        gradient (components, 2). Elements are taken with straight sides, also beside curves.
     name : str
     subdomain : str, optional
     degree : int
@@ -93,7 +93,8 @@ def boundary_integral(
     ----------
     boundary : str
     density : function
-        ``density(x, y, u, n)`` with the position, the displacement and the outward unit normal (2,).
+        ``density(x, y, u, n)`` with the position, the displacement and the outward unit normal (2,). Edges
+        are straight, also on curves.
     name : str
     mean : bool
         Whether to divide by the length of the boundary on the initial mesh.

@@ -6,8 +6,9 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.reference import reference_solution, with_reference
 
 
-def test_splines_reproduce_the_fine_solution_at_its_nodes_and_the_exact_one_between() -> None:
-    fine = EXAMPLES["6.1"](32)
+@pytest.mark.parametrize("order", [1, 2])
+def test_splines_reproduce_the_fine_solution_at_its_nodes_and_the_exact_one_between(order: int) -> None:
+    fine = EXAMPLES["6.1"](32 // order, order=order)
     reference = reference_solution(replace(fine, quadrature=6))
     for x, y in [(0.3, 0.2), (0.77, 0.13), (0.5, 0.9)]:
         exact = float(fine.exact.value(x, y))
