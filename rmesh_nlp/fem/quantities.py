@@ -185,9 +185,9 @@ def peak_pressure(
     """The peak of the contact pressure, smoothed: the mean of ``(pressure / reference)^exponent``.
 
     The pressure at a node is the force with which its elements pull at it, less their load, over the node's
-    share omega_i of the boundary (5.9): at equilibrium the mean of the pressure weighted by the node's shape
-    function. Of order 2 edges have nodes too. Stresses of the elements would be less accurate; an optimiser
-    lowers them while the forces grow.
+    share omega_i of the boundary (5.9): at equilibrium the pressure that solutions report, its mean weighted
+    by the node's shape function. Of order 2 edges have nodes too. Stresses of the elements would be less
+    accurate; an optimiser lowers them while the forces grow.
 
     The mean is over the length of the contact boundary on the initial mesh, with the weights omega_i.
     ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
