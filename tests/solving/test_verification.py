@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -100,8 +101,9 @@ class TestTaylor:
 
 
 @pytest.mark.slow
-def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
-    before, after = (error_terms(one.solve(EXAMPLES["6.1"](4))) for one in (fixed, joint))
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_terms_sum_to_the_energy_above_the_exact_one(order: int) -> None:
+    before, after = (error_terms(one.solve(EXAMPLES["6.1"](4, order=order))) for one in (fixed, joint))
     for terms in (before, after):
         assert terms.I3 == 0
         assert min(terms.I1, terms.I2) > 0
@@ -111,10 +113,11 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one() -> None:
 
 
 @pytest.mark.slow
-def test_with_friction_the_third_term_closes_the_sum() -> None:
+@pytest.mark.parametrize("order", [1, 2])
+def test_with_friction_the_third_term_closes_the_sum(order: int) -> None:
     found = []
     for n in (4, 8):
-        problem = sliding_block(n)
+        problem = replace(sliding_block(n), order=order)
         terms = error_terms_on(problem, problem.mesh.p)
         assert terms is not None
         assert min(terms.I1, terms.I3) > 0  # on these grids nodes slide where the exact solution sticks
