@@ -38,7 +38,6 @@ from best_mesh import methods, order_tables  # noqa: E402
 from best_mesh.cases import CASES, MORE, Case, next_mesh  # noqa: E402
 from best_mesh.order_tables import ADAPTIVE, POLYGON, REFERENCE, RELOCATED, REMESHED, UNIFORM  # noqa: E402
 from best_mesh.rows import Row, Store  # noqa: E402
-from rmesh_nlp.assessment.admissible import admissible  # noqa: E402
 from rmesh_nlp.fem.space import DisplacementSpace  # noqa: E402
 from rmesh_nlp.models.remeshing import Solved, metric_start  # noqa: E402
 from rmesh_nlp.problem import ContactProblem, Motion  # noqa: E402
@@ -48,7 +47,7 @@ SIZES = {
     "6.1": (4, 8, 16, 32, 64),
     "wedge": (4, 8, 16, 32),
     "Signorini": (5, 10, 20, 40),
-    "6.2": (6, 12, 24, 48),
+    "6.2": (0, 1, 2, 3),
     "6.3": (6, 12, 24, 48),
     "Hertz": (4, 9, 18),
     "plate": (0, 1, 2),
@@ -60,8 +59,8 @@ SIZES = {
 }
 """Sizes of the meshes. That of order 1 with as many unknowns is one finer than that of order 2."""
 
-MOST = {1: 40_000, 2: 20_000}
-"""Nodes up to which uniform and h-adaptive meshes of scikit-fem go, by order."""
+MOST = {UNIFORM: 80_000, ADAPTIVE: 30_000}
+"""Nodes up to which meshes of scikit-fem go."""
 
 FINE = (1500, 3000)
 """Vertices of the meshes that an energy is extrapolated from."""
@@ -90,7 +89,7 @@ def by_scikit_fem(
     """Uniform or h-adaptive refinement of the coarsest mesh."""
     mesh = case.problem(size).mesh
     assert case.equations is not None
-    for found in loop(case.equations, MeshTri(mesh.p, mesh.t), order, MOST[order]):
+    for found in loop(case.equations, MeshTri(mesh.p, mesh.t), order, MOST[method]):
         yield Row(case.name, f"P{order} {method}", 0, found.nodes, case.error_of(found), found.seconds)
 
 
@@ -128,11 +127,14 @@ def unknowns(problem: ContactProblem) -> int:
 
 
 def energies(name: str, problem: ContactProblem, method: str) -> Iterator[Row]:
-    """Assessed energies of two meshes made for order 2."""
+    """Energies of the contact solutions of two meshes made for order 2.
+
+    Not the assessed ones: over a curved obstacle in the interior, stand-offs are the larger error there.
+    """
     solved = Solved.of(replace(problem, order=2, exact=None, reference=None))
     for vertices in FINE:
         solved = metric_start(solved, vertices).solved
-        energy = admissible(solved.problem).energy
+        energy = solved.state.energy
         yield Row(name, method, vertices, unknowns(solved.problem), energy, status="energy")
 
 
