@@ -139,7 +139,8 @@ class Level:
 
     ``weight`` is the final one of the distortion, absolute. Energies are without the distortion: that of the
     prolonged map, and at the end. ``taken`` is the part of the prolonged map that was taken, see
-    :func:`rmesh_nlp.models.levels.accepted`; it and ``prolonged`` are NaN on the coarsest mesh. ``seconds``
+    :func:`rmesh_nlp.models.levels.accepted`; it and ``prolonged`` are NaN on the coarsest mesh, and
+    ``prolonged`` where the map folds a triangle at an arc. ``seconds``
     of processor time went to descents, ``build_seconds`` to building the models and making the map.
     """
 
@@ -234,7 +235,8 @@ def cascade(
             energy = run.energy(solver_of(here), final_weight)
             prolonged_q = prolonged(coarse.mesh.p, coarse.triangles, shift, energy.relocation)
             q, taken = accepted(energy, prolonged_q)
-            before = energy(prolonged_q).equilibrium.energy
+            if energy.is_defined(prolonged_q):
+                before = energy(prolonged_q).equilibrium.energy
             # what is not a correction of a map takes more than a few iterations
             brief = here is problem and taken == 1
             nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]

@@ -80,6 +80,16 @@ def test_levels_have_the_weight_of_their_error_and_add_up(monkeypatch: pytest.Mo
     assert result.record()[1]["nodes"] == 81
 
 
+def test_a_map_that_folds_triangles_is_not_evaluated(monkeypatch: pytest.MonkeyPatch) -> None:
+    def folded(*given: Any) -> np.ndarray:
+        return np.random.default_rng(0).uniform(-9, 9, given[-1].n_q)
+
+    monkeypatch.setattr(module, "prolonged", folded)
+    level = cascade(square(16), CascadeSettings(iterations=2)).levels[-1]
+    assert np.isnan(level.prolonged)
+    assert level.taken == 0
+
+
 def test_descents_are_brief_on_the_finest_mesh_and_longer_where_it_is_not_nested() -> None:
     settings = CascadeSettings(iterations=60, brief=10, brief_unnested=20)
     assert [settings.limit(True, nested) for nested in (True, False)] == [10, 20]
