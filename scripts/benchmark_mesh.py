@@ -7,7 +7,7 @@
 Factors are errors of the given mesh over those of the method at equal nodes. Relocation has no move limits.
 Peers: second-order elements on the given mesh, a plain h-adaptive loop of scikit-fem
 (``best_mesh/adaptive.py``), and Mmg with the recovered metric, whose nodes are not relocated. Elastic bodies
-and the membrane are refined by the package where the interpolation error is, without a time.
+but the wedge, and the membrane, are refined by the package where the interpolation error is, without a time.
 Errors are those of the assessed energy on the domain of the true curves, against the exact one or that of a
 locally refined mesh; of free boundary, Signorini and jNO's L-shape half the square of the error in the energy
 norm.

@@ -43,8 +43,8 @@ def tables(rows: Sequence[Row]) -> str:
 
 def factors(rows: Sequence[Row]) -> str:
     """Error of uniform meshes over that of the others with as many unknowns, and rates, at order 2."""
-    methods = (ADAPTIVE, RELOCATED, REMESHED)
-    head = ["problem", "nodes", "error, uniform", "known to", *methods, *(f"rate, {m}" for m in METHODS)]
+    methods, rated = (ADAPTIVE, RELOCATED, REMESHED), (UNIFORM, RELOCATED, REMESHED)
+    head = ["problem", "nodes", "error, uniform", "known to", *methods, *(f"rate, {m}" for m in rated)]
     lines = _head(head)
     for case in _cases(rows):
         doubt = limit(rows, case, REFERENCE, 0)[1]
@@ -57,11 +57,11 @@ def factors(rows: Sequence[Row]) -> str:
                 figure(doubt),
                 *(figure(here[UNIFORM] / here[m]) for m in methods),
             ]
-            for method in METHODS:
+            for method in rated:
                 rate = float("nan")
                 if number > 0:
                     before = own[RELOCATED][number - 1].nodes
-                    known = method in (UNIFORM, ADAPTIVE)
+                    known = method == UNIFORM
                     old = _at(own[method], before) if known else _like(own[method], number - 1, before)
                     rate = np.log(old / here[method]) / np.log(moved.nodes / before)
                 cells.append(f"{rate:.2f}" if np.isfinite(rate) else "-")
@@ -113,7 +113,7 @@ def times(rows: Sequence[Row]) -> str:
 
 def polygons(rows: Sequence[Row]) -> str:
     """What the energy changes by if a curved boundary is replaced by the polygon of a mesh."""
-    lines = _head(["problem", "vertices", "the polygon's own error", "over that of the elements, uniform"])
+    lines = _head(["problem", "nodes", "the polygon's own error", "over that of the elements, uniform"])
     for case in _cases(rows):
         exact = limit(rows, case, REFERENCE, 0)[0]
         uniform = of(rows, case, f"P2 {UNIFORM}")

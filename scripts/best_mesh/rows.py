@@ -163,7 +163,9 @@ def times(rows: Sequence[Row]) -> str:
 
 def figure(value: float) -> str:
     """Three digits, or a dash."""
-    return f"{value:.3g}" if np.isfinite(value) else "-"
+    if not np.isfinite(value):
+        return "-"
+    return f"{value:.3g}" if abs(value) < 1000 else f"{float(f'{value:.3g}'):.0f}"
 
 
 def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
