@@ -31,6 +31,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.problem.contact_problem import refined
+from support.orders import ORDERS
 from support.rings import conducting_ring, ring_on_a_shaft
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
@@ -50,7 +51,7 @@ def deepest(found: Admissible) -> float:
     return penetration(found.parts.space, found.body.nodes, found.displacement)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("name", "n"), [("6.1", 4), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: object, order: int) -> None:
     problem = replace(EXAMPLES[name](n=n), order=order)
@@ -65,7 +66,7 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
         assert found.energy > problem.exact.energy
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("frequency", [3, 8, 16])
 def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int, order: int) -> None:
     def bound(x: object, y: object) -> object:
@@ -111,7 +112,7 @@ def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
 ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     ("obstacles", "load"),
     [
@@ -142,7 +143,7 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     np.testing.assert_allclose(system.stiffness @ found.u - system.load, forces, atol=1e-7)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     "obstacle", [WAVES, PEAK, Obstacle.circle("bottom", (1.0, -0.52), 0.5)], ids=["waves", "peak", "disc"]
 )
@@ -163,7 +164,7 @@ def test_nothing_passes_between_the_nodes(obstacle: Obstacle, order: int) -> Non
     assert found.energy > admissible(problem).energy
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_bump_narrower_than_the_triangles_is_seen_inside_them(order: int) -> None:
     mesh = rectangle(7, 7, x=(0, 1.1))  # no node at the top of the bump, at no middle of an edge either
     problem = ContactProblem(mesh, Laplace(-1.0), SIDES, BUMP, order=order)
@@ -188,7 +189,7 @@ def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises()
     assert deepest(found) == 0
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_beside_a_held_node_the_free_one_keeps_off_as_far_as_needed(order: int) -> None:
     # the foundation rises from the held corner: half-way up the first edge it needs twice the height
     rise = Obstacle.graph("bottom", lambda x, y: 0.02 * np.sin(2 * np.pi * x) ** 2)
@@ -228,7 +229,7 @@ def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_t
     assert errors[1] < 3e-4
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_body_on_a_curve_touches_with_its_true_shape(order: int) -> None:
     """Half a disc of radius 1 that hangs 0.01 over a line by its given top."""
     n = 8

@@ -37,6 +37,7 @@ from rmesh_nlp.problem import (
 )
 from support.contact_geometry import block_between_two_foundations
 from support.curved import HOLE, plate
+from support.orders import ORDERS
 from support.problems import renumbered, sloped_block
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
@@ -81,7 +82,7 @@ RENUMBERED = {
 }
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("name", EXPLOITS)
 def test_each_cause_is_named_on_a_problem_made_for_it(name: str, order: int) -> None:
     problem = replace(CAUSES[name](), order=order)
@@ -197,7 +198,7 @@ def standing(pressure: float, order: int = 1) -> ContactProblem:
     )
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_quantities_of_a_block_that_stands_on_a_line(order: int) -> None:
     found = admissible(standing(3.0, order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
@@ -224,7 +225,7 @@ def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> No
     assert quantities(alone.parts.space, free.mesh.p, alone.system, alone.state) is None
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
 def test_the_resultant_is_what_holds_the_body_friction_included(
     example: str, n: tuple[int, int], order: int

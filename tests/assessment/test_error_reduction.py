@@ -21,6 +21,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
+from support.orders import ORDERS
 from support.problems import renumbered
 
 
@@ -48,7 +49,7 @@ def truth(problem: ContactProblem) -> float:
     return energies[-1] - two * (two / one) / (1 - two / one)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("seed", [101, 103])  # the interval was chosen on seeds 0 to 39
 def test_the_interval_holds_from_one_refinement_and_from_two(
     seed: int, order: int, monkeypatch: pytest.MonkeyPatch

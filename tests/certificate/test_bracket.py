@@ -37,6 +37,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.solving.certify import certify, contact_solution
 from support.certificates import distorted, guess_on
 from support.formulations import fixed, joint
+from support.orders import ORDERS
 from support.problems import renumbered
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
@@ -67,7 +68,7 @@ def along_one_axis(k: float, f: float, start: float, end: float) -> float:
     return float(weights / 2 @ (flux**2 / (2 * k) - f * w))
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("end", [0.3, 0.85])
 def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: float, order: int) -> None:
@@ -160,7 +161,7 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(turn: float, s
         adds_up(rough)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic"])
 def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str, order: int) -> None:
     problem = replace(random_problem(3, kind=kind), order=order)
@@ -173,7 +174,7 @@ def test_another_numbering_of_the_displacement_has_the_same_bounds(kind: str, or
         np.testing.assert_allclose(two.local, one.local, rtol=1e-4, atol=1e-6 * np.max(one.local))
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_exact_energy_of_61_is_inside_before_and_after(order):
     problem = EXAMPLES["6.1"](4, order=order)
     for formulation in (fixed, joint):
@@ -197,7 +198,7 @@ def block(**changes) -> ContactProblem:
 
 @pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough", "two foundations"])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 9))])
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_bounds_hold_on_finer_meshes(kind, seed, order):
     """The lower bound of a coarse, distorted mesh lies below the energy of a fine one, and close to it."""
     if kind == "two foundations":
@@ -380,7 +381,7 @@ def test_a_load_that_varies_within_elements_works_on_what_the_field_does_there()
     "kind",
     ["scalar", "elastic", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("membrane", "rough"))],
 )
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_finer_equilibration_bounds_the_same_displacement_more_closely(kind, order):
     problem = replace(random_problem(4, kind=kind), order=order)
     nodes, guess = np.asarray(problem.mesh.p), guess_on(problem)

@@ -25,6 +25,7 @@ from rmesh_nlp.problem import (
 )
 from support.curved import disc
 from support.formulations import fixed
+from support.orders import ORDERS
 
 
 def sound(**changes: Any) -> ContactProblem:
@@ -55,7 +56,7 @@ WRONG = {
 }
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
     problem = sound(**WRONG[kind], order=order)
@@ -70,7 +71,7 @@ def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
         assert all("check units" in message for message in found.values())
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("name", ["", "6.1", "6.2", "6.3"])
 def test_a_sound_problem_is_not_warned_of(name: str, order: int) -> None:
     problem = replace(EXAMPLES[name]() if name else sound(), order=order)

@@ -38,9 +38,10 @@ def varied(seed: int) -> ContactProblem:
     return problem
 
 
-def test_contact_solutions_are_those_of_scikit_fem() -> None:
+@pytest.mark.parametrize("seeds", [SEEDS[:6], pytest.param(SEEDS, marks=pytest.mark.slow)])
+def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
     kinds, parted = set(), 0
-    for seed in SEEDS:
+    for seed in seeds:
         problem = varied(seed)
         values, energy = SecondOrder(problem).solve()
         solver = ContactSolver(problem)
@@ -51,8 +52,8 @@ def test_contact_solutions_are_those_of_scikit_fem() -> None:
         touching = found.active.touching
         parted += 0 < np.sum(touching) < touching.size
         kinds.add((problem.components, problem.frictional, len(problem.regions)))
-    assert parted >= 5
-    assert len(kinds) == 6
+    assert parted >= len(seeds) // 4
+    assert len(kinds) == 6 or len(seeds) < len(SEEDS)
 
 
 def measured(problem: ContactProblem, objective: str | Objective) -> tuple[float, ContactSolver]:

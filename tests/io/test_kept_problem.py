@@ -15,12 +15,13 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.report.pictures import after
 from support.formulations import fixed, joint
+from support.orders import ORDERS
 from support.problem_files import VALID
 
 SHAPE = VALID[VALID.index("[mesh]") : VALID.index("[boundaries]")]
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("mesh", [SHAPE, '[mesh]\nfile = "body.msh"\n\n'])
 def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh, order):
     path, folder = tmp_path / "my.toml", tmp_path / "out"
@@ -59,7 +60,7 @@ def test_a_solution_on_another_mesh_than_the_kept_one_is_not_drawn_on_it(tmp_pat
     assert read_kept(tmp_path, {}) is None
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_an_order_of_the_command_line_is_that_of_the_record(tmp_path, order):
     path = tmp_path / "my.toml"
     path.write_text(f"order = {3 - order}\n{VALID}")
@@ -74,7 +75,7 @@ def test_an_order_of_the_command_line_is_that_of_the_record(tmp_path, order):
     assert read_kept(tmp_path / "out", {}) is None  # of another space
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path, order):
     path, folder = tmp_path / "my.toml", tmp_path / "out"
     path.write_text(f"order = {order}\n" + VALID.replace('["top", 0]', '["top"]'))
