@@ -55,8 +55,8 @@ class Cascade(CascadeSettings, Formulation):
         if not outer.is_near:
             return Maps(self)
         # a mesh that was made for the solution: coarser ones know less of it
-        descent = Descent(iterations=self.brief_unnested)
-        return Schedule(descent, (self.final(outer.problem.order),), self.distortion)
+        order = outer.problem.order
+        return Schedule(Descent(iterations=self.near(order)), (self.final(order),), self.distortion)
 
 
 @dataclass(frozen=True)
