@@ -44,28 +44,17 @@ def tables(rows: Sequence[Row]) -> str:
 def factors(rows: Sequence[Row]) -> str:
     """Error of uniform meshes over that of the others with as many unknowns, and rates, at order 2."""
     methods, rated = (ADAPTIVE, RELOCATED, REMESHED), (UNIFORM, RELOCATED, REMESHED)
-    head = ["problem", "nodes", "error, uniform", "known to", *methods, *(f"rate, {m}" for m in rated)]
-    lines = _head(head)
+    lines = _head(
+        ["problem", "nodes", "error, uniform", "known to", *methods, *(f"rate, {m}" for m in rated)]
+    )
     for case in _cases(rows):
-        doubt = limit(rows, case, REFERENCE, 0)[1]
-        own = {method: of(rows, case, f"P2 {method}") for method in METHODS}
-        for number, moved in enumerate(own[RELOCATED]):
-            here = {m: _at(own[m], moved.nodes) for m in (UNIFORM, ADAPTIVE)}
-            here |= {m: _like(own[m], number, moved.nodes) for m in (RELOCATED, REMESHED)}
-            cells = [
-                figure(here[UNIFORM]),
-                figure(doubt),
-                *(figure(here[UNIFORM] / here[m]) for m in methods),
-            ]
-            for method in rated:
-                rate = float("nan")
-                if number > 0:
-                    before = own[RELOCATED][number - 1].nodes
-                    known = method == UNIFORM
-                    old = _at(own[method], before) if known else _like(own[method], number - 1, before)
-                    rate = np.log(old / here[method]) / np.log(moved.nodes / before)
-                cells.append(f"{rate:.2f}" if np.isfinite(rate) else "-")
-            lines.append(f"| {case} | {moved.nodes} | {' | '.join(cells)} |")
+        doubt, found = limit(rows, case, REFERENCE, 0)[1], _at_equal_unknowns(rows, case, 2)
+        for (before, old), (nodes, errors) in zip([(0, {}), *found], found, strict=False):
+            cells = [figure(errors[UNIFORM]), figure(doubt)]
+            cells += [figure(errors[UNIFORM] / errors[m]) for m in methods]
+            rates = [np.log(old[m] / errors[m]) / np.log(nodes / before) for m in rated if old]
+            cells += [f"{rate:.2f}" if np.isfinite(rate) else "-" for rate in rates or [np.nan] * len(rated)]
+            lines.append(f"| {case} | {nodes} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -73,17 +62,10 @@ def orders(rows: Sequence[Row]) -> str:
     """Errors of order 1 over those of order 2, with as many unknowns."""
     lines = _head(["problem", "nodes", *METHODS, "order 1 uniform over order 2 remeshed, relocated"])
     for case in _cases(rows):
-        own = {f"P{order} {m}": of(rows, case, f"P{order} {m}") for order in (1, 2) for m in METHODS}
-        for number, moved in enumerate(own[f"P2 {RELOCATED}"]):
-            found = {}
-            for method, known in own.items():
-                if method.endswith((UNIFORM, ADAPTIVE)):
-                    found[method] = _at(known, moved.nodes)
-                else:
-                    found[method] = _like(known, number, moved.nodes, int(method[1]))
-            cells = [figure(found[f"P1 {m}"] / found[f"P2 {m}"]) for m in METHODS]
-            cells.append(figure(found[f"P1 {UNIFORM}"] / found[f"P2 {REMESHED}"]))
-            lines.append(f"| {case} | {moved.nodes} | {' | '.join(cells)} |")
+        found = (_at_equal_unknowns(rows, case, order) for order in (1, 2))
+        for (nodes, one), (_, two) in zip(*found, strict=True):
+            ratios = [*(one[m] / two[m] for m in METHODS), one[UNIFORM] / two[REMESHED]]
+            lines.append(f"| {case} | {nodes} | {' | '.join(map(figure, ratios))} |")
     return "\n".join(lines) + "\n"
 
 
@@ -156,16 +138,23 @@ def _cases(rows: Sequence[Row]) -> list[str]:
     return list(dict.fromkeys(r.case for r in rows))
 
 
-def _at(rows: Sequence[Row], nodes: int) -> float:
-    """The error of as many nodes."""
-    return at([r.nodes for r in rows], [r.error for r in rows], nodes)
+def _at_equal_unknowns(rows: Sequence[Row], case: str, order: int) -> list[tuple[int, dict[str, float]]]:
+    """Nodes of the relocated meshes of order 2, and the errors of as many by all methods at an order.
 
-
-def _like(rows: Sequence[Row], number: int, nodes: int, order: int = 2) -> float:
-    """The error of a mesh, as if it had so many nodes: errors fall by the power of the order."""
-    if number >= len(rows):
-        return float("nan")
-    return rows[number].error * (rows[number].nodes / nodes) ** order
+    New meshes have a few more or less: as if errors fell by the power of the order.
+    """
+    own = {method: of(rows, case, f"P{order} {method}") for method in METHODS}
+    result = []
+    for number, nodes in enumerate(row.nodes for row in of(rows, case, f"P2 {RELOCATED}")):
+        found = {}
+        for method, known in own.items():
+            if method in (UNIFORM, ADAPTIVE):
+                found[method] = at([r.nodes for r in known], [r.error for r in known], nodes)
+            else:
+                same = known[number] if number < len(known) else Row(case, method, 0, 0, float("nan"))
+                found[method] = same.error * (same.nodes / nodes) ** order
+        result.append((nodes, found))
+    return result
 
 
 def _head(columns: Sequence[str]) -> list[str]:
