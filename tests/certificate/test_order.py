@@ -126,9 +126,9 @@ EXACT = {
     [
         (smooth, 1, 2),
         (smooth, 2, 4),
-        (l_shape, 1, 4 / 3),
-        (l_shape, 2, 4 / 3),
-        (signorini, 1, 2),
+        pytest.param(l_shape, 1, 4 / 3, marks=pytest.mark.slow),
+        pytest.param(l_shape, 2, 4 / 3, marks=pytest.mark.slow),
+        pytest.param(signorini, 1, 2, marks=pytest.mark.slow),
         (signorini, 2, 3),
     ],
 )
@@ -147,6 +147,7 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
     assert np.log2(widths[0] / widths[1]) > rate - 0.3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("make", "power"), [(l_shape, 3.0), (signorini, 2.0)])
 def test_on_graded_meshes_singularities_cost_neither_the_rate_nor_the_effectivity(
     make: Callable[[int, int], ContactProblem], power: float

@@ -18,6 +18,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, Traction
 from support.contact_geometry import LAW, block_between_two_foundations
 from support.curved import disc
+from support.orders import ORDERS
 
 CURVATURE = 0.8
 PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)
@@ -153,7 +154,7 @@ def test_bad_gaps_are_refused() -> None:
         Obstacle("bottom", gap="somewhere")
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int, order: int) -> None:
     dome = Obstacle.interior(lambda x, y: 0.05 - 0.4 * (x - 0.4) ** 2 - 0.6 * (y - 0.5) ** 2)

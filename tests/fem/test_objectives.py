@@ -18,6 +18,7 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
+from support.orders import ORDERS
 from support.solved import example
 
 
@@ -234,7 +235,7 @@ def test_objectives_are_added_and_multiplied_by_finite_numbers() -> None:
             _ = -parse_objective(name)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None:
     problem = replace(example(name, 4 if name == "6.1" else (4, 2)), order=order)
@@ -246,7 +247,7 @@ def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None
     )
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("disc", [False, True])
 def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool, order: int) -> None:
     """Of two materials on a graph, and on a disc whose normals differ."""
@@ -310,7 +311,7 @@ INTEGRALS = {  # by text: the example, the boundary or None, and the form of sci
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("text", INTEGRALS)
 def test_integrals_are_those_of_scikit_fem(text: str, order: int) -> None:
     name, boundary, form = INTEGRALS[text]
@@ -329,7 +330,7 @@ def test_integrals_are_those_of_scikit_fem(text: str, order: int) -> None:
     assert value(problem, text, u) == pytest.approx(expected, rel=1e-8)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(
     "objective",
     [
@@ -344,7 +345,7 @@ def test_gradients_pass_their_taylor_test(objective: str, order: int) -> None:
     assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("objective", ["error-l2", "error-energy", "contact"])
 def test_gradients_of_errors_pass_their_taylor_test(objective: str, order: int) -> None:
     problem = replace(example("6.1", 4), order=order)
@@ -360,7 +361,7 @@ def test_an_objective_in_python_is_the_same_as_in_text() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_nested_and_mpcc_agree_on_a_quantity(order: int) -> None:
     block, objective = (
         replace(example("6.2", (6, 3)), order=order),

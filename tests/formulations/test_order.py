@@ -18,18 +18,16 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import fixed, joint, mpcc, nested
+from support.orders import slow_but
 from support.problems import no_move_limits
 from support.reduced import QUADRATIC
 from support.sliding import sliding_block
 
-QUICK = ("6.3, order 2", "two obstacles at a node, order 2")
 ENDED = {Status.CONVERGED, Status.NOT_STATIONARY}
 """A first-order residual near its tolerance is above it for some formulation and some processor."""
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in QUADRATIC]
-)
+@pytest.mark.parametrize("name", slow_but(QUADRATIC))
 def test_formulations_agree(name: str) -> None:
     problem = QUADRATIC[name]()
     found = [formulation.solve(problem) for formulation in (joint, nested, mpcc)]

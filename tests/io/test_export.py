@@ -24,6 +24,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneSt
 from rmesh_nlp.solving.parts import Step
 from support.curved import disc
 from support.formulations import fixed, joint, nested
+from support.orders import ORDERS
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -109,7 +110,7 @@ def test_a_space_with_another_numbering_writes_the_same_fields_at_the_same_place
     np.testing.assert_array_equal(element_table(permuted)["node_2"], order[problem.triangles[1]])
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_nodes_of_curved_bodies_are_on_the_curve_and_vtu_displacements_reproduce_polynomials(order, tmp_path):
     """ParaView's interpolation of what is written is the displacement that was computed."""
     problem = replace(disc({"arc": Circle((0.0, 1.0), 1.0)}), order=order)
@@ -284,7 +285,7 @@ def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path, made):
         np.testing.assert_allclose(found.reshape(n, -1)[:, : made.components].T, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_gap_is_the_distance_along_the_normal_to_the_nearer_foundation(order):
     """A body 0.1 above a floor and 0.3 beside a wall, which sinks by 0.03 and moves away by 0.5."""
     sides = (Obstacle("bottom", (0.0, 1.0), 0.1), Obstacle("left", (1.0, 0.0), 0.3))

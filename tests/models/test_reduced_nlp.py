@@ -13,6 +13,7 @@ from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
+from support.orders import slow_but
 from support.reduced import membrane_over_a_bump, of_order_2
 
 
@@ -49,7 +50,7 @@ def whole(upper: ca.DM) -> Array:
     return found + np.triu(found, 1).T
 
 
-@pytest.mark.parametrize("name", OBJECTIVES)
+@pytest.mark.parametrize("name", slow_but(OBJECTIVES, ("6.3, friction, order 2",)))
 def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
     make, objective = OBJECTIVES[name]
     problem, rng = with_hessian(nlp_of(make(), objective)), np.random.default_rng(4)
@@ -71,7 +72,7 @@ def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
 
 
 @pytest.mark.parametrize("factor", [1.5, 0.0])
-@pytest.mark.parametrize("name", ENERGIES)
+@pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float) -> None:
     problem = nlp_of(ENERGIES[name]())
     larger, other, n, rng = lifted(problem), with_hessian(problem), problem.nlp.n_x, np.random.default_rng(7)

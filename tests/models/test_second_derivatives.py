@@ -15,6 +15,7 @@ from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedObjective
 from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature, curvature_of
 from rmesh_nlp.problem import Motion
 from support.curved import HOLE, plate
+from support.orders import slow_but
 from support.reduced import CONTACTS, FREE, QUADRATIC, reduced
 from support.taylor import difference_order
 
@@ -25,7 +26,7 @@ PROBLEMS = {
 }
 
 
-@pytest.mark.parametrize("name", PROBLEMS)
+@pytest.mark.parametrize("name", slow_but(PROBLEMS))
 def test_products_of_the_energy_are_derivatives_of_its_gradient(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -45,7 +46,7 @@ def test_products_of_the_energy_are_derivatives_of_its_gradient(
     np.testing.assert_allclose(both[:, 0], product, atol=1e-10 * size)
 
 
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if name not in ("6.1", "6.3")])
+@pytest.mark.parametrize("name", slow_but(name for name in PROBLEMS if name not in ("6.1", "6.3")))
 def test_the_schur_complement_of_the_sparse_matrix_is_the_second_derivative(name: str) -> None:
     energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(3)
     q, width = 0.3 * rng.uniform(-1, 1, energy.relocation.n_q), rng.uniform(0.5, 2, energy.relocation.n_q)

@@ -21,6 +21,7 @@ from rmesh_nlp.report.style import Page, new_figure
 from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal, plot
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
+from support.orders import ORDERS
 
 BELOW = 0.002
 """Gap of the lowest node of the block."""
@@ -48,7 +49,7 @@ def drawings(solution: Solution) -> Sequence[Axes]:
     return [meshes.axes[1], grid_figure({"it": fields_of(solution)}).axes[1]]
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("rise", "factor"), [(0.0, 10), (0.3, 1)])
 def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int, order: int) -> None:
     solution = pressed(rise, order)
@@ -122,7 +123,7 @@ def test_panels_fill_the_width_of_the_page(
     assert axes[0, 0].get_ylim() == (0.0, height)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("what", ["displacement", "pressure"])
 def test_fields_are_drawn_at_the_nodes_of_the_displacement_space(
     what: str, order: int, monkeypatch: pytest.MonkeyPatch

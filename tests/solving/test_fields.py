@@ -13,6 +13,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import fixed
+from support.orders import ORDERS
 
 
 def exact(x: Any, y: Any) -> Any:
@@ -34,7 +35,7 @@ def solved(n: int, order: int) -> tuple[Solution, DisplacementSpace]:
     return fixed.solve(problem), DisplacementSpace.of(problem)
 
 
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(order: int) -> None:
     errors = []
     for n in (4, 9):

@@ -21,6 +21,7 @@ from rmesh_nlp.solving.verification import (
     verify_gradient,
 )
 from support.formulations import fixed, joint, mpcc
+from support.orders import ORDERS
 from support.sliding import sliding_block
 
 
@@ -101,7 +102,7 @@ class TestTaylor:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_the_terms_sum_to_the_energy_above_the_exact_one(order: int) -> None:
     before, after = (error_terms(one.solve(EXAMPLES["6.1"](4, order=order))) for one in (fixed, joint))
     for terms in (before, after):
@@ -113,7 +114,7 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one(order: int) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("order", ORDERS)
 def test_with_friction_the_third_term_closes_the_sum(order: int) -> None:
     found = []
     for n in (4, 8):
