@@ -72,7 +72,7 @@ def order_at_random(function: Any, n: int, seed: int, size: float) -> float:
     return taylor_order(function, q, d)
 
 
-@pytest.mark.parametrize(("name", "seed"), product(CONTACTS, (1, 2, 3)), ids=str)
+@pytest.mark.parametrize(("name", "seed"), list(product(CONTACTS, (1, 2, 3))), ids=str)
 def test_the_energy_gradient_has_rate_2(name: str, seed: int) -> None:
     energy = reduced(CONTACTS[name]())
     assert order_at_random(energy, energy.relocation.n_q, seed, 0.6) >= 1.9
