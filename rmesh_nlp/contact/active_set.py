@@ -20,10 +20,10 @@ press on the foundation prevent every motion: two solutions differ by a rigid mo
 
 .. [1] M. Hintermüller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
    semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
-.. [3] K. Kunisch, G. Stadler, Generalized Newton methods for the 2D-Signorini contact problem with friction
-   in function space, ESAIM M2AN 39 (2005) 827-854.
 .. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale
    strictly monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596.
+.. [3] K. Kunisch, G. Stadler, Generalized Newton methods for the 2D-Signorini contact problem with friction
+   in function space, ESAIM M2AN 39 (2005) 827-854.
 """
 
 from __future__ import annotations
