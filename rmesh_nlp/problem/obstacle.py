@@ -95,7 +95,7 @@ class Obstacle:
         if not callable(self.friction) and not self.friction >= 0:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
         if not callable(self.coulomb) and not 0 <= self.coulomb < np.inf:
-            raise ValueError(f"Coulomb's coefficient must not be negative, got {self.coulomb}")
+            raise ValueError(f"Coulomb's coefficient must be finite and not negative, got {self.coulomb}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
         if self.gap not in GAPS:

@@ -189,9 +189,10 @@ class TestFormulations:
 
 
 class TestInput:
-    def test_negative_coefficients_are_refused(self) -> None:
-        with pytest.raises(ValueError, match=r"Coulomb's coefficient must not be negative, got -0\.1"):
-            rm.Obstacle("bottom", coulomb=-0.1)
+    def test_coefficients_are_finite_and_not_negative(self) -> None:
+        for wrong in (-0.1, float("inf"), float("nan")):
+            with pytest.raises(ValueError, match=f"must be finite and not negative, got {wrong}"):
+                rm.Obstacle("bottom", coulomb=wrong)
         with pytest.raises(ProblemError, match="Coulomb's coefficient must not be negative, got -"):
             slab(lambda x, y: 0.5 - x)
         with pytest.raises(ValueError, match="needs a problem with two displacement components"):
