@@ -197,7 +197,7 @@ def test_broken_file_has_a_one_line_error(write, old, new, message):
         # one of several contacts
         (TWO.replace('"10 + x"', '"10 + z"'), "contact[2].friction = '10 + z': unknown name 'z'"),
         (TWO.replace('"10 + x"', '"x - 9"'), "contact[2].friction = 'x - 9': the friction bound must not be"),
-        (TWO.replace('friction = "10 + x"', "coulomb = -1"), "Coulomb's coefficient must be finite and not negative"),
+        (TWO.replace('friction = "10 + x"', "coulomb = -1"), "must be finite and not negative, got -1"),
         (TWO.replace('friction = "10 + x"', 'coulomb = "x - 9"'), "contact[2].coulomb = 'x - 9': Coulomb's"),
         (TWO.replace('"bottom"', '"botom"'), "contact[2].boundary = 'botom': expected a boundary"),
         (TWO.replace("offset = 0.1", "offset = 0.1\ngap = 3"), "contact[1].gap = 3: expected 'node'"),
