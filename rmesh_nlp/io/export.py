@@ -31,20 +31,18 @@ if TYPE_CHECKING:
 
 
 QUADRATIC = {
-    *(
-        "vtu",
-        "vtk",
-        "vtk42",
-        "vtk51",
-        "xdmf",
-        "gmsh",
-        "gmsh22",
-        "med",
-        "exodus",
-        "abaqus",
-        "nastran",
-        "permas",
-    )
+    "vtu",
+    "vtk",
+    "vtk42",
+    "vtk51",
+    "xdmf",
+    "gmsh",
+    "gmsh22",
+    "med",
+    "exodus",
+    "abaqus",
+    "nastran",
+    "permas",
 }
 """Formats of meshio that have quadratic triangles."""
 
