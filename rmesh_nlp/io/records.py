@@ -109,6 +109,8 @@ class RecordModel(BaseModel):
     objective_initial: Number = None
     objective_value: Number = None
     gain_surviving: Number = None
+    coulomb_residual: Number = None
+    coulomb_residual_initial: Number = None
     energy_lower_bound: Number = None
     energy_upper_bound: Number = None
     error_bound_initial: Number = None

@@ -10,6 +10,7 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_residual, quantities
 from rmesh_nlp.assessment.conclusion import Measured, conclusion
+from rmesh_nlp.assessment.coulomb import coulomb_residual, growth
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.contact.uniqueness import contraction
@@ -226,17 +227,39 @@ def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: st
         for whose, state in (("own", own), ("assessed", exact))
         for name, measure in (("equilibrium", equilibrium_residual), ("complementarity", law_residual))
     }
+    before, after = _coulomb(ends)
+    grown = growth(before, after)
     return Findings(
         tolerance=outer.tolerance,
         **residuals,
         sticking_nodes=None if sliding is None else int(rows.size) - sliding,
         sliding_nodes=sliding,
         exploits=exploits,
-        warnings=_warnings(ends),
+        warnings=_warnings(ends) + (() if grown is None else (grown,)),
         objective_value=ends.point.value,
         objective_initial=outer.function(np.zeros(outer.n)).value if ends.begin is outer else None,
         domain_area_change=change,
+        coulomb_residual=after,
+        coulomb_residual_initial=before,
     )
+
+
+def _coulomb(ends: _Ends) -> tuple[float | None, float | None]:
+    """Violation of Coulomb's law along edges on the given and on the last mesh."""
+    before, after = (
+        coulomb_residual(
+            outer.discretisation.space,
+            nodes,
+            outer.contact.displacement.values(state.u),
+            state.normal_force,
+            state.tangential_force,
+        )
+        for outer, nodes, state in (
+            (ends.begin, np.asarray(ends.begin.problem.mesh.p), ends.begin.given),
+            (ends.outer, ends.nodes, ends.found),
+        )
+    )
+    return before, after
 
 
 def _warnings(ends: _Ends) -> tuple[str, ...]:

@@ -83,6 +83,9 @@ class Findings(Part):
         Relative, where nodes slide along curves.
     gain_surviving : float, optional
         Part of the gain in an objective other than the energy that is left on refined meshes.
+    coulomb_residual, coulomb_residual_initial : float, optional
+        Violation of Coulomb's law along edges, see :mod:`rmesh_nlp.assessment.coulomb`; the second one on the
+        mesh as given.
     """
 
     tolerance: float
@@ -98,6 +101,8 @@ class Findings(Part):
     objective_initial: float | None = None
     domain_area_change: float | None = None
     gain_surviving: float | None = None
+    coulomb_residual: float | None = None
+    coulomb_residual_initial: float | None = None
 
     def record(self) -> dict[str, Any]:
         """The entries."""

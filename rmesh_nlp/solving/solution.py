@@ -284,6 +284,9 @@ class Solution(Assessment):
             ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
             ("seconds", f"{self.wall_time_s:.3g}"),
         ]
+        if "coulomb_residual" in extra:
+            before, after = (extra[f"coulomb_residual{suffix}"] for suffix in ("_initial", ""))
+            rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
         if "remeshed_nodes" in extra:
             rows.insert(2, ("mesh", f"{self.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
         if "error_reduction" in extra:

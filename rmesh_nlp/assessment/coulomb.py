@@ -1,0 +1,96 @@
+"""How far a solution is from Coulomb's law along whole contact edges; the solver imposes it at nodes.
+
+Let p and tau be the pressure and the tangential stress of the record, v the slip and b = g + F max(p, 0) the
+bound. The law ``|tau| <= b``, slip against tau, and only where ``|tau| = b``, is one equation,
+
+    r(tau, v) = tau + proj_[-b, b](c v - tau) = 0    for any c > 0
+
+(P. Alart, A. Curnier, A mixed formulation for frictional contact problems prone to Newton like solution
+methods, Comput. Methods Appl. Mech. Engrg. 92 (1991) 353-375). Where the law fails, |r| is the smaller of the
+stress that the friction lacks and of c times the slip that should not be, or the stress above the bound.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rmesh_nlp.assessment.integrals import over_edges
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem.body import Body, Index
+from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.data import ContactSet
+
+PRESSING = 1e-9
+"""Part of the largest contact force below which a force is rounding."""
+
+NOTICED = 1e-3
+"""Residual below which growth is not warned of. With edges of a tenth of the contact's length, solutions that
+partly stick have 5e-4 to 8e-3."""
+
+
+def coulomb_residual(
+    space: DisplacementSpace, nodes: Array, displacement: Array, normal: Array, tangential: Array
+) -> float | None:
+    """The integral of |r| along the edges with Coulomb friction, in parts of the contact force there.
+
+    So it is the mean of |r| in units of the mean contact stress: dimensionless, independent of the load's
+    size, and on smooth solutions it falls with the edges' lengths. c is the mean contact stress over the
+    largest displacement. None without Coulomb friction.
+
+    Parameters
+    ----------
+    nodes : (2, vertices) array
+        Positions.
+    displacement : (2, nodes) array
+        Coefficients.
+    normal, tangential : (gaps,) arrays
+        Contact forces.
+    """
+    parts = [part for part in space.contact_sets if part.obstacle.has_coulomb]
+    if not parts:
+        return None
+    weights, force, size = space.weights(nodes), np.hypot(normal, tangential), np.max(np.abs(displacement))
+    rows = np.concatenate([part.rows for part in parts])
+    total = float(np.sum(force[rows]))
+    if total == 0 or size == 0:
+        return 0.0
+    length = float(np.sum(weights[rows][force[rows] > PRESSING * np.max(force[rows])]))
+    body, found = Body(space.problem, nodes), 0.0
+    for part in parts:
+        stresses = np.zeros((2, space.n_nodes))
+        stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
+        fields = np.vstack([space.coefficients(stresses), displacement])
+        found += _integral(body, space, part, fields, total / length / size)
+    return found / total
+
+
+def _integral(
+    body: Body, space: DisplacementSpace, part: ContactSet, fields: Array, stiffness: float
+) -> float:
+    """The integral of |r|, of coefficients (4, nodes) of pressure, tangential stress and displacement."""
+    obstacle, edges = part.obstacle, body.edges_of(part.obstacle)
+    on_edges = fields[:, space.nodes_of(edges.ends)]
+
+    def integrand(which: Index, s: Array, where: Array) -> Array:
+        shares = functions(space.order, np.stack([1 - s, s]))
+        pressure, tau, *u = np.einsum("cvm,vmk->cmk", on_edges[:, :, which], shares)
+        flat = where.reshape(2, -1)
+        normals = obstacle.normals(flat).reshape(where.shape)
+        given, factor = (on_points(value, flat) for value in (obstacle.friction, obstacle.coulomb))
+        bound = (given + factor * np.maximum(pressure, 0.0).ravel()).reshape(s.shape)
+        slip = normals[1] * u[0] - normals[0] * u[1]
+        return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
+
+    return float(np.sum(over_edges(edges.at, edges.size, integrand)[0]))
+
+
+def growth(before: float | None, after: float | None) -> str | None:
+    """A sentence for a residual that relocation has more than doubled; None for others."""
+    if before is None or after is None or after <= max(2 * before, NOTICED):
+        return None
+    return (
+        f"Coulomb's law along edges holds less well than on the given mesh: {after:.1e} of the contact force "
+        f"violates it, {before:.1e} before relocation"
+    )
