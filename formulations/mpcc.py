@@ -22,7 +22,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.alternating import alternated
-from rmesh_nlp.models.kkt_model import Bilevel, bilevel
+from rmesh_nlp.models.kkt_model import Bilevel, bilevel, kkt_unknowns
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -217,6 +217,7 @@ class AllAtOnce(Formulation):
                 length=float(np.max(np.abs(here.equilibrium.u))) or 1.0,
                 force=here.system.force_scale,
                 value=abs(outer.function(np.zeros(outer.n)).value) or 1.0,
+                start=kkt_unknowns(q, here.equilibrium, here.system, outer.discretisation.friction_rows),
             )
         track = monitor.track(outer, program.value)
         if is_energy:

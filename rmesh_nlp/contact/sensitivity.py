@@ -11,24 +11,37 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import both_vanish
 
 
-def adjoint(system: ContactSystem, active: ActiveSet, right: Array) -> tuple[Array, Array, Array]:
+def adjoint(
+    system: ContactSystem,
+    active: ActiveSet,
+    right: Array,
+    by_normal: Array | None = None,
+    by_tangential: Array | None = None,
+) -> tuple[Array, Array, Array]:
     """Adjoint of the contact solution with its active set held: p, reaction and friction.
 
-    Solves ``K p = right`` over the displacements that the active set leaves free, p = 0 in the normal
-    direction of touching and in the tangential direction of sticking nodes. There ``right - K p`` is the
-    reaction and the friction (contact nodes,), which are zero at the other nodes. With Coulomb friction the
-    system is not symmetric: at sliding nodes p has the normal component ``s F`` times its tangential one.
+    Solves ``K p = right`` over the displacements that the active set leaves free. p has the normal component
+    ``-by_normal`` at touching and the tangential component ``-by_tangential`` at sticking nodes: derivatives
+    (gaps,) by the contact forces there, by default zero. There ``right - K p`` is the reaction and the
+    friction (gaps,), which are zero at the other nodes. With Coulomb friction the system is not symmetric: at
+    sliding nodes p has ``s F`` times its tangential component in addition to the normal one.
     """
     rotated = system.rotated
-    turned = rotated.turned(right)
+    turned, sticking = rotated.turned(right), rotated.sticking(active)
     inside, factor = rotated.factor(active)
-    p = np.zeros(turned.size)
-    p[inside] = factor.solve_transposed(turned[inside])
+    given, p = np.zeros((2, turned.size))
+    if by_normal is not None:
+        given[rotated.normal[active.touching]] = -by_normal[active.touching]
+    if by_tangential is not None:
+        given[rotated.tangent[sticking]] = -by_tangential[sticking]
+    rest = turned - rotated.K @ given if np.any(given) else turned
+    p[inside] = factor.solve_transposed(rest[inside])
     if (coupling := rotated.coupling(active)) is not None:
         p = p + coupling.T @ p
+    p = p + given
     left = turned - rotated.K @ p
     reaction = np.where(active.touching, left[rotated.normal], 0.0)
-    return rotated.back(p), reaction, np.where(rotated.sticking(active), left[rotated.tangent], 0.0)
+    return rotated.back(p), reaction, np.where(sticking, left[rotated.tangent], 0.0)
 
 
 class TangentResponse:

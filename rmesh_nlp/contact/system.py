@@ -71,6 +71,11 @@ class ContactSystem:
             return self.slip_bound
         return np.asarray(self.slip_bound + self.coulomb * np.maximum(normal, 0.0))
 
+    def friction(self, state: Equilibrium) -> tuple[Array, Array, Array]:
+        """(gaps,) slip magnitudes s, and multipliers mu-, mu+ of ``s - u_t >= 0`` and ``s + u_t >= 0``."""
+        bound, force = self.bound(state.normal_force), state.tangential_force
+        return np.abs(self.tangents @ state.u), (bound - force) / 2, (bound + force) / 2
+
     def energy(self, u: Array) -> float:
         """J(u), friction of Tresca included."""
         friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0

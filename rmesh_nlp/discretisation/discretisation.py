@@ -19,7 +19,8 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
-from rmesh_nlp.fem.objective import Fields, Objective, scaled_group
+from rmesh_nlp.fem.functional import Functional
+from rmesh_nlp.fem.objective import Fields, Forces, Objective
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
@@ -163,16 +164,33 @@ class Discretisation:
         friction = [term.on(positions, slip, p=p) for term in self.friction]
         return [*self.bulk(positions, displacement, p), *friction]
 
-    def objective(
-        self, objective: Objective, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
+    def objective(self, objective: Objective, fields: Fields) -> Functional:
         """An outer objective on these fields; its energy is made of the same terms."""
-        fields = Fields(self.problem, positions, displacement, slip)
-        groups = []
+        total = Functional([])
         for weight, term in objective.terms:
-            found = self.energy(*fields[1:]) if term.name == "energy" else term.groups(fields)
-            groups += [scaled_group(group, weight) for group in found]
-        return groups
+            own = term.name == "energy"
+            found = Functional(self.energy(*fields[1:4])) if own else term.on(fields)
+            total += found.scaled(weight)
+        return total
+
+    def fields(self, length: float = 1.0) -> Fields:
+        """All fields as functions of ``x = (q, u, lambda, s, mu-, mu+)``, the unknowns of the KKT conditions.
+
+        Displacement and slip are in units of ``length``.
+        """
+        sizes = (self.n_q, self.n_u, self.n_contact, self.n_s, self.n_s)
+        u, normal, slip, minus, plus = np.cumsum(sizes).tolist()
+        return Fields(
+            self.problem,
+            self.mesh_map.positions,
+            self.displacement.in_units(length).numbered_from(u),
+            self.slip.in_units(length).numbered_from(slip),
+            Forces(
+                self.contact_force.numbered_from(normal),
+                self.slip.numbered_from(minus),
+                self.slip.numbered_from(plus),
+            ),
+        )
 
     def with_rule(self, rule: str | int) -> Discretisation:
         """The same with loads by another rule; what was made and does not depend on it is shared."""

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.fem.bernstein import functions, slopes
-from rmesh_nlp.fem.element import affine, corners, line_rule, local_symbols
+from rmesh_nlp.fem.element import affine, corners, line_rule
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, objective_group
+from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 
@@ -21,13 +22,30 @@ Density = Callable[[Any, Any, Any, Any], Any]
 edges the outward unit normal (2,)."""
 
 
+class Forces(NamedTuple):
+    """Contact forces at nodes as fields (obstacles, nodes), in N/m; zero where there are none.
+
+    The tangential force on the body along the foundation's tangent is ``plus - minus``; with friction both
+    are at least zero, and their sum is the bound ``g omega + F normal``.
+    """
+
+    normal: Field
+    minus: Field
+    plus: Field
+
+    def in_units(self, unit: float) -> Forces:
+        """The same of unknowns that are measured in ``unit``."""
+        return Forces(*(field.in_units(unit) for field in self))
+
+
 class Fields(NamedTuple):
-    """What a term is a function of."""
+    """What a term is a function of; ``slip`` (obstacles, nodes) has magnitudes."""
 
     problem: ContactProblem
     positions: Field
     displacement: Field
     slip: Field
+    forces: Forces | None = None
 
     @property
     def space(self) -> DisplacementSpace:
@@ -68,8 +86,9 @@ class Fields(NamedTuple):
         return self.group(name, X, u, total * size * factor, cells, self.space.nodes_of(cells))
 
 
-Groups = Callable[[Fields], list[ElementGroup]]
-"""Element groups whose sum is the value of a term; a ValueError where the term does not suit the problem."""
+Groups = Callable[[Fields], list[ElementGroup] | Functional]
+"""Element groups whose sum is the value of a term, or a function of several such sums; a ValueError where the
+term does not suit the problem."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +104,7 @@ class Term:
     needs_exact : bool
         Whether it compares with the exact or reference solution of the problem.
     of_positions : bool
-        Whether it depends on the positions alone.
+        Whether it is a sum over elements that depends on the positions alone.
     barrier : bool
         Whether it is infinite at the boundary of the valid meshes, and NaN beyond.
     minimised_only : bool
@@ -98,6 +117,11 @@ class Term:
     of_positions: bool = False
     barrier: bool = False
     minimised_only: bool = False
+
+    def on(self, fields: Fields) -> Functional:
+        """Its value on these fields."""
+        found = self.groups(fields)
+        return found if isinstance(found, Functional) else Functional(found)
 
 
 @dataclass(frozen=True)
@@ -147,12 +171,9 @@ class Objective:
         """Its terms in the positions alone."""
         return Objective(tuple((weight, term) for weight, term in self.terms if term.of_positions))
 
-    def groups(
-        self, problem: ContactProblem, positions: Field, displacement: Field, slip: Field
-    ) -> list[ElementGroup]:
-        """Element groups of the sum."""
-        fields = Fields(problem, positions, displacement, slip)
-        return [scaled_group(group, weight) for weight, term in self.terms for group in term.groups(fields)]
+    def on(self, fields: Fields) -> Functional:
+        """Its value on these fields."""
+        return sum((term.on(fields).scaled(weight) for weight, term in self.terms), start=Functional([]))
 
     def __add__(self, other: Objective) -> Objective:
         return Objective((*self.terms, *other.terms)) if isinstance(other, Objective) else NotImplemented
@@ -171,20 +192,3 @@ class Objective:
 
     def __neg__(self) -> Objective:
         return -1 * self
-
-
-def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
-    """The group with its objective multiplied by ``weight``."""
-    if weight == 1.0:
-        return group
-    symbols = local_symbols(group.function)
-    f, g = group.function(*symbols)
-    closed = None if group.closed is None else group.closed.scaled(weight)
-    if group.at_points is not None:
-        function = ca.Function(group.function.name(), symbols, [weight * f, g])
-        return replace(group, function=function, closed=closed)
-    # the weight is data of the elements: derivatives of the function serve every weight
-    factor = type(symbols[0]).sym("weight")
-    function = ca.Function(group.function.name(), [*symbols, factor], [factor * f, g])
-    arguments = (*group.arguments, constant_field(np.full((1, group.size), weight)))
-    return replace(group, function=function, arguments=arguments, closed=closed)

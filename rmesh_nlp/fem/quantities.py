@@ -24,6 +24,7 @@ from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.element import corners, plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import ElementGroup
+from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
 from rmesh_nlp.problem import ContactProblem, Law, Obstacle
@@ -166,7 +167,7 @@ def at_point(
     """
 
     @_quantity(name)
-    def quantity(on: Fields) -> list[ElementGroup]:
+    def quantity(on: Fields) -> Functional:
         p = on.problem.mesh.p
         distance = np.linalg.norm(p - np.array(point)[:, None], axis=0)
         node = int(np.argmin(distance))
@@ -174,7 +175,7 @@ def at_point(
             near = tuple(float(c) for c in p[:, node])
             raise ValueError(f"{name}: no node at {tuple(point)}; the nearest is node {node} at {near}")
         one = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
-        return one.groups(*on)
+        return one.on(on)
 
     return quantity
 

@@ -25,7 +25,7 @@ from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import ROUNDING, Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
-from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import Validity
@@ -201,7 +201,8 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     validity = parts.validity.without_rows() if replaced else parts.validity
     displacement = parts.displacement.numbered_from(free.n)
     slip = parts.slip.numbered_from(free.n + n_u)
-    position_groups = parts.objective(objective.in_positions, free.positions, displacement, slip)
+    fields = Fields(parts.problem, free.positions, displacement, slip)
+    position_groups = parts.objective(objective.in_positions, fields).groups
     rows = (
         *(term.on(free.positions, displacement) for term in parts.gaps),
         *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),

@@ -2,10 +2,11 @@
 
 Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``, the last three where it may
 act: outer variables q in units of their move limits, displacements in units of ``length``, contact forces in
-units of ``force``, so that all are of order one. Then
+units of ``force``, so that all are of order one. An objective that is a function of several sums S over the
+mesh adds them as unknowns sigma. Then
 
-    min  F(X, u)
-    s.t. equilibrium (and, with friction, mu- + mu+ = g omega + F lambda),   element areas,
+    min  F(X, u, forces, sigma)
+    s.t. equilibrium (and, with friction, mu- + mu+ = g omega + F lambda),   sigma = S,   element areas,
          0 <= gap   _|_ lambda >= 0,
          0 <= s - u_t _|_ mu- >= 0,   0 <= s + u_t _|_ mu+ >= 0.
 """
@@ -27,8 +28,9 @@ from rmesh_nlp.fem.contact_terms import (
     identity_group,
 )
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Index
-from rmesh_nlp.fem.objective import Objective, scaled_group
+from rmesh_nlp.fem.fields import ElementGroup, Index, unknown_field
+from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.optimize.nlp import NLP
@@ -37,7 +39,10 @@ from rmesh_nlp.problem import ContactProblem
 
 @dataclass(frozen=True)
 class Bilevel:
-    """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model."""
+    """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model.
+
+    ``objective`` is a function of the unknowns of the contact problem, ``sums`` (m,) the units of its sums.
+    """
 
     mpcc: MPCC
     n_q: int
@@ -47,6 +52,8 @@ class Bilevel:
     length: float
     force: float
     value: float
+    objective: Functional
+    sums: Array
 
     def without_complementarity(self) -> NLP:
         """The NLP that keeps ``G, H >= 0`` and drops their products.
@@ -78,14 +85,22 @@ class Bilevel:
 
     def point(self, q: Array, equilibrium: Equilibrium, system: ContactSystem) -> Array:
         """The unknowns ``x`` of a contact solution at ``q``."""
-        parts = [q, equilibrium.u / self.length, equilibrium.normal_force / self.force]
-        if self.friction_rows.size:
-            slip = np.abs(system.tangents @ equilibrium.u) / self.length
-            bound = system.bound(equilibrium.normal_force)
-            minus = (bound - equilibrium.tangential_force) / (2 * self.force)
-            plus = (bound + equilibrium.tangential_force) / (2 * self.force)
-            parts += [part[self.friction_rows] for part in (slip, minus, plus)]
-        return np.concatenate(parts)
+        x = kkt_unknowns(q, equilibrium, system, self.friction_rows)
+        x /= _units(self.length, self.force, (self.n_q, self.n_u, self.n_contact, self.friction_rows.size))
+        return np.append(x, self.objective.sum_values()(x) / self.sums)
+
+
+def _units(length: float, force: float, sizes: tuple[int, int, int, int]) -> Array:
+    """Of the unknowns ``(q, u, lambda, s, mu-, mu+)``, ``sizes`` the numbers of the first four."""
+    return np.repeat((1.0, length, force, length, force, force), (*sizes, sizes[3], sizes[3]))
+
+
+def kkt_unknowns(q: Array, state: Equilibrium, system: ContactSystem, friction_rows: Index) -> Array:
+    """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions at a contact solution."""
+    parts = [q, state.u, state.normal_force]
+    if friction_rows.size:
+        parts += [part[friction_rows] for part in system.friction(state)]
+    return np.concatenate(parts)
 
 
 def bilevel(
@@ -95,49 +110,57 @@ def bilevel(
     length: float = 1.0,
     force: float = 1.0,
     value: float = 1.0,
+    start: Array | None = None,
 ) -> Bilevel:
     """Build the bilevel problem as an MPCC with assembled derivatives.
 
     ``length``, ``force`` and ``value`` are units of displacement, of nodal force, and of the outer objective.
+    If that is a function of sums, these are in units of their size at ``start``, see :func:`kkt_unknowns`.
     """
     parts = discretise(problem)
     free, n_u, n_c, n_s = parts.mesh_map, parts.n_u, parts.n_contact, parts.n_s
     first = free.n + n_u
-    displacement = parts.displacement.in_units(length).numbered_from(free.n)
-    normal_force = parts.contact_force.numbered_from(first)
-    slip = parts.slip.in_units(length).numbered_from(first + n_c)
-    friction = (
-        parts.slip.numbered_from(first + n_c + n_s),
-        parts.slip.numbered_from(first + n_c + 2 * n_s),
-    )
-    n_x = first + n_c + 3 * n_s
+    fields = parts.fields(length)
+    _, positions, displacement, slip, forces = fields
+    assert forces is not None
+    outer = parts.objective(objective, fields._replace(forces=forces.in_units(force)))
+    n_sums, first_sum = len(outer.sums), first + n_c + 3 * n_s
+    units = _units(length, force, (free.n, n_u, n_c, n_s))
+    sums = np.ones(n_sums) if start is None else outer.sizes(start / units)
+    n_x = first_sum + n_sums
 
-    # rows of g: equilibrium, slip stationarity, areas; then G: gaps, slips; then H: their forces
+    # rows of g: equilibrium, slip stationarity, sums, areas; then G: gaps, slips; then H: their forces
     groups = [
         gradient_group(group, len(group.arguments) - 1, -free.n, force)
-        for group in parts.bulk(free.positions, displacement)
+        for group in parts.bulk(positions, displacement)
     ]
     groups += contact_force_groups(
-        parts.space, parts.displacement.index, free.positions, normal_force, friction
+        parts.space, parts.displacement.index, positions, forces.normal, forces[1:]
     )
     for weights in parts.friction:
-        groups.append(gradient_group(weights.on(free.positions, slip), 1, n_u - (first + n_c), force))
-    groups += bound_force_groups(parts.space, n_u, free.positions, normal_force, friction)
-    n_equations, area_bound = n_u + n_s, parts.validity.bound
+        groups.append(gradient_group(weights.on(positions, slip), 1, n_u - (first + n_c), force))
+    groups += bound_force_groups(parts.space, n_u, positions, forces.normal, forces[1:])
+    for k, (terms, unit) in enumerate(zip(outer.sums, sums, strict=True)):
+        groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
+    groups.append(identity_group(first_sum, n_u + n_s + np.arange(n_sums)))
+    n_equations, area_bound = n_u + n_s + n_sums, parts.validity.bound
     validity = parts.validity.upright_group
     groups.append(replace(validity, rows=validity.rows + n_equations))
     n_g = n_equations + area_bound.size
     pairs = [
-        *(term.on(free.positions, displacement, first_row=n_g) for term in parts.gaps),
-        *(term.on(free.positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
+        *(term.on(positions, displacement, first_row=n_g) for term in parts.gaps),
+        *(term.on(positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
     ]
     groups += [_in_units_of_rows(group, length) for group in pairs]
     n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs
     groups.append(identity_group(first, first_h + np.arange(n_c)))
     groups.append(identity_group(first + n_c + n_s, first_h + n_c + np.arange(2 * n_s)))
-    outer = parts.objective(objective, free.positions, displacement, slip)
-    groups += [scaled_group(group, 1 / value) for group in outer]
+    of_outer = outer.groups
+    if n_sums:
+        of_sums = unknown_field((n_sums, 1), first_sum)
+        of_outer = [*of_outer, outer.combined(replace(of_sums, scale=sums[:, None]))]
+    groups += [scaled_group(group, 1 / value) for group in of_outer]
 
     x = ca.MX.sym("x", n_x)
     assembled = parts.assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
@@ -153,15 +176,16 @@ def bilevel(
         lbg=np.concatenate([np.zeros(n_equations), area_bound]),
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,
-        parts=_by_name(x, [free.n, n_u, n_c, *([n_s] * 3 if n_s else ())]),
+        parts=_by_name(x, (free.n, n_u, n_c, n_s, n_s, n_s, n_sums)),
     )
-    return Bilevel(mpcc, free.n, n_u, n_c, parts.friction_rows, length, force, value)
+    return Bilevel(mpcc, free.n, n_u, n_c, parts.friction_rows, length, force, value, outer, sums)
 
 
-def _by_name(x: ca.MX, sizes: list[int]) -> dict[str, ca.MX]:
-    """The unknowns in the units of the model; the last three are those of friction."""
-    names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus")
-    return dict(zip(names, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=False))
+def _by_name(x: ca.MX, sizes: tuple[int, ...]) -> dict[str, ca.MX]:
+    """The unknowns in the units of the model; those of friction and of sums only if there are any."""
+    names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
+    found = zip(names, sizes, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True)
+    return {name: part for name, size, part in found if size or name in names[:3]}
 
 
 def _in_units_of_rows(group: ElementGroup, unit: float) -> ElementGroup:

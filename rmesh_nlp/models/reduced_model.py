@@ -3,7 +3,7 @@
 Each value is an exact contact solve, u(X(q)) = argmin J(u; X(q)).
 
 - :class:`ReducedEnergy` is L(q) = min_u J(u; X(q)), what ``nested`` minimises.
-- :class:`ReducedObjective` is any other F(X, u(X)), with its gradient by the adjoint.
+- :class:`ReducedObjective` is any other F(X, u(X), forces(X)), with its gradient by the adjoint.
 - :class:`ReducedCertificate` has the guaranteed bound of the error among its terms, the upper less the lower
   bound of the least energy. The upper one is the energy of the displacement by the rule of the assessment,
   the lower one the dual energy of a flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the
@@ -26,7 +26,7 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array, Block
+from rmesh_nlp.evaluation import Array, Block, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import coefficient_terms
 from rmesh_nlp.fem.fields import CONSTANT
@@ -34,6 +34,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, SecondDerivatives, relocation
+from rmesh_nlp.models.kkt_model import kkt_unknowns
 
 
 @dataclass(frozen=True)
@@ -178,27 +179,34 @@ def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool
 
 
 class ReducedObjective:
-    """Any outer objective F(X, u(X)) with its gradient by the adjoint.
+    """Any outer objective F(X, u(X), forces(X)) with its gradient by the adjoint.
 
     With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r - sigma_q^T t``, where K p = F_u on
     the displacements that are free, R is the out-of-balance force, r and t are the adjoint reactions at
     touching and at sticking nodes (:func:`rmesh_nlp.contact.sensitivity.adjoint`), gamma the gaps and sigma
-    the slips at fixed displacement. That is the gradient wherever strict complementarity holds. Coulomb's
-    coefficients that vary add the change of their bounds.
+    the slips at fixed displacement. Where F depends on the contact forces, p is minus its derivative by them
+    in the directions of those that hold a displacement. At sliding nodes the friction is at its bound
+    ``b = g omega + F lambda``, which moves with q and lambda. That is the gradient wherever strict
+    complementarity holds.
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
         rel = energy.relocation
-        fields = (rel.mesh_map.positions, rel.displacement, rel.slip)
-        groups = rel.discretisation.objective(objective, *fields)
-        outer = rel.discretisation.assemble(groups, rel.x, ca.MX(0, 1), 0)
+        parts = rel.discretisation
+        self.functional = functional = parts.objective(objective, parts.fields())
+        self._n = n = np.cumsum([rel.n_q, rel.n_u, rel.n_contact, rel.n_s, rel.n_s, rel.n_s])
+        x = ca.MX.sym("x", int(n[-1]))
+        outer = parts.assemble([*functional.groups, *functional.rows], x, ca.MX(0, 1), len(functional.sums))
         self._outer = outer.numeric("gradient")
+        if functional.sums:
+            self._sums, self._combine = outer.numeric("jacobian"), Evaluator(functional.function)
+            self._of_sums = Block(self._sums.sums[1].numbered, slice(None), slice(None))
         self._derivatives = SecondDerivatives(rel)
-        terms = [term.on(fields[0]) for term in coefficient_terms(rel.discretisation.space)]
+        terms = [term.on(rel.mesh_map.positions) for term in coefficient_terms(parts.space)]
         self._coefficients = None
         if terms:
-            rows = rel.discretisation.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).numeric("jacobian")
+            rows = parts.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).numeric("jacobian")
             self._coefficients = rows, Block(rows.sums[1].numbered, slice(0, rel.n_s), slice(0, rel.n_q))
 
     def is_defined(self, q: Array) -> bool:
@@ -211,26 +219,39 @@ class ReducedObjective:
 
     def of(self, inner: ReducedPoint) -> ReducedPoint:
         """The objective where the energy and its contact solution are known."""
-        rel, q, system, state = self.energy.relocation, inner.q, inner.system, inner.equilibrium
-        x = self.energy.point(q, state)
-        value, gradient = self._outer(x)
-        f_q, f_u, f_s = np.split(gradient, [rel.n_q, rel.n_q + rel.n_u])
-        rows = rel.friction_rows
+        x = kkt_unknowns(inner.q, inner.equilibrium, inner.system, self.energy.relocation.friction_rows)
+        (value,), slope = self._outer(x, None)
+        if self.functional.sums:
+            sums, nonzeros = self._sums(x, None)
+            (more,), weights = self._combine(sums)
+            value, slope = value + more, slope + self._of_sums(nonzeros).T @ weights
+        return replace(inner, value=float(value), gradient=self._total(inner, slope), is_energy=False)
+
+    def _total(self, inner: ReducedPoint, slope: Array) -> Array:
+        """The derivative by q along contact solutions of a function with derivatives ``slope`` by x."""
+        rel, system, state = self.energy.relocation, inner.system, inner.equilibrium
+        f_q, f_u, by_normal, f_s, minus, plus = np.split(slope, self._n[:-1])
+        rows, touch, by_tangential = rel.friction_rows, by_normal.copy(), np.zeros(rel.n_contact)
         if rel.n_s:
-            tangents = system.tangents[rows]
+            tangents, sliding = system.tangents[rows], state.active.sliding[rows]
             by_slip = np.sign(tangents @ state.u) * f_s
             f_u = f_u + tangents.T @ by_slip
-        p, reaction, friction = adjoint(system, state.active, f_u)
-        blocks = self._derivatives(x, state)
+            by_force = (plus - minus) / 2
+            by_tangential[rows] = by_force
+            by_bound = (plus + minus) / 2 - sliding * by_force
+            if system.coulomb is not None:
+                touch[rows] += system.coulomb[rows] * by_bound
+        p, reaction, friction = adjoint(system, state.active, f_u, touch, by_tangential)
+        blocks = self._derivatives(self.energy.point(inner.q, state), state)
         total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
         if rel.n_s:
-            total -= blocks.qs @ (state.active.sliding[rows] * (tangents @ p))
-            total += blocks.slip.T @ (by_slip - friction[rows])
-        if self._coefficients is not None:
-            numeric, block = self._coefficients
-            force = state.active.sliding[rows] * (tangents @ p) * state.normal_force[rows]
-            total -= block(numeric(x, None)[1]).T @ force
-        return replace(inner, value=float(value[0]), gradient=total, is_energy=False)
+            by_bound = by_bound - sliding * (tangents @ p)
+            total += blocks.qs @ by_bound + blocks.slip.T @ (by_slip - friction[rows])
+            if self._coefficients is not None:
+                numeric, block = self._coefficients
+                values = numeric(self.energy.point(inner.q, state), None)[1]
+                total += block(values).T @ (by_bound * state.normal_force[rows])
+        return np.asarray(total)
 
 
 CERTIFICATE = "certificate"

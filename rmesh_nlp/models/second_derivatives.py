@@ -9,9 +9,10 @@ where ``u', s', lambda', tau'`` are the first-order changes of displacement, sli
 contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
 solve. The slips at fixed displacement, sigma, move where a foundation is curved.
 
-Of any outer objective F(X, u(X)) (:class:`ObjectiveCurvature`): with the active set held, displacement, slip
-and forces y are a smooth function of q, given by as many equations C(q, y) = 0: equilibrium, and of each pair
-the member that is zero. With the adjoint multipliers nu, ``C_y^T nu = -F_y``, and ``Lambda = F + nu^T C``,
+Of any outer objective F(X, u(X), forces(X)) (:class:`ObjectiveCurvature`): with the active set held,
+displacement, slip, forces and sums y are a smooth function of q, given by as many equations C(q, y) = 0:
+equilibrium, the sums, and of each pair the member that is zero. With the adjoint multipliers nu,
+``C_y^T nu = -F_y``, and ``Lambda = F + nu^T C``,
 
     F' = F_q + C_q^T nu,      F'' d = Lambda_qq d + Lambda_qy y' + C_q^T nu',
     C_y y' = -C_q d,          C_y^T nu' = -(Lambda_yq d + Lambda_yy y'),
@@ -45,7 +46,7 @@ from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
-from rmesh_nlp.models.kkt_model import bilevel
+from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import Reduced, ReducedCertificate, ReducedEnergy, ReducedPoint
 
 DENSE = 200
@@ -178,6 +179,7 @@ class ObjectiveCurvature:
             objective,
             length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
             force=start.system.force_scale or 1.0,
+            start=kkt_unknowns(start.q, start.equilibrium, start.system, energy.relocation.friction_rows),
         )
         mpcc = self._program.mpcc
         self._kept = kept = mpcc.derivatives

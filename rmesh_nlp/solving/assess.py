@@ -15,9 +15,9 @@ from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warning
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.models.kkt_model import kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.optimize.status import Status
@@ -155,9 +155,9 @@ def is_comparable(first: Outer, last: Outer) -> bool:
 def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
     """An objective at outer variables (n,) and a contact solution, by the assessment's rule."""
     rel = energy.relocation
-    problem = rel.problem.with_rule(ACCURATE)
-    groups = objective.groups(problem, rel.mesh_map.positions, rel.displacement, rel.slip)
-    return float(sum(np.sum(part) for part in element_values(groups)(energy.point(q, state))))
+    fields = rel.discretisation.fields()._replace(problem=rel.problem.with_rule(ACCURATE))
+    x = kkt_unknowns(q, state, energy.model.system(rel.nodes(q)), rel.friction_rows)
+    return objective.on(fields).evaluate()(x)
 
 
 def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> Measured:

@@ -10,9 +10,8 @@ from rich.table import Table
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, html_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.reduced_model import Reduced, outer_function
 from rmesh_nlp.problem import ContactProblem
@@ -168,14 +167,14 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
     accurate = replace(problem, quadrature=ACCURATE)
     model = ContactSolver(accurate)
     state = model.solve(nodes)
-    fields = [
+    positions, displacement, slip = (
         constant_field(values)
         for values in (nodes, model.displacement.values(state.u), _slips(model, state.u))
-    ]
+    )
+    fields = Fields(accurate, positions, displacement, slip)
 
     def term(name: str) -> float:
-        groups = parse_objective(name).groups(accurate, *fields)
-        return float(sum(np.sum(part) for part in element_values(groups)(np.zeros(0))))
+        return parse_objective(name).on(fields).evaluate()(np.zeros(0))
 
     friction = term("friction") if problem.frictional else 0.0
     return ErrorTerms(term("error-energy"), term("contact"), friction, state.energy - exact.energy)

@@ -11,7 +11,7 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.element import differentiated
 from rmesh_nlp.fem.energy import strain_energy, triangle_rule
-from rmesh_nlp.fem.objective import scaled_group
+from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP

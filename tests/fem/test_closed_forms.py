@@ -14,8 +14,8 @@ from rmesh_nlp.fem.distortion import DISTORTIONS, Distortion, differentiated_den
 from rmesh_nlp.fem.element import PointValues
 from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
 from rmesh_nlp.fem.fields import ElementGroup, constant_field, objective_group, unknown_field
+from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.load_moments import Load
-from rmesh_nlp.fem.objective import scaled_group
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import Laplace, PlaneStrain, PlaneStress

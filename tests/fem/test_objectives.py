@@ -13,10 +13,8 @@ from skfem import Basis, ElementTriP1, ElementTriP2, ElementVector, FacetBasis, 
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import TERMS
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from support.orders import ORDERS
 from support.solved import example
@@ -25,14 +23,15 @@ from support.solved import example
 def value(problem: ContactProblem, text: Any, u: np.ndarray | None = None) -> float:
     """The objective on the given mesh with coefficients u, by default zero, and their slips."""
     found, objective = discretise(problem), parse_objective(text)
-    rel, x = relocation(found), np.zeros(found.n_q + found.n_u + found.n_s)
+    x = np.zeros(found.n_q + found.n_u + found.n_contact + 3 * found.n_s)
     if u is not None:
         model, free = ContactSolver(found), unknowns(problem, u)
-        slips = np.abs(model.slips(problem.mesh.p, free))[found.friction_rows] if found.n_s else []
-        x[found.n_q :] = np.concatenate([free, slips])
-    fields = rel.mesh_map.positions, rel.displacement, rel.slip
-    same = objective.groups(problem, *fields), found.objective(objective, *fields)
-    one, two = (float(sum(np.sum(part) for part in element_values(groups)(x))) for groups in same)
+        x[found.n_q : found.n_q + found.n_u] = free
+        if found.n_s:
+            slips = np.abs(model.slips(problem.mesh.p, free))[found.friction_rows]
+            x[-3 * found.n_s : -2 * found.n_s] = slips
+    fields = found.fields()
+    one, two = (each.evaluate()(x) for each in (objective.on(fields), found.objective(objective, fields)))
     assert two == pytest.approx(one, rel=1e-13, nan_ok=True)
     return one
 

@@ -12,9 +12,8 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, Dirichlet, PointLoad
 from support.manufactured import corner_mode, l_shape, smooth_block, smooth_membrane
@@ -61,8 +60,8 @@ def measured(problem: ContactProblem, objective: str | Objective) -> tuple[float
     solver = ContactSolver(problem)
     space, given = solver.discretisation.space, solver.given
     u = replace(constant_field(solver.displacement.values(given.u)), space=space)
-    groups = parse_objective(objective).groups(problem, constant_field(problem.mesh.p), u, u)
-    return float(sum(np.sum(part) for part in element_values(groups)(np.zeros(0)))), solver
+    fields = Fields(problem, constant_field(problem.mesh.p), u, u)
+    return parse_objective(objective).on(fields).evaluate()(np.zeros(0)), solver
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -13,6 +13,7 @@ from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import ElementTerm, constant_field, unknown_field
+from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.models.energy_nlp import relocation
@@ -96,9 +97,8 @@ def test_objectives_ask_the_space(text: str) -> None:
     values = []
     for space in (DisplacementSpace.of(problem), DisplacementSpace(problem, order)):
         displacement = replace(constant_field(space.of_linear(u)), space=space)
-        groups = parse_objective(text).groups(
-            problem, constant_field(problem.mesh.p), displacement, displacement
-        )
+        fields = Fields(problem, constant_field(problem.mesh.p), displacement, displacement)
+        groups = parse_objective(text).on(fields).groups
         nothing = ca.MX.sym("x", 0)
         assembled = Assembled(groups, nothing, ca.MX(0, 1), 0)
         values.append(float(ca.Function("f", [nothing], [assembled.f])(ca.DM(0, 1))))

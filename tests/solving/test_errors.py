@@ -10,6 +10,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import constant_field
+from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace
 
@@ -20,7 +21,7 @@ def at_rest(problem: ContactProblem, text: str) -> float:
     still = ContactSolver(problem)
     u = constant_field(still.displacement.values(np.zeros(still.n_u)))
     slip = constant_field(np.zeros((1, p.shape[1])))
-    groups = parse_objective(text).groups(problem, constant_field(p), u, slip)
+    groups = parse_objective(text).on(Fields(problem, constant_field(p), u, slip)).groups
     return float(ca.Function("f", [x], [Assembled(groups, x, ca.MX(0, 1), 0).f])(0))
 
 
