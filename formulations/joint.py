@@ -142,7 +142,7 @@ class Joint(Formulation):
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
         # it may leave the move limits by 2e-12
-        end = np.clip(result.x[: outer.n], -outer.bound, outer.bound)
+        end = outer.clipped(result.x[: outer.n])
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)

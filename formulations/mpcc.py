@@ -248,7 +248,7 @@ class AllAtOnce(Formulation):
             return self.run(outer.near(), start, monitor)
         return Outcome(
             outer,
-            np.clip(program.split(result.x)[0], -outer.bound, outer.bound),
+            outer.clipped(program.split(result.x)[0]),
             result.status,
             own=end,
             decides=True,
@@ -264,7 +264,7 @@ def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
         return AFTER if near else {**stages, "factor": FACTOR_OTHERS}
     if near:
         return after_energy(scaling)
-    if np.all(np.isfinite(outer.bound)):
+    if outer.has_limits:
         return homotopy_options(scaling, {"mu_init": BARRIER_ENERGY, **SLOWLY}, TIGHT)
     return homotopy_options(scaling, {"mu_init": BARRIER_WITHOUT_LIMITS}, TIGHT)
 

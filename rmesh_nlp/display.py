@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from numbers import Real
 from typing import Any
 
 from rich.table import Table
@@ -63,4 +64,6 @@ def describe(coefficient: Any) -> str:
     """A coefficient as text: its expression if it has one."""
     if callable(coefficient):
         return str(getattr(coefficient, "text", "f(x, y)"))
-    return "free" if coefficient is None else figure(coefficient)
+    if coefficient is None:
+        return "free"
+    return figure(float(coefficient)) if isinstance(coefficient, Real) else str(coefficient)

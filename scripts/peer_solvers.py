@@ -174,7 +174,7 @@ def scipy_minimize(method: str) -> Callable[[Case], Finish]:
     def run(case: Case) -> Finish:
         began = time.process_time()
         reduced = ReducedEnergy.of(ContactSolver(case.problem))
-        bound = reduced.relocation.mesh_map.bound
+        bound = reduced.relocation.mesh_map.upper
         best, lowest = np.zeros(bound.size), np.inf
         unit = abs(reduced(best).value) or 1.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,7 +19,11 @@ from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.design import at_design
 from rmesh_nlp.problem.obstacle import NO_NORMAL
+
+NO_DESIGN: Mapping[str, float] = {}
+"""Of a problem without design variables."""
 
 
 @dataclass(frozen=True)
@@ -30,15 +34,15 @@ class Directions:
     displacement: Field
     n_u: int
 
-    def normals(self, nodes: Array) -> Array:
-        """Unit normals (components, gaps) at vertex positions (2, vertices)."""
-        points = self.space.points(nodes)
-        parts = [part.obstacle.normals(points[:, part.nodes]) for part in self.space.contact_sets]
+    def normals(self, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array:
+        """Unit normals (components, gaps) at vertex positions (2, vertices) and a design."""
+        points, sets = self.space.points(nodes), self.space.contact_sets
+        parts = [at_design(part.obstacle, at).normals(points[:, part.nodes]) for part in sets]
         return np.hstack([np.zeros((self.space.problem.components, 0)), *parts])
 
-    def rows(self, nodes: Array) -> tuple[sp.csr_array, sp.csr_array]:
+    def rows(self, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> tuple[sp.csr_array, sp.csr_array]:
         """Sparse rows (gaps, n_u) of normals and tangents; a scalar problem has no tangents."""
-        normals = self.normals(nodes)
+        normals = self.normals(nodes, at)
         if self.space.problem.components == 1:
             return self._rows(normals), sp.csr_array((0, self.n_u))
         return self._rows(normals), self._rows(np.stack([normals[1], -normals[0]]))
@@ -53,15 +57,16 @@ class Directions:
         return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
 
 
-def coefficients(space: DisplacementSpace, nodes: Array) -> Array | None:
-    """(gaps,) Coulomb's coefficients at vertex positions (2, vertices); None where none is given."""
+def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
+    """(gaps,) Coulomb's coefficients at vertex positions (2, vertices) and a design; None where none is."""
     if not space.problem.has_coulomb:
         return None
     points, found = space.points(nodes), np.zeros(space.contact_nodes.size)
     for part in space.contact_sets:
         if part.obstacle.has_coulomb:
             what = "Coulomb's coefficient"
-            found[part.rows] = on_points(part.obstacle.coulomb, points[:, part.nodes], what)
+            coulomb = at_design(part.obstacle.coulomb, at)
+            found[part.rows] = on_points(coulomb, points[:, part.nodes], what)
     return found
 
 
@@ -95,7 +100,7 @@ class ContactSolver:
         self._friction = _AtZero(parts, parts.friction, parts.slip, parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
         self._directions = Directions(parts.space, self.displacement, self.n_u)
-        self.normals, self.tangents = self._directions.rows(problem.mesh.p)
+        self.normals, self.tangents = self._directions.rows(problem.mesh.p, problem.start)
         self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
         self._check()
@@ -117,14 +122,14 @@ class ContactSolver:
             check_load(system)
             check_unique(system, self.given)
 
-    def system(self, nodes: Array) -> ContactSystem:
-        """The quadratic program at vertex positions (2, vertices)."""
-        given = self.discretisation.vertices.values(nodes)
+    def system(self, nodes: Array, design: Array | None = None) -> ContactSystem:
+        """The quadratic program at vertex positions (2, vertices) and a design, by default the first one."""
+        given, at = self.discretisation.vertices.values(nodes, design), self._named(design)
         value, (pull, offset, hessian) = self._elastic(given)
         work, (push,) = self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
-            normals, tangents = self._directions.rows(nodes)
+            normals, tangents = self._directions.rows(nodes, at)
         return ContactSystem(
             stiffness=self._elastic.matrix(hessian),
             load=-pull - push,
@@ -136,7 +141,7 @@ class ContactSolver:
             frictional=self.frictional,
             rigid=self.discretisation.rigid_motions(nodes) if self.discretisation.floats else None,
             order=self._order,
-            coulomb=coefficients(self.discretisation.space, nodes),
+            coulomb=coefficients(self.discretisation.space, nodes, at),
         )
 
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
@@ -156,10 +161,16 @@ class ContactSolver:
         bound = self._slip_bound(given)
         return strain, float(bound @ np.abs(self.slips(nodes, u))) if bound.size else 0.0
 
-    def slips(self, nodes: Array, u: Array) -> Array:
-        """Displacements (gaps,) along the tangents at vertex positions (2, vertices)."""
+    def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
+        """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""
         turns = self._curved and self.problem.frictional
-        return np.asarray((self._directions.rows(nodes)[1] if turns else self.tangents) @ u)
+        tangents = self._directions.rows(nodes, self._named(design))[1] if turns else self.tangents
+        return np.asarray(tangents @ u)
+
+    def _named(self, design: Array | None) -> dict[str, float]:
+        """Design variables by their names."""
+        start = self.problem.start
+        return start if design is None else dict(zip(start, design.tolist(), strict=True))
 
     def _slip_bound(self, given: Array) -> Array:
         """(gaps,) the largest friction forces; empty without friction."""

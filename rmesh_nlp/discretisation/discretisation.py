@@ -153,16 +153,14 @@ class Discretisation:
         """Sum element groups."""
         return Assembled(groups, x, p, n_rows, self.assembly)
 
-    def bulk(self, positions: Field, displacement: Field, p: Field | None = None) -> list[ElementGroup]:
-        """The energy without friction on these fields and parameters."""
-        return [term.on(positions, displacement, p=p) for term in (*self.strain, *self.loads)]
+    def bulk(self, positions: Field, displacement: Field) -> list[ElementGroup]:
+        """The energy without friction on these fields."""
+        return [term.on(positions, displacement) for term in (*self.strain, *self.loads)]
 
-    def energy(
-        self, positions: Field, displacement: Field, slip: Field, p: Field | None = None
-    ) -> list[ElementGroup]:
-        """The total potential energy (3.3), (3.15) on these fields and parameters."""
-        friction = [term.on(positions, slip, p=p) for term in self.friction]
-        return [*self.bulk(positions, displacement, p), *friction]
+    def energy(self, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
+        """The total potential energy (3.3), (3.15) on these fields."""
+        friction = [term.on(positions, slip) for term in self.friction]
+        return [*self.bulk(positions, displacement), *friction]
 
     def objective(self, objective: Objective, fields: Fields) -> Functional:
         """An outer objective on these fields; its energy is made of the same terms."""

@@ -22,7 +22,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, size, slopes
 from rmesh_nlp.fem.element import line_rule, vector
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient
 from rmesh_nlp.problem.laws import Law, energy_density
 
 DEGREE = 7
@@ -89,7 +89,7 @@ def strain_energy(law: Law, curve: Curve, order: int = 1) -> ca.Function:
             )  # det * grad u
             upright = ca.if_else(det > 0, det, np.nan)  # solvers shorten steps to triangles that fold
             energy += weight_s * weight_r * energy_density(law, scaled) / upright
-    return ca.Function("arc_strain_energy", [arc.t, X, ca.vec(u)], [energy, arc.kind(0, 1)])
+    return ca.Function("arc_strain_energy", [arc.t, X, ca.vec(u)], [energy, arc.kind(0, 1)], OPEN)
 
 
 def load_energy(law: Law, curve: Curve, degree: int, order: int = 1) -> ca.Function:
@@ -102,7 +102,7 @@ def load_energy(law: Law, curve: Curve, degree: int, order: int = 1) -> ca.Funct
             x, _, _, det = arc.blended(X, r, s, order)
             value = u @ ca.DM(functions(order, _barycentric(r, s)))
             work += weight_s * weight_r * r * det * ca.dot(vector(law.load, x), value)
-    return ca.Function("arc_load_energy", [arc.t, X, ca.vec(u)], [-work, arc.kind(0, 1)])
+    return ca.Function("arc_load_energy", [arc.t, X, ca.vec(u)], [-work, arc.kind(0, 1)], OPEN)
 
 
 def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int, order: int = 1) -> ca.Function:
@@ -113,7 +113,7 @@ def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int, o
     for s, weight in zip(*_shares(max(degree, DEGREE)), strict=True):
         here = u @ ca.DM(functions(order, np.array([1 - s, s])))
         work += weight * arc.length_per_s(s) * ca.dot(vector(value, arc.point(s)), here)
-    return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)])
+    return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)], OPEN)
 
 
 def friction_energy(bound: Coefficient, curve: Curve, degree: int, order: int = 1) -> ca.Function:
@@ -124,7 +124,7 @@ def friction_energy(bound: Coefficient, curve: Curve, degree: int, order: int = 
     for s, weight in zip(*_shares(degree), strict=True):
         value = ca.dot(ca.DM(functions(order, np.array([1 - s, s]))), slip)
         energy += weight * arc.length_per_s(s) * vector((bound,), arc.point(s)) * value
-    return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)])
+    return ca.Function("arc_friction_energy", [arc.t, slip], [energy, arc.kind(0, 1)], OPEN)
 
 
 def _shares(degree: int) -> tuple[Array, Array]:

@@ -22,9 +22,18 @@ from rmesh_nlp.fem import arcs
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
 from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols, point_values
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, ElementTerm, Field, constant_field, unknown_field
+from rmesh_nlp.fem.fields import (
+    CONSTANT,
+    ElementGroup,
+    ElementTerm,
+    Field,
+    constant_field,
+    element_group,
+    unknown_field,
+)
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem, Obstacle, at
+from rmesh_nlp.problem.coefficients import OPEN, is_number
 from rmesh_nlp.problem.data import ContactSet
 
 FRICTION_DEGREE = 31
@@ -42,12 +51,12 @@ def friction_energy(obstacle: Obstacle, order: int = 1) -> tuple[ca.Function, Po
     columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
     if not callable(obstacle.friction):
         energy = length * obstacle.friction * ca.sum2(s) / s.numel()
-        return ca.Function("friction_energy", columns, [energy, NO_ROWS]), None
+        return ca.Function("friction_energy", columns, [energy, NO_ROWS], OPEN), None
     shares, weights = line_rule(FRICTION_DEGREE)
     bound = ca.SX.sym("g", weights.size)
     energy = length * ca.dot(bound, ca.vec(s @ ca.DM(functions(order, shares) * weights)))
     at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(obstacle.friction, x, y))
-    return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS]), at_points
+    return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS], OPEN), at_points
 
 
 def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -67,14 +76,14 @@ def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Funct
     if shares.size == 2:
         ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.vertsplit(X, 2)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
-    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + distance])
+    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + distance], OPEN)
 
 
 def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
     (X, x, y), u, s = _node(shares), ca.SX.sym("u", 2), ca.SX.sym("s")
     slip = ca.dot(obstacle.tangential(x, y), u)
-    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)])
+    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
 
 
 def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
@@ -83,9 +92,9 @@ def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
     force = -pressure * obstacle.direction(x, y)
     if not obstacle.frictional:
-        return ca.Function("contact_force", [X, pressure], [0, force])
+        return ca.Function("contact_force", [X, pressure], [0, force], OPEN)
     force += (minus - plus) * obstacle.tangential(x, y)
-    return ca.Function("contact_force", [X, pressure, minus, plus], [0, force])
+    return ca.Function("contact_force", [X, pressure, minus, plus], [0, force], OPEN)
 
 
 def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
@@ -159,14 +168,14 @@ def _frictional(space: DisplacementSpace) -> list[tuple[ContactSet, Index]]:
     return [(part, start + np.arange(part.nodes.size)) for part, start in zip(parts, first[:-1], strict=True)]
 
 
-def gradient_group(group: ElementGroup, argument: int, shift: int, unit: float) -> ElementGroup:
-    """Constraint rows with the derivative of an energy group with respect to one argument.
+def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup:
+    """Constraint rows with the derivative of an energy group with respect to its last argument.
 
     No value at points may depend on the argument. The unknown ``x[k]`` owns the row
     ``k + shift``; the rows are in units of ``unit``.
     """
     function = group.function
-    symbols = local_symbols(function)
+    symbols, argument = local_symbols(function), len(group.arguments) - 1
     residual = ca.densify(ca.gradient(function(*symbols)[0], symbols[argument])) / unit
     index = group.arguments[argument].index
     return replace(
@@ -196,24 +205,25 @@ def contact_force_groups(
             nodes = part.nodes[which]
             local = [field.component(part.number).at(nodes[None]) for field in used]
             function = force_function(part.obstacle, shares)
-            groups.append(ElementGroup(function, (positions.at(vertices), *local), rows[:, nodes]))
+            local = [positions.at(vertices), *local]
+            groups.append(element_group(function, positions, tuple(local), rows[:, nodes]))
     return groups
 
 
 def coulomb_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda) -> (0, F(X) lambda)`` of one contact node."""
     (X, x, y), pressure = _node(shares), ca.SX.sym("lambda")
-    return ca.Function("coulomb", [X, pressure], [0, at(obstacle.coulomb, x, y) * pressure])
+    return ca.Function("coulomb", [X, pressure], [0, at(obstacle.coulomb, x, y) * pressure], OPEN)
 
 
 def coefficient_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Coulomb's coefficients that vary, of positions: a row per gap with friction."""
     terms = []
     for part, numbers in _frictional(space):
-        if callable(part.obstacle.coulomb):
+        if not is_number(part.obstacle.coulomb):
             for which, vertices, shares in space.kinds(part.nodes):
                 X, x, y = _node(shares)
-                value = ca.Function("coefficient", [X], [0, at(part.obstacle.coulomb, x, y)])
+                value = ca.Function("coefficient", [X], [0, at(part.obstacle.coulomb, x, y)], OPEN)
                 terms.append(ElementTerm(value, (vertices,), numbers[None, which]))
     return terms
 
@@ -236,7 +246,7 @@ def bound_force_groups(
             force = normal_force.component(part.number).at(part.nodes[None, which])
             rows = first_row + numbers[None, which]
             pressing = coulomb_function(part.obstacle, shares)
-            groups.append(ElementGroup(pressing, (positions.at(vertices), force), rows))
+            groups.append(element_group(pressing, positions, (positions.at(vertices), force), rows))
     return groups
 
 

@@ -20,7 +20,6 @@ discretisation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -30,7 +29,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.closed_forms import PAIRS, Layout, Triangles
 from rmesh_nlp.fem.element import NO_ROWS, affine, corners
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.vectorised import Columns, columnwise
@@ -158,4 +157,4 @@ def distortion_group(problem: ContactProblem, positions: Field, name: str) -> El
     )
     function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, NO_ROWS])
     closed = Distortion(differentiated_density(DISTORTIONS[name]), shapes, det_e / (2 * area))
-    return replace(objective_group(function, local), closed=closed)
+    return element_group(function, positions, local, closed=closed)

@@ -16,7 +16,7 @@ from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import size
-from rmesh_nlp.problem.coefficients import Coefficient, at
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
 
 FEW = 20
 """Elements of one kind, such as those with the same nodes on a curve, of which there are few."""
@@ -44,8 +44,22 @@ class PointValues(NamedTuple):
 def point_values(columns: list[Any], points: Any, value: Callable[[Any, Any], Any]) -> PointValues:
     """Values ``value(x, y)``, a scalar or a column, at ``points`` (2, points), expressions of the columns."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    values = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))])
+    values = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))], OPEN)
     return PointValues(ca.Function("points", columns, [points]), values)
+
+
+def with_design(function: ca.Function, at_points: PointValues | None) -> tuple[ca.Function, tuple[str, ...]]:
+    """An element function whose first argument are the design variables that it depends on, and their names.
+
+    Values at points are put in; without such variables it is returned as it is.
+    """
+    parts = (function,) if at_points is None else (function, at_points.function)
+    free = {one.name(): one for part in parts if part.has_free() for one in part.free_sx()}
+    if not free:
+        return function, ()
+    whole, names = plain(function, at_points), tuple(sorted(free))
+    columns, symbols = local_symbols(whole), ca.vertcat(*(free[name] for name in names))
+    return ca.Function(function.name(), [symbols, *columns], whole(*columns)), names
 
 
 def local_symbols(function: ca.Function) -> list[Any]:
@@ -59,7 +73,7 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     if at_points is None:
         return function
     columns = local_symbols(function)[:-1]
-    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.of(columns))))
+    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.of(columns))), OPEN)
 
 
 def corners(n: int, components: int, kind: Any = ca.SX, order: int = 1) -> tuple[Any, Any]:

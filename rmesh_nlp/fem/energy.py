@@ -6,6 +6,8 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
@@ -22,8 +24,9 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import is_nonzero
-from rmesh_nlp.problem.laws import Law, energy_density
+from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
+from rmesh_nlp.problem.design import names_in
+from rmesh_nlp.problem.laws import Laplace, Law, energy_density
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
@@ -63,7 +66,7 @@ def strain_energy(law: Law, order: int = 1) -> ca.Function:
     for field in fields:
         det, scaled = affine(X, u @ ca.DM(field.T))
         energy += energy_density(law, scaled) / (2 * det * len(fields))
-    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, NO_ROWS])
+    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, NO_ROWS], OPEN)
 
 
 def load_energy(law: Law, quadrature: str | int, order: int = 1) -> tuple[ca.Function, PointValues]:
@@ -86,13 +89,13 @@ def traction_energy(traction: Traction, degree: int, order: int = 1) -> ca.Funct
     for point, weight in zip(points.T, weights, strict=True):
         work += weight * ca.dot(vector(traction.value, X @ point), u @ functions(order, point))
     length = ca.norm_2(X[:, 1] - X[:, 0])
-    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS])
+    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS], OPEN)
 
 
 def point_energy(load: PointLoad) -> ca.Function:
     """``(u_i,) -> (-force . u, empty)`` at one node."""
     u = ca.SX.sym("u", len(load.force))
-    return ca.Function("point_energy", [u], [-ca.dot(ca.DM(load.force), u), NO_ROWS])
+    return ca.Function("point_energy", [u], [-ca.dot(ca.vertcat(*load.force), u), NO_ROWS], OPEN)
 
 
 def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
@@ -101,7 +104,8 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     for law, straight, beside in _elements(space.problem):
         vertices = space.problem.triangles[:, straight]
         nodes = vertices, space.nodes_of(vertices)
-        function, closed = strain_energy(law, space.order), Strain(law, space.order)
+        function = strain_energy(law, space.order)
+        closed = None if names_in(_stiffness(law)) else Strain(law, space.order)
         terms.append(ElementTerm(function, nodes, closed=closed))
         curved = [(arcs.strain_energy(law, curve, space.order), place) for curve, place in beside]
         terms += [_beside(space, function, *place) for function, place in curved]
@@ -159,13 +163,18 @@ def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curv
     return found
 
 
+def _stiffness(law: Law) -> tuple[Any, ...]:
+    """The coefficients of its strain energy."""
+    return (law.conductivity,) if isinstance(law, Laplace) else (law.lame_lambda, law.lame_mu)
+
+
 def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertices: Index) -> ElementTerm:
     return ElementTerm(function, (vertices[2:], space.nodes_of(vertices)), arc=(number, vertices[:2]))
 
 
 def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
     function, at_points = load_energy(law, rule, space.order)
-    closed = Load(at_points.function, triangle_rule(rule), space.order)
+    closed = None if names_in(law.load) else Load(at_points.function, triangle_rule(rule), space.order)
     return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points, closed=closed)
 
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.closed_forms import ClosedForm
-from rmesh_nlp.fem.element import PointValues, local_symbols
+from rmesh_nlp.fem.element import PointValues, local_symbols, with_design
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
@@ -51,6 +51,37 @@ class Bends:
 
 
 @dataclass(frozen=True)
+class Design:
+    """Design variables (1, n) as a field, by their names."""
+
+    names: tuple[str, ...]
+    values: Field
+
+    def of(self, names: tuple[str, ...], size: int) -> LocalField:
+        """Those with these names on so many elements, the same on all."""
+        return self.values.at(np.tile(np.array([[self.names.index(name)] for name in names]), size))
+
+
+@dataclass(frozen=True)
+class Modes:
+    """Motions (modes, components, nodes) that are added to a field, each times an amplitude (1, modes)."""
+
+    amplitudes: Field
+    motions: Array
+
+    def values(self, w: Array) -> Array:
+        """What is added."""
+        return np.tensordot(self.amplitudes.values(w)[0], self.motions, 1)
+
+    def local(self, nodes: Index) -> tuple[LocalField, Array]:
+        """The amplitudes, and the motions (modes * length, elements), on elements with ``nodes``."""
+        n, components, _ = self.motions.shape
+        numbers = np.tile(np.arange(n)[:, None], nodes.shape[1])
+        motions = self.motions[:, :, nodes].transpose(0, 2, 1, 3)
+        return self.amplitudes.at(numbers), motions.reshape(n * components * len(nodes), -1)
+
+
+@dataclass(frozen=True)
 class Field:
     """A nodal field (components, nodes) as an affine function of one vector, ``scale * w[index] + offset``.
 
@@ -61,8 +92,12 @@ class Field:
     ----------
     bends : Bends, optional
         Where the value is not this affine function but a function of it.
+    modes : Modes, optional
+        Of positions: motions of shapes, which are added.
     along : Field, optional
         Of positions: (curves, nodes), the parameters of the nodes that are on a curve of the motion.
+    design : Design, optional
+        Of positions: the design variables beside them.
     space : DisplacementSpace, optional
         Of displacements: the space whose nodes these are; by default the nodes are the vertices.
     """
@@ -72,7 +107,9 @@ class Field:
     offset: Array
     parameter: bool = False
     bends: Bends | None = None
+    modes: Modes | None = None
     along: Field | None = None
+    design: Design | None = None
     space: DisplacementSpace | None = None
 
     @property
@@ -98,7 +135,7 @@ class Field:
 
     def straight(self) -> Field:
         """The affine field behind it."""
-        return replace(self, bends=None)
+        return replace(self, bends=None, modes=None)
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""
@@ -111,7 +148,9 @@ class Field:
     def values(self, w: Array) -> Array:
         """The field itself, (components, nodes), for a numeric vector ``w``."""
         result = self._affine(w)
-        return result if self.bends is None else self.bends.applied(result)
+        if self.bends is not None:
+            result = self.bends.applied(result)
+        return result if self.modes is None else result + self.modes.values(w)
 
     def slopes(self, w: Array) -> Array:
         """Derivative (components, nodes) of each value by its own unknown, zero where it has none."""
@@ -182,6 +221,11 @@ class LocalField:
         """The affine field behind it."""
         return LocalField(self.nodal.straight(), self.nodes)
 
+    @property
+    def modes(self) -> Modes | None:
+        """See :class:`Field`."""
+        return self.nodal.modes
+
     def values(self, w: Array) -> Array:
         """Local values for a numeric vector ``w``."""
         return self.gathered(self.nodal.values(w))
@@ -245,17 +289,34 @@ class ElementGroup:
         return replace(self, arguments=arguments, rows=self.rows[:, chosen], closed=closed)
 
 
-def objective_group(function: ca.Function, local: tuple[Values, ...]) -> ElementGroup:
-    """Elements that add to the objective and to no constraint."""
-    return ElementGroup(function, local, np.zeros((0, local[0].shape[1]), dtype=np.int64))
+def element_group(
+    function: ca.Function,
+    positions: Field,
+    local: tuple[Values, ...],
+    rows: Index | None = None,
+    at_points: PointValues | None = None,
+    closed: ClosedForm | None = None,
+) -> ElementGroup:
+    """Elements of local values; without ``rows`` they add to the objective alone.
+
+    A function that depends on design variables gets those of ``positions`` as its first argument.
+    """
+    size = local[0].shape[1]
+    rows = np.zeros((0, size), dtype=np.int64) if rows is None else rows
+    whole, names = with_design(function, at_points)
+    if not names:
+        return ElementGroup(function, local, rows, at_points, closed)
+    if positions.design is None:
+        raise ValueError(f"{function.name()} depends on the design variables {', '.join(names)}")
+    return ElementGroup(whole, (positions.design.of(names, size), *local), rows)
 
 
 @dataclass(frozen=True)
 class ElementTerm:
     """A local function and the nodes that it takes values at: an element group of fields to be named.
 
-    The arguments of the function are parameters, parameters of a curve, the fields of :meth:`on`, constants;
-    each only where the term has it.
+    The arguments of the function are parameters of a curve, the fields of :meth:`on`, constants; each only
+    where the term has it.
 
     Attributes
     ----------
@@ -268,8 +329,6 @@ class ElementTerm:
     arc : (int, (nodes per element, elements) int array), optional
         The function takes the parameters of these vertices on this curve of the motion.
     constants : (length, elements) array, optional
-    parameters : int array, optional
-        Numbers of those entries of p that the function takes, the same for all elements.
     closed : ClosedForm, optional
         See :class:`ElementGroup`.
     """
@@ -281,11 +340,11 @@ class ElementTerm:
     at_points: PointValues | None = None
     arc: tuple[int, Index] | None = None
     constants: Array | None = None
-    parameters: Index | None = None
     closed: ClosedForm | None = None
 
-    def on(self, *fields: Field, first_row: int = 0, p: Field | None = None) -> ElementGroup:
-        """The element group on these fields and parameters (1, n_p), its rows numbered from ``first_row``."""
+    def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
+        """The element group on these fields, positions first, its rows numbered from ``first_row``."""
+        positions = fields[0]
         if self.component is not None:
             fields = (*fields[:-1], fields[-1].component(self.component))
         chosen = zip(fields, self.nodes, strict=True)
@@ -296,9 +355,5 @@ class ElementTerm:
         size = local[0].shape[1]
         if self.constants is not None:
             local = (*local, constant_field(self.constants))
-        if self.parameters is not None:
-            if p is None:
-                raise ValueError(f"{self.function.name()} takes {self.parameters.size} parameters, got none")
-            local = (p.at(np.tile(self.parameters[:, None], size)), *local)
         rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
-        return ElementGroup(self.function, local, rows, self.at_points, self.closed)
+        return element_group(self.function, positions, local, rows, self.at_points, self.closed)

@@ -12,7 +12,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.element import NO_ROWS, local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
 
 Groups = list[ElementGroup]
 
@@ -70,7 +70,8 @@ class Functional:
     def combined(self, sums: Field) -> ElementGroup:
         """``combine`` of sums that are unknowns, a field (m, 1)."""
         s = ca.SX.sym("S", len(self.sums))
-        return objective_group(ca.Function("combine", [s], [self.combine(s), NO_ROWS]), (sums,))
+        function = ca.Function("combine", [s], [self.combine(s), NO_ROWS])
+        return element_group(function, sums, (sums,))
 
     def evaluate(self) -> Callable[[Array], float]:
         """A function of the unknowns ``x``: the value."""

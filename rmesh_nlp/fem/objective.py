@@ -12,10 +12,11 @@ import numpy as np
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.element import affine, corners, line_rule
 from rmesh_nlp.fem.energy import triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, Field, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.coefficients import OPEN
 
 Density = Callable[[Any, Any, Any, Any], Any]
 """``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
@@ -57,8 +58,9 @@ class Fields(NamedTuple):
 
         ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u the coefficients there.
         """
-        function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)])
-        return objective_group(function, (self.positions.at(vertices), self.displacement.at(nodes)))
+        function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)], OPEN)
+        local = self.positions.at(vertices), self.displacement.at(nodes)
+        return element_group(function, self.positions, local)
 
     def integral(
         self,

@@ -27,6 +27,7 @@ from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.objective import Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
+from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.laws import energy_density
 
 ERROR_DEGREE = 10
@@ -97,7 +98,7 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
     solution, gradient = _with_gradient(exact), ca.SX.sym("gradient", on.problem.components, 2)
     # the stress is the derivative of the energy density by the gradient
     energy = energy_density(on.problem.laws[0], gradient)
-    stress = ca.Function("stress", [gradient], [ca.gradient(energy, gradient)])
+    stress = ca.Function("stress", [gradient], [ca.gradient(energy, gradient)], OPEN)
 
     def density(x: Any, y: Any, u: Any, n: Any) -> Any:
         direction = obstacle.tangential(x, y) if along else obstacle.direction(x, y)

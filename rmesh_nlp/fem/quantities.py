@@ -28,7 +28,7 @@ from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
 from rmesh_nlp.problem import ContactProblem, Law, Obstacle
-from rmesh_nlp.problem.coefficients import is_nonzero
+from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
 
 __all__ = ["at_point", "body_integral", "boundary_integral", "nodal", "peak_pressure"]
 
@@ -254,7 +254,7 @@ def _forces(law: Law, quadrature: str | int, order: int) -> ca.Function:
     if any(is_nonzero(component) for component in law.load):
         energy += plain(*load_energy(law, quadrature, order))(X, u)[0]
     pulls = ca.reshape(ca.gradient(energy, u), *symbols[1].shape)
-    return ca.Function("forces", [X, u], [pulls])
+    return ca.Function("forces", [X, u], [pulls], OPEN)
 
 
 def _patches(

@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.element import PointValues
-from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup
+from rmesh_nlp.fem.element import PointValues, local_symbols, plain
+from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, LocalField, constant_field
 from rmesh_nlp.fem.space import Index
 
 
@@ -19,6 +19,7 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
     What is differentiated is the composition with the curve. Elements are sorted by which of their values are
     on which curve, and each sort has a function of its own.
     """
+    group = _with_modes(group)
     bends = [field.bends for field in group.arguments]
     if all(one is None for one in bends) or group.size == 0:
         return [group]
@@ -37,6 +38,30 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
             part = _composed(part, np.split(sort, lengths))
         result.append(replace(part, arguments=tuple(field.straight() for field in part.arguments)))
     return result
+
+
+def _with_modes(group: ElementGroup) -> ElementGroup:
+    """The group as a function of amplitudes, too, where motions of shapes are added to an argument."""
+    arguments = list(group.arguments)
+    moved = [i for i, field in enumerate(arguments) if field.modes is not None]
+    if not moved:
+        return group
+    if group.at_points is not None:
+        group = replace(group, function=plain(group.function, group.at_points), at_points=None)
+    columns = local_symbols(group.function)
+    kind, inputs, inner = type(columns[0]), list(columns), list(columns)
+    for i in moved:
+        field = arguments[i]
+        assert isinstance(field, LocalField)
+        assert field.modes is not None
+        amplitudes, motions = field.modes.local(field.nodes)
+        a, length = kind.sym("amplitudes", amplitudes.shape[0]), field.shape[0]
+        V = kind.sym("motions", len(motions))
+        inner[i] = columns[i] + ca.reshape(V, length, a.shape[0]) @ a
+        inputs, arguments = [*inputs, a, V], [*arguments, amplitudes, constant_field(motions)]
+        arguments[i] = LocalField(replace(field.nodal, modes=None), field.nodes)
+    function = ca.Function(group.function.name(), inputs, group.function(*inner))
+    return replace(group, function=function, arguments=tuple(arguments), closed=None)
 
 
 def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:

@@ -1,4 +1,4 @@
-"""Outer variables q -> node positions X(q): which nodes move, in which direction, and how far."""
+"""Outer variables q -> node positions X(q) and design variables: what varies, and how far."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Field, constant_field, unknown_field
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
@@ -31,21 +31,24 @@ class Mobility(IntEnum):
 
 @dataclass(frozen=True)
 class MeshMap:
-    """Node positions and parameters as functions of the outer variables q.
+    """Node positions and design variables as functions of the outer variables q.
 
     X = X0 + P q, and X = c(t0 + q) along curves. q is measured in units of the node's own move limits, so
     that -1 <= q <= 1; without them in units of the shortest edge at the node, unbounded. Along a curve the
     limit is a length of the curve.
 
+    Design variables follow the positions in q, each from its start in units of half the width of its bounds.
+    Shapes add their motions to all positions. At q = 0 are the mesh as given and the first design.
+
     Attributes
     ----------
     mobility : (nodes,) array of Mobility
     positions : Field
-        (2, nodes), the positions as a function of q.
+        (2, nodes), the positions as a function of q; ``positions.design`` has the design variables.
     n : int
         Length of q.
-    bound : (n,) array
-        ``-bound <= q <= bound``; 1, or infinity without move limits.
+    lower, upper : (n,) arrays
+        ``lower <= q <= upper``; of positions -1 and 1, or infinite without move limits.
     curves : tuple of Curve
         Curve number k owns the functions 2 k (x) and 2 k + 1 (y) of ``positions.bends``.
     """
@@ -53,25 +56,44 @@ class MeshMap:
     mobility: NDArray[np.int64]
     positions: Field
     n: int
-    bound: Array
+    lower: Array
+    upper: Array
     curves: tuple[Curve, ...] = ()
 
     @property
-    def parameters(self) -> Field:
-        """(1, n_p) parameters p(q) of loads, moduli and shapes: none yet."""
-        return constant_field(np.zeros((1, 0)))
+    def n_positions(self) -> int:
+        """How many of the outer variables are those of positions; the others are design variables."""
+        return self.n - (0 if self.positions.design is None else len(self.positions.design.names))
 
-    def q_of(self, nodes: Array) -> Array:
-        """The unknowns q that give these positions (2, nodes), in the least-squares sense."""
+    def design(self, q: Array) -> Array:
+        """(design variables,) their values."""
+        design = self.positions.design
+        return np.zeros(0) if design is None else design.values.values(q)[0]
+
+    def clipped(self, q: Array) -> Array:
+        """The nearest outer variables within their limits."""
+        return np.asarray(np.clip(q, self.lower, self.upper))
+
+    def q_of(self, nodes: Array, design: Array | None = None) -> Array:
+        """The unknowns q that give these positions (2, nodes), in the least-squares sense.
+
+        ``design`` (design variables,) are those of the first design by default.
+        """
         index, scale = self.positions.index, self.positions.scale
-        moving, affine = index != CONSTANT, np.array(nodes, dtype=float)
+        moving, affine, result = index != CONSTANT, np.array(nodes, dtype=float), np.zeros(self.n)
+        if self.positions.design is not None and design is not None:
+            values = self.positions.design.values
+            result[values.index[0]] = (design - values.offset[0]) / values.scale[0]
+        if self.positions.modes is not None:
+            affine = affine - self.positions.modes.values(result)
         if self.positions.bends is not None:  # there it is the parameter of the curve that is affine in q
             for number, curve in enumerate(self.curves):
                 here = self.positions.bends.which[0] == 2 * number
                 affine[:, here] = curve.near(affine[:, here], self.positions.offset[0, here])
         shift = (affine - self.positions.offset)[moving] * scale[moving]
-        q = np.bincount(index[moving], shift, self.n)
-        return np.asarray(q / np.bincount(index[moving], scale[moving] ** 2, self.n))
+        n = self.n_positions
+        result[:n] = np.bincount(index[moving], shift, n) / np.bincount(index[moving], scale[moving] ** 2, n)
+        return result
 
     @staticmethod
     def of(problem: ContactProblem) -> MeshMap:
@@ -113,12 +135,34 @@ class MeshMap:
         if curves:
             bends = Bends(which, tuple(f for curve in curves for f in curve.functions))
             positions = replace(positions, bends=bends, along=parameters)
-        bound = np.full(n, np.inf if problem.motion.delta is None else 1.0)
-        return MeshMap(mobility, positions, n, bound, curves)
+        limit = np.full(n, np.inf if problem.motion.delta is None else 1.0)
+        if not problem.design:
+            return MeshMap(mobility, positions, n, -limit, limit, curves)
+        positions, lower, upper = _with_design(problem, positions, n)
+        lower, upper = np.append(-limit, lower), np.append(limit, upper)
+        return MeshMap(mobility, positions, lower.size, lower, upper, curves)
+
+
+def _with_design(problem: ContactProblem, positions: Field, first: int) -> tuple[Field, Array, Array]:
+    """Positions with the design variables, numbered from ``first``, and the limits of these."""
+    start = np.array([variable.start for variable in problem.design])
+    least, largest = np.array([variable.bounds for variable in problem.design]).T
+    unit = (largest - least) / 2
+    names, index = tuple(problem.start), first + np.arange(start.size)
+    values = Field(index[None], unit[None], start[None])
+    modes = None
+    if problem.shapes:
+        chosen = np.array([names.index(shape.name) for shape in problem.shapes])
+        modes = Modes(values.elements(chosen), problem.shape_motions)
+    positions = replace(positions, modes=modes, design=Design(names, values))
+    return positions, (least - start) / unit, (largest - start) / unit
 
 
 class VertexParameters:
-    """Vertex positions as parameters ``symbol`` of a function, and where on the curves the vertices are."""
+    """Vertex positions and design variables as parameters ``symbol`` of a function.
+
+    Also where on the curves the vertices are.
+    """
 
     def __init__(self, problem: ContactProblem) -> None:
         n = problem.mesh.p.shape[1]
@@ -127,15 +171,20 @@ class VertexParameters:
         ]
         positions = unknown_field((2, n), parameter=True)
         along = unknown_field((len(self._curves), n), 2 * n, parameter=True) if self._curves else None
-        self.positions = replace(positions, along=along)
-        self.symbol = ca.MX.sym("X", (2 + len(self._curves)) * n)
+        first = (2 + len(self._curves)) * n
+        self._start = np.array(list(problem.start.values()))
+        values = unknown_field((1, self._start.size), first, parameter=True)
+        design = Design(tuple(problem.start), values) if problem.design else None
+        self.positions = replace(positions, along=along, design=design)
+        self.symbol = ca.MX.sym("X", first + self._start.size)
 
-    def values(self, nodes: Array) -> Array:
-        """The parameters at vertex positions (2, vertices)."""
+    def values(self, nodes: Array, design: Array | None = None) -> Array:
+        """The parameters at vertex positions (2, vertices) and a design, by default the first one."""
         along = np.zeros((len(self._curves), nodes.shape[1]))
         for row, (curve, here) in zip(along, self._curves, strict=True):
             row[here] = curve.nearest(nodes[:, here])
-        return np.concatenate([nodes.ravel(order="F"), along.ravel(order="F")])
+        parts = nodes.ravel(order="F"), along.ravel(order="F"), self._start if design is None else design
+        return np.concatenate(parts)
 
 
 def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64], Array]:
@@ -154,6 +203,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
     held = problem.boundary_nodes(tuple(varying)).tolist()
     loaded = [load.node for load in problem.point_loads]
     mobility[problem.kink_nodes] = Mobility.PINNED
+    mobility[problem.boundary_nodes(tuple(shape.boundary for shape in problem.shapes))] = Mobility.PINNED
     mobility[[*held, *loaded, *np.setdiff1d(np.arange(mobility.size), mesh.t)]] = Mobility.PINNED
     rules = (motion.free, Mobility.FREE), (motion.slides, Mobility.SLIDING), (motion.pinned, Mobility.PINNED)
     for places, mobile in rules:

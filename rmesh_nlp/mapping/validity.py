@@ -104,7 +104,8 @@ def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings 
                 f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
                 f"initial mesh has an angle of {np.min(angle):.4g}"
             )
-        at_risk = np.flatnonzero(np.any(free.positions.index[:, triangles] != CONSTANT, axis=(0, 1)))
+        moves = np.any(free.positions.index != CONSTANT, axis=0) | _shaped(free)
+        at_risk = np.flatnonzero(np.any(moves[triangles], axis=0))
     else:
         at_risk = np.flatnonzero(_least_areas(free, triangles) < motion.min_area_fraction * initial)
     function = _rows(np.deg2rad(motion.min_angle))
@@ -171,14 +172,22 @@ def _rows(angle: float) -> ca.Function:
     return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*(row / (2 * area0) for row in rows))])
 
 
+def _shaped(free: MeshMap) -> NDArray[np.bool_]:
+    """(nodes,) Whether a shape moves a node."""
+    modes = free.positions.modes
+    if modes is None:
+        return np.zeros(free.positions.index.shape[1], dtype=bool)
+    return np.asarray(np.any(modes.motions != 0, axis=(0, 1)))
+
+
 def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
     """Least signed area of each element over the move limits; -infinity where a vertex has none.
 
     The area is affine in each coordinate by itself: it is least at a corner of the limits.
     """
     index = free.positions.index
-    bound = np.append(free.bound, 0.0)[index]  # CONSTANT is -1, the appended zero
-    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1))
+    bound = np.append(free.upper, 0.0)[index]  # CONSTANT is -1, the appended zero
+    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1)) | np.any(_shaped(free)[triangles], axis=0)
     if free.positions.bends is not None:  # along a curve the area is not affine
         boundless |= np.any(free.positions.bends.which[0][triangles] != STRAIGHT, axis=0)
     reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)

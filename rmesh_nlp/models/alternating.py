@@ -29,11 +29,11 @@ def alternated(
 
     They are halved until the mesh is valid, as it must be at ``q``.
     """
-    bound, alternate = relocation.mesh_map.bound, alternating(relocation)
+    free, alternate = relocation.mesh_map, alternating(relocation)
     step = -length * np.sign(gradient @ alternate) * alternate
-    while not is_valid(np.clip(q + step, -bound, bound)):
+    while not is_valid(free.clipped(q + step)):
         step = step / 2
-    return np.asarray(np.clip(q + step, -bound, bound))
+    return np.asarray(free.clipped(q + step))
 
 
 def alternating(relocation: Relocation) -> Array:

@@ -92,15 +92,15 @@ class Relocation:
     @cached_property
     def nlp(self) -> NLP:
         """The NLP with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
-        bound, rest = self.mesh_map.bound, np.full(self.n_u + self.n_s, np.inf)
+        free, rest = self.mesh_map, np.full(self.n_u + self.n_s, np.inf)
         ends = np.cumsum([0, self.n_q, self.n_u, self.n_s]).tolist()
         return NLP(
             x=self.x,
             p=ca.MX(0, 1),
             f=self.assembled.f,
             g=self.assembled.g,
-            lbx=np.concatenate([-bound, -rest]),
-            ubx=np.concatenate([bound, rest]),
+            lbx=np.concatenate([free.lower, -rest]),
+            ubx=np.concatenate([free.upper, rest]),
             lbg=np.concatenate([np.zeros(self.n_rows - self.n_valid), self.validity.bound]),
             ubg=np.full(self.n_rows, np.inf),
             derivatives=self.assembled.derivatives,

@@ -130,15 +130,12 @@ def bilevel(
     n_x = first_sum + n_sums
 
     # rows of g: equilibrium, slip stationarity, sums, areas; then G: gaps, slips; then H: their forces
-    groups = [
-        gradient_group(group, len(group.arguments) - 1, -free.n, force)
-        for group in parts.bulk(positions, displacement)
-    ]
+    groups = [gradient_group(group, -free.n, force) for group in parts.bulk(positions, displacement)]
     groups += contact_force_groups(
         parts.space, parts.displacement.index, positions, forces.normal, forces[1:]
     )
     for weights in parts.friction:
-        groups.append(gradient_group(weights.on(positions, slip), 1, n_u - (first + n_c), force))
+        groups.append(gradient_group(weights.on(positions, slip), n_u - (first + n_c), force))
     groups += bound_force_groups(parts.space, n_u, positions, forces.normal, forces[1:])
     for k, (terms, unit) in enumerate(zip(outer.sums, sums, strict=True)):
         groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
@@ -171,8 +168,8 @@ def bilevel(
         g=assembled.g[:n_g],
         G=assembled.g[n_g:first_h],
         H=assembled.g[first_h:],
-        lbx=np.concatenate([-free.bound, free_below]),
-        ubx=np.concatenate([free.bound, -free_below]),
+        lbx=np.concatenate([free.lower, free_below]),
+        ubx=np.concatenate([free.upper, -free_below]),
         lbg=np.concatenate([np.zeros(n_equations), area_bound]),
         ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,

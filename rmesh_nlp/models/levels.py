@@ -194,7 +194,7 @@ def prolonged(
         if not np.any(small):
             break
         q = mesh_map.q_of(X0 + _smoothed(now - X0, triangles, np.unique(triangles[:, small])))
-    q = np.clip(q, -mesh_map.bound, mesh_map.bound)
+    q = mesh_map.clipped(q)
     while not np.all(signed_areas(mesh_map.positions.values(q), triangles) > min(1e-3, least) * initial):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:

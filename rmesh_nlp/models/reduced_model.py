@@ -132,7 +132,7 @@ class ReducedEnergy:
         """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
-        system = self.model.system(self.relocation.nodes(q))
+        system = self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
         given = None if np.any(q) else self.given
         equilibrium = solve(system, self._active) if given is None else given
         if given is None or not self._is_given_counted:
@@ -169,8 +169,11 @@ class ReducedEnergy:
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
         rows = self.relocation.friction_rows
-        slip = self.model.slips(self.relocation.nodes(q), u)[rows] if rows.size else np.zeros(0)
+        slip = self._slips(q, u)[rows] if rows.size else np.zeros(0)
         return np.concatenate([q, u, np.abs(slip)])
+
+    def _slips(self, q: Array, u: Array) -> Array:
+        return self.model.slips(self.relocation.nodes(q), u, self.relocation.mesh_map.design(q))
 
 
 def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:

@@ -86,8 +86,8 @@ def reduced_nlp(
         p=p,
         f=value,
         g=areas.g,
-        lbx=-rel.mesh_map.bound,
-        ubx=rel.mesh_map.bound,
+        lbx=rel.mesh_map.lower,
+        ubx=rel.mesh_map.upper,
         lbg=bound,
         ubg=np.full(bound.size, np.inf),
         derivatives=Derivatives(

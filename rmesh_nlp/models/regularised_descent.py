@@ -63,7 +63,7 @@ def descend(
     The objective must have a distortion, which keeps the elements valid. ``approximate`` second derivatives,
     with loads by a lower rule, serve descents that are not followed to a stationary point.
     """
-    relocation, bound = energy.relocation, energy.relocation.mesh_map.bound
+    relocation, free = energy.relocation, energy.relocation.mesh_map
     if not relocation.objective.has_barrier:
         raise ValueError("without a distortion in the objective elements would be inverted")
     curvature = Curvature(energy, MODEL_RULE if approximate else None)
@@ -77,8 +77,8 @@ def descend(
     return minimise(
         evaluate,
         q,
-        -bound,
-        bound,
+        free.lower,
+        free.upper,
         tolerance=np.inf,
         gain_tolerance=gain_tolerance,
         reference=reference,
@@ -202,7 +202,7 @@ def _polished(
     energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], here: float, tolerance: float
 ) -> tuple[Array, float, int]:
     """Newton steps that are accepted by the residual: decreases of the value are rounding by now."""
-    curvature, bound, count = Curvature(energy), energy.relocation.mesh_map.bound, 0
+    curvature, free, count = Curvature(energy), energy.relocation.mesh_map, 0
     while here > tolerance and count < POLISH:
         model, width = curvature.at(energy(q)), node_widths(energy.relocation, q)
         factor = positive_definite(*model.joint(width))
@@ -210,9 +210,10 @@ def _polished(
             break
         count += factor.factorisations
         step = BoxStep(scaled(model, width), width * energy(q).gradient, factor)
-        low, high = np.maximum((-bound - q) / width, -1.0), np.minimum((bound - q) / width, 1.0)
+        low = np.maximum((free.lower - q) / width, -1.0)
+        high = np.minimum((free.upper - q) / width, 1.0)
         y, _ = step.within(low, high, EXACT_FORCING)
-        there = np.clip(q + width * y, -bound, bound)
+        there = free.clipped(q + width * y)
         if not energy.is_defined(there) or not residual(energy(there)) < here:
             break
         q, here = there, residual(energy(there))

@@ -58,24 +58,23 @@ class OuterResidual:
         ``lam_g`` has CasADi's sign, negative at active lower bounds.
         """
         relocation = self._energy.relocation
-        n, n_s, bound = relocation.n_contact, relocation.n_s, relocation.mesh_map.bound
+        n, n_s, free = relocation.n_contact, relocation.n_s, relocation.mesh_map
         normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
-        q = np.clip(x[: relocation.n_q], -bound, bound)  # an interior point may leave them by rounding
+        q = free.clipped(x[: relocation.n_q])  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(x, normal, plus - minus))
 
     def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
         """The residual of the energy at q with a solver's own displacements and forces; no contact solve."""
-        bound = self._energy.relocation.mesh_map.bound
-        q = np.clip(q, -bound, bound)
+        q = self._energy.relocation.mesh_map.clipped(q)
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
     def at(self, q: Array, gradient: Array) -> float:
         """The residual at ``q`` with a gradient; infinite if that is not finite."""
         if not np.all(np.isfinite(gradient)):
             return float("inf")
-        bound = self._energy.relocation.mesh_map.bound
+        free = self._energy.relocation.mesh_map
         released, slack, fitted = _released(self._energy, q, gradient)
-        natural = np.abs(q - np.clip(q - released / self.unit, -bound, bound))
+        natural = np.abs(q - free.clipped(q - released / self.unit))
         pairs = np.minimum(slack, fitted / self.unit)
         return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 
@@ -85,8 +84,8 @@ def _released(energy: ReducedEnergy, q: Array, gradient: Array) -> tuple[Array, 
     relocation, none = energy.relocation, np.zeros(0)
     if not relocation.n_valid:  # a barrier may stand in the place of the rows
         return gradient, none, none
-    bound, rows = relocation.mesh_map.bound, energy.validity.at(q)
-    fitted = rows.fitted(gradient, is_inside(q, -bound, bound))
+    free, rows = relocation.mesh_map, energy.validity.at(q)
+    fitted = rows.fitted(gradient, is_inside(q, free.lower, free.upper))
     return gradient - rows.jacobian.T @ fitted, np.maximum(rows.slack, 0.0), fitted
 
 
@@ -119,12 +118,12 @@ def multipliers(energy: ReducedEnergy, q: Array, gradient: Array) -> Multipliers
     """
     relocation, validity = energy.relocation, energy.relocation.validity
     rest, _, values = _released(energy, q, gradient)
-    bound = relocation.mesh_map.bound
+    free = relocation.mesh_map
     by_element = values.reshape(-1, validity.rows_per_element)
     area, angle = np.zeros((2, relocation.problem.mesh.t.shape[1]))
     area[validity.elements] = by_element[:, 0]
     angle[validity.elements] = by_element[:, 1:].sum(axis=1)
-    return Multipliers(_by_node(relocation, q, rest, ~is_inside(q, -bound, bound)), area, angle)
+    return Multipliers(_by_node(relocation, q, rest, ~is_inside(q, free.lower, free.upper)), area, angle)
 
 
 def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, wraps
-from typing import Any, TypeVar
+from typing import Any, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -20,8 +20,11 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.vectorised import columnwise
 
 PositionFunction = Callable[[Any, Any], Any]
-Coefficient = float | PositionFunction
-"""A number, or a function of position (x, y)."""
+Coefficient: TypeAlias = float | ca.SX | PositionFunction
+"""A number, an expression of design variables, or a function of position (x, y), which may depend on them."""
+
+OPEN = {"allow_free": True}
+"""Option of CasADi Functions whose expressions may contain the symbols of design variables."""
 
 
 T = TypeVar("T")
@@ -30,7 +33,7 @@ KEPT = 64
 """Coefficients for which what was made of them is kept."""
 
 
-def _once(make: Callable[[Coefficient], T]) -> Callable[[Coefficient], T]:
+def once(make: Callable[[Coefficient], T]) -> Callable[[Coefficient], T]:
     """Kept per coefficient: functions of position are pure, and the meshes of a problem share them."""
     kept = lru_cache(maxsize=KEPT)(make)
 
@@ -91,15 +94,20 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
     return values
 
 
-@_once
+@once
 def _function(coefficient: Coefficient) -> ca.Function:
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
 
 
+def is_number(coefficient: Coefficient | None) -> TypeGuard[float]:
+    """Whether a coefficient is a number."""
+    return not (coefficient is None or callable(coefficient) or isinstance(coefficient, ca.SX))
+
+
 def is_nonzero(coefficient: Coefficient) -> bool:
     """Whether a coefficient is anything but the number zero."""
-    return callable(coefficient) or coefficient != 0
+    return not is_number(coefficient) or coefficient != 0
 
 
 @dataclass(frozen=True)
@@ -164,7 +172,7 @@ def suitable_rule(loads: Sequence[Coefficient], tractions: Sequence[Coefficient]
     return MIDPOINT if needed <= 2 else needed
 
 
-@_once
+@once
 def polynomial_degree(coefficient: Coefficient) -> int | None:
     """Degree in x and y together; None if it is no polynomial up to ``HIGH - 1``, where that is exact."""
     if not callable(coefficient):
@@ -177,7 +185,7 @@ def polynomial_degree(coefficient: Coefficient) -> int | None:
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return None  # a function of MX alone, or one that the assembly refuses with a reason
     for degree in range(HIGH):
-        if ca.Function("count", [point], [derivatives]).n_nodes() > LARGEST_EXPRESSION:
+        if ca.Function("count", [point], [derivatives], OPEN).n_nodes() > LARGEST_EXPRESSION:
             return None
         highest = derivatives
         derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))

@@ -18,7 +18,8 @@ SAME_PLACE = 1e-9
 
 def as_tuple(value: Any) -> tuple[Any, ...]:
     """One thing alone as a tuple of one."""
-    several = isinstance(value, Iterable) and not isinstance(value, str) and not callable(value)
+    one = isinstance(value, (str, ca.SX)) or callable(value)
+    several = isinstance(value, Iterable) and not one
     return tuple(value) if several else (value,)
 
 

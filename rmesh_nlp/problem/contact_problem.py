@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,14 @@ from skfem import MeshTri
 
 from rmesh_nlp.display import Rows, describe, figure, html_table, plain_table, rich_table
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.problem.checks import check
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
-from rmesh_nlp.problem.lines import onto_curves
+from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
+from rmesh_nlp.problem.lines import harmonic_motions, onto_curves
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
@@ -31,6 +34,8 @@ KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "point_loads": ((PointLoad,), "PointLoad"),
     "obstacle": ((Obstacle,), "Obstacle"),
     "motion": ((Motion,), "Motion"),
+    "design": ((DesignVariable, Shape), "DesignVariable or Shape"),
+    "constraints": ((Constraint,), "Constraint"),
 }
 """What some fields of a problem consist of."""
 
@@ -66,6 +71,10 @@ class ContactProblem(ProblemData):
         Forces at single nodes; none by default.
     order : 1 or 2
         Of the displacements on each triangle: linear, or quadratic with unknowns at edges too.
+    design : tuple of DesignVariable or Shape, or one alone
+        Numbers besides the positions of nodes that are optimised; none by default.
+    constraints : tuple of Constraint, or one alone
+        What the optimised mesh and design must keep; none by default.
     units : Units
         Names of the units, written in texts and figures only; none by default.
     reference : (2, 3, elements) array, optional
@@ -90,11 +99,67 @@ class ContactProblem(ProblemData):
                 raise ProblemError(part, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
                 object.__setattr__(self, name, every)
-        check(self)
+        if self.design:
+            self._check_design()
+        else:
+            check(self)
         try:
             object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
         except ValueError as error:
             raise ProblemError("curves", str(error)) from error
+
+    def _check_design(self) -> None:
+        """Whether the names are known, and the problem makes sense at the first design."""
+        names = [variable.name for variable in self.design]
+        if len(set(names)) < len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ProblemError("design", f"two design variables are named {twice!r}")
+        parts = (*self.laws, *self.tractions, *self.point_loads, *self.obstacles, *self.supports)
+        for name in sorted({name for part in parts for name in names_in(part)} - set(names)):
+            raise ProblemError("design", f"{name!r} is no design variable: choose from {', '.join(names)}")
+        for support in self.supports:
+            if used := names_in(support):
+                said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
+                raise ProblemError("dirichlet", said, support.boundary)
+        known = self.mesh.boundaries or {}
+        for shape in self.shapes:
+            if shape.boundary not in known:
+                said = f"the shape {shape.name!r} moves an unknown boundary {shape.boundary!r}"
+                raise ProblemError("design", f"{said}: choose from {', '.join(known)}")
+        self.at_design()
+
+    @cached_property
+    def shape_motions(self) -> Array:
+        """(shapes, 2, nodes) displacements of all nodes at amplitude 1 of each shape."""
+        try:
+            return harmonic_motions(self)
+        except ValueError as error:
+            raise ProblemError("design", str(error)) from error
+
+    def at_design(self, values: Mapping[str, float] | None = None) -> ContactProblem:
+        """The problem with numbers in the place of its design variables, by default those of its start.
+
+        The mesh is moved by its shapes; constraints are left out, and distortions compare with the same
+        triangles as before.
+        """
+        if not self.design:
+            return self
+        at = {**self.start, **(values or {})}
+        amplitudes = np.array([at[shape.name] for shape in self.shapes])
+        moved = self.mesh.p + np.tensordot(amplitudes, self.shape_motions, 1)
+        named = self.law if isinstance(self.law, Mapping) else {"": self.law}
+        laws = {name: at_design(law, at) for name, law in named.items()}
+        return replace(
+            self,
+            mesh=replace(self.mesh, doflocs=moved) if np.any(amplitudes) else self.mesh,
+            law=laws if isinstance(self.law, Mapping) else laws[""],
+            tractions=at_design(self.tractions, at),
+            point_loads=at_design(self.point_loads, at),
+            obstacle=at_design(as_tuple(self.obstacle), at),
+            reference=self.mesh.p[:, self.triangles] if self.reference is None else self.reference,
+            design=(),
+            constraints=(),
+        )
 
     def with_rule(self, rule: str | int) -> ContactProblem:
         """The same problem with another quadrature rule; no check depends on it, so none is repeated."""
@@ -116,6 +181,10 @@ class ContactProblem(ProblemData):
         stress = after(self.units.stress)
         if self.order == 2:
             rows.append(("displacements", "quadratic on each triangle"))
+        for variable in self.design:
+            low, high = variable.bounds
+            what = f"from {figure(variable.start)}, {figure(low)} to {figure(high)}"
+            rows.append((f"design variable {variable.name}", what))
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
         for label, conditions in (("given", self.supports), ("traction", self.tractions)):
             for one in conditions:

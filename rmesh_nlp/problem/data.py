@@ -16,6 +16,7 @@ from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.problem.coefficients import on_points, suitable_rule
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
+from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
@@ -57,8 +58,20 @@ class ProblemData:
     size: str = ""
     point_loads: tuple[PointLoad, ...] = ()
     order: int = 1
+    design: tuple[DesignVariable | Shape, ...] = ()
+    constraints: tuple[Constraint, ...] = ()
     units: Units = NO_UNITS
     reference: Array | None = field(default=None, compare=False, repr=False)
+
+    @property
+    def start(self) -> dict[str, float]:
+        """Each design variable's first value, by its name."""
+        return {variable.name: variable.start for variable in self.design}
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """Those of the design variables that move boundaries."""
+        return tuple(variable for variable in self.design if isinstance(variable, Shape))
 
     @property
     def laws(self) -> tuple[Law, ...]:
@@ -175,7 +188,8 @@ class ProblemData:
         sets, first = [], 0
         for number, obstacle in enumerate(self.obstacles):
             nodes = self.nodes_of(obstacle)
-            seen = np.abs(obstacle.normals(self.mesh.p[:, nodes])) > NO_NORMAL
+            normals = at_design(obstacle, self.start).normals(self.mesh.p[:, nodes])
+            seen = np.abs(normals) > NO_NORMAL
             nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
             sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))
             first += nodes.size

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 from skfem.models.elasticity import lame_parameters
 
-from rmesh_nlp.display import describe, figure
-from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.display import describe
+from rmesh_nlp.problem.coefficients import Coefficient, is_number
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Laplace:
     """
 
     source: Coefficient = 0.0
-    conductivity: float = 1.0
+    conductivity: float | ca.SX = 1.0
     components: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.conductivity) and self.conductivity > 0):
+        if is_number(self.conductivity) and not (np.isfinite(self.conductivity) and self.conductivity > 0):
             raise ValueError(f"the conductivity must be positive, got {self.conductivity}")
 
     @property
@@ -43,7 +43,7 @@ class Laplace:
 
     def in_words(self, stress: str) -> str:
         """Conductivity and source."""
-        return f"Laplace, conductivity {figure(self.conductivity)}, source {describe(self.source)}"
+        return f"Laplace, conductivity {describe(self.conductivity)}, source {describe(self.source)}"
 
 
 E = TypeVar("E", bound="Elastic")
@@ -61,29 +61,36 @@ class Elastic(ABC):
         Force per volume, one entry per displacement component; zero by default.
     """
 
-    lame_lambda: float
-    lame_mu: float
+    lame_lambda: float | ca.SX
+    lame_mu: float | ca.SX
     body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0)
     components: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        finite = np.isfinite(self.lame_mu) and np.isfinite(self.lame_lambda)
-        if not (finite and self.lame_mu > 0 and self.in_plane_lambda + self.lame_mu > 0):
-            raise ValueError(
-                f"Lamé coefficients lambda={self.lame_lambda}, mu={self.lame_mu} are not those of an elastic "
-                "solid: mu > 0 and lambda + mu > 0 are needed"
-            )
+        if is_number(self.lame_mu) and is_number(self.lame_lambda):
+            self._check(self.lame_lambda, self.lame_mu)
         if len(self.body_force) != 2:
             raise ValueError(f"the body force needs 2 components, got {self.body_force}")
 
+    def _check(self, lame_lambda: float, lame_mu: float) -> None:
+        finite = np.isfinite(lame_mu) and np.isfinite(lame_lambda)
+        if not (finite and lame_mu > 0 and self.in_plane_lambda + lame_mu > 0):
+            raise ValueError(
+                f"Lamé coefficients lambda={lame_lambda}, mu={lame_mu} are not those of an elastic "
+                "solid: mu > 0 and lambda + mu > 0 are needed"
+            )
+
     @classmethod
     def from_young(
-        cls: type[E], young: float, poisson: float, body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0)
+        cls: type[E],
+        young: float | ca.SX,
+        poisson: float | ca.SX,
+        body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0),
     ) -> E:
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
-        if not (np.isfinite(young) and young > 0):
+        if is_number(young) and not (np.isfinite(young) and young > 0):
             raise ValueError(f"Young's modulus must be positive, got {young}")
-        if not -1 < poisson < 0.5:
+        if is_number(poisson) and not -1 < poisson < 0.5:
             raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, got {poisson}")
         lame_lambda, lame_mu = lame_parameters(young, poisson)
         return cls(lame_lambda, lame_mu, body_force)
@@ -96,7 +103,7 @@ class Elastic(ABC):
     def in_words(self, stress: str) -> str:
         """Lamé coefficients, with ``stress`` as their unit, and body force."""
         force = ", ".join(map(describe, self.body_force))
-        lame = f"lambda {figure(self.lame_lambda)}, mu {figure(self.lame_mu)}{stress}"
+        lame = f"lambda {describe(self.lame_lambda)}, mu {describe(self.lame_mu)}{stress}"
         return f"{type(self).__name__}, {lame}, body force ({force})"
 
     @property

@@ -12,13 +12,16 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 from skfem import Basis, ElementTriP1, MeshTri, condense, solve
 from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.data import ProblemData
+from rmesh_nlp.problem.design import motions
 
 Index = NDArray[np.int64]
 
@@ -76,6 +79,41 @@ def bent(mesh: MeshTri, curves: Mapping[str, Curve]) -> MeshTri:
     moved = mesh.p + shift
     moved[:, fixed] = there.p[:, fixed]
     return replace(mesh, doflocs=moved)
+
+
+def harmonic_motions(problem: ProblemData) -> Array:
+    """(shapes, 2, nodes) displacements at amplitude 1: given on the boundary of a shape, harmonic elsewhere.
+
+    Nodes that may slide along a straight line do so, all others on lines stay. A ValueError names a node that
+    would move although a displacement is given there as a function of position.
+    """
+    mesh, n = problem.mesh, problem.mesh.p.shape[1]
+    on = [nodes_of(mesh, shape.boundary) for shape in problem.shapes]
+    found = motions(problem.shapes, np.asarray(mesh.p), on)
+    on_line, tangent = sliding_directions(problem)
+    stiffness = laplace.assemble(Basis(mesh, ElementTriP1()))
+    stiffness = sp.block_diag([stiffness, stiffness], format="csr")
+    held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
+    for moved, shape, given in zip(found, problem.shapes, on, strict=True):
+        directions = np.ones((2, n))
+        directions[:, on_line] = tangent[:, on_line]
+        directions[:, given] = 0.0
+        free = np.setdiff1d(np.arange(n), on_line)
+        slides = np.setdiff1d(on_line[np.any(directions[:, on_line] != 0, axis=0)], given)
+        row = np.concatenate([free, n + free, slides, n + slides])
+        column = np.concatenate(
+            [np.arange(2 * free.size), np.tile(2 * free.size + np.arange(slides.size), 2)]
+        )
+        value = directions.ravel()[row]
+        basis = sp.csr_array((value, (row, column)), shape=(2 * n, 2 * free.size + slides.size))
+        right = -basis.T @ (stiffness @ moved.ravel())
+        if right.size:
+            moved += (basis @ splu(sp.csc_matrix(basis.T @ stiffness @ basis)).solve(right)).reshape(2, n)
+        for name in held:
+            for node in nodes_of(mesh, name)[np.any(moved[:, nodes_of(mesh, name)] != 0, axis=0)][:1]:
+                said = f"the shape {shape.name!r} would move node {node}, where a displacement is given"
+                raise ValueError(f"{said} on {name!r} as a function of position")
+    return found
 
 
 def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:

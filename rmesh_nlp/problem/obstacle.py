@@ -12,7 +12,16 @@ import numpy as np
 
 from rmesh_nlp.display import describe, figure
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, on_points
+from rmesh_nlp.problem.coefficients import (
+    OPEN,
+    Coefficient,
+    PiecewiseLinear,
+    PositionFunction,
+    at,
+    is_nonzero,
+    is_number,
+    on_points,
+)
 
 Vector = tuple[float, float]
 
@@ -92,9 +101,9 @@ class Obstacle:
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1) <= 1e-12:
             raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
-        if not callable(self.friction) and not self.friction >= 0:
+        if is_number(self.friction) and not self.friction >= 0:
             raise ValueError(f"the friction bound must not be negative, got {self.friction}")
-        if not callable(self.coulomb) and not 0 <= self.coulomb < np.inf:
+        if is_number(self.coulomb) and not 0 <= self.coulomb < np.inf:
             raise ValueError(f"Coulomb's coefficient must be finite and not negative, got {self.coulomb}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
@@ -249,12 +258,12 @@ class Obstacle:
     @property
     def has_bound(self) -> bool:
         """Whether there is a bound of Tresca."""
-        return callable(self.friction) or self.friction > 0
+        return is_nonzero(self.friction)
 
     @property
     def has_coulomb(self) -> bool:
         """Whether there is a coefficient of Coulomb."""
-        return callable(self.coulomb) or self.coulomb > 0
+        return is_nonzero(self.coulomb)
 
     @property
     def tangent(self) -> tuple[float, ...]:
@@ -273,7 +282,7 @@ def _gradient(level: PositionFunction) -> ca.Function:
     """``(x, y) -> (d level / dx, d level / dy)``."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     value = ca.SX(at(level, x, y))
-    return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)])
+    return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)], OPEN)
 
 
 NO_CONTACT = Obstacle(Place.NOWHERE)

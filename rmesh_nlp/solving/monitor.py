@@ -296,9 +296,9 @@ class Track:
         """The best outer variables that give a valid mesh: at worst those it started with."""
         if self._best is not None:
             return self._best[1]
-        bound, function = self.outer.bound, self.outer.function
+        free, function = self.outer.discretisation.mesh_map, self.outer.function
         for q in reversed(self._recent):
-            inside = np.clip(q, -bound, bound)
+            inside = free.clipped(q)
             if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
                 return inside if function(inside).value < function(start).value else start
         return start

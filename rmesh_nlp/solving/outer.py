@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from functools import cached_property
 
 import numpy as np
@@ -135,9 +136,17 @@ class Outer:
         return self.discretisation.n_q
 
     @property
-    def bound(self) -> Array:
-        """(n,) half-widths of the move limits, infinite where there is none."""
-        return self.discretisation.mesh_map.bound
+    def has_limits(self) -> bool:
+        """Whether all outer variables have limits."""
+        return bool(np.all(np.isfinite(self.discretisation.mesh_map.upper)))
+
+    def clipped(self, q: Array) -> Array:
+        """The nearest outer variables within their limits."""
+        return self.discretisation.mesh_map.clipped(q)
+
+    def design(self, q: Array) -> dict[str, float]:
+        """Design variables by their names at outer variables ``q``."""
+        return dict(zip(self.problem.start, self.discretisation.mesh_map.design(q).tolist(), strict=True))
 
     @property
     def spent(self) -> Work:
@@ -157,16 +166,28 @@ class Outer:
         """Whether all elements are valid at outer variables ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
         return is_valid(self.problem, self.nodes(q), by_barrier=self.has_barrier)
 
-    def variables(self, positions: Array | None = None, seed: int | None = None) -> Array:
-        """Where to start: zero, at ``positions`` (2, nodes), or drawn from the move limits with a seed.
+    def variables(
+        self,
+        positions: Array | None = None,
+        seed: int | None = None,
+        design: Mapping[str, float] | None = None,
+    ) -> Array:
+        """Where to start: zero, at ``positions`` (2, nodes), or drawn from the limits with a seed.
 
-        Positions are cut to the move limits. Without move limits a draw moves nodes by up to their shortest
-        edge. Outer variables that break element validity are halved until they do not.
+        Positions, and a ``design`` with them, are cut to the limits. Without move limits a draw moves nodes
+        by up to their shortest edge. Outer variables that break element validity are halved until they do
+        not.
         """
+        free = self.discretisation.mesh_map
         if positions is not None:  # stay close to what was asked for; a draw may shrink faster
-            q, factor = np.clip(self.discretisation.mesh_map.q_of(positions), -self.bound, self.bound), 0.95
+            at = np.array([{**self.problem.start, **(design or {})}[name] for name in self.problem.start])
+            q, factor = free.clipped(free.q_of(positions, at)), 0.95
         elif seed is not None:
-            q, factor = np.random.default_rng(seed).uniform(-1, 1, self.n), 0.5
+            low, high = np.maximum(free.lower, -1), np.minimum(free.upper, 1)
+            low[free.n_positions :], high[free.n_positions :] = (
+                limit[free.n_positions :] for limit in (free.lower, free.upper)
+            )
+            q, factor = np.random.default_rng(seed).uniform(low, high), 0.5
         else:
             return np.zeros(self.n)
         while not self.is_valid(q):

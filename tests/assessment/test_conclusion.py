@@ -196,7 +196,7 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
     """``during`` the solve the mesh as given takes the place of a worse end, ``after`` it none does."""
 
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        to = q + 0.5 * sign * np.sign(outer.energy(q).gradient) * outer.bound
+        to = q + 0.5 * sign * np.sign(outer.energy(q).gradient) * outer.discretisation.mesh_map.upper
         if when == "during":
             monitor.attempt(pressed)
         else:

@@ -13,7 +13,7 @@ from rmesh_nlp.fem.closed_forms import CHUNK, Strain
 from rmesh_nlp.fem.distortion import DISTORTIONS, Distortion, differentiated_density, distortion_group
 from rmesh_nlp.fem.element import PointValues
 from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
-from rmesh_nlp.fem.fields import ElementGroup, constant_field, objective_group, unknown_field
+from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group, unknown_field
 from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.load_moments import Load
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -49,7 +49,7 @@ def group(function, at_points: PointValues | None, closed, sizes: list[int], n: 
     """Triangles that share no unknown: all positions first, then all displacements."""
     firsts = np.cumsum([0, *(size * n for size in sizes)])
     local = [unknown_field((size, n), int(first)) for size, first in zip(sizes, firsts, strict=False)]
-    return replace(objective_group(function, tuple(local)), at_points=at_points, closed=closed)
+    return replace(element_group(function, local[0], tuple(local)), at_points=at_points, closed=closed)
 
 
 def results(groups: list[ElementGroup], x: np.ndarray, leading: int | None = None) -> list[np.ndarray]:
@@ -168,9 +168,9 @@ def test_what_is_fixed_has_no_derivatives(fixed) -> None:
         fields = [constant_field(X), unknown_field((6, n))]
     function, at_points = load_energy(law, 3)
     energies = [
-        replace(objective_group(strain_energy(law), tuple(fields)), closed=Strain(law)),
+        replace(element_group(strain_energy(law), fields[0], tuple(fields)), closed=Strain(law)),
         replace(
-            objective_group(function, tuple(fields)),
+            element_group(function, fields[0], tuple(fields)),
             at_points=at_points,
             closed=Load(at_points.function, triangle_rule(3)),
         ),

@@ -12,12 +12,14 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import ElementTerm, constant_field, unknown_field
+from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
+from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
 from support.curved import disc
 from support.problems import sloped_block
@@ -124,18 +126,19 @@ def test_the_body_is_on_the_left_of_outward_edges() -> None:
         assert np.all(tangent[0] * centre[1] - tangent[1] * centre[0] > 0)
 
 
-def test_parameters_are_arguments_of_element_terms() -> None:
-    """Spring i of stiffness p_1 + p_2: its energy and its derivatives by u at given p."""
-    p, u = ca.SX.sym("p", 2), ca.SX.sym("u")
-    spring = ca.Function("spring", [p, u], [ca.sum1(p) * u**2 / 2, ca.SX(0, 1)])
-    term = ElementTerm(spring, (np.arange(3)[None],), parameters=np.array([2, 0]))
+def test_design_variables_are_arguments_of_element_terms() -> None:
+    """Spring i of stiffness a + b: its energy and its derivatives by u at a given design."""
+    a, b, u = symbol("a"), symbol("b"), ca.SX.sym("u")
+    spring = ca.Function("spring", [u], [(a + b) * u**2 / 2, ca.SX(0, 1)], OPEN)
+    term = ElementTerm(spring, (np.arange(3)[None],))
     x, parameter = ca.MX.sym("x", 3), ca.MX.sym("p", 3)
-    given = unknown_field((1, 3), parameter=True)
-    assembled = Assembled([term.on(unknown_field((1, 3)), p=given)], x, parameter, 0)
+    design = Design(("b", "unused", "a"), unknown_field((1, 3), parameter=True))
+    fields = replace(unknown_field((1, 3)), design=design)
+    assembled = Assembled([term.on(fields)], x, parameter, 0)
     at = np.array([1.0, 2.0, -3.0]), np.array([5.0, 100.0, 0.5])
     f, gradient = assembled.grad_f(*at)
     assert float(f) == pytest.approx(5.5 * 14 / 2)
     np.testing.assert_allclose(gradient.full().ravel(), 5.5 * at[0])
     np.testing.assert_allclose(assembled.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
-    with pytest.raises(ValueError, match="spring takes 2 parameters"):
+    with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
         term.on(unknown_field((1, 3)))

@@ -202,7 +202,7 @@ def test_only_on_fine_meshes_the_start_is_given_alternating_displacements(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     outer = Outer(coarse("6.1"))
-    given, bound = outer.variables(), outer.bound
+    given, bound = outer.variables(), outer.discretisation.mesh_map.upper
     assert module._in_step(outer, given) is given
     monkeypatch.setattr(module, "FINE", 1)
     positions = np.full(outer.n, 0.1)

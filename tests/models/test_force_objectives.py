@@ -11,7 +11,7 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, objective_group
+from rmesh_nlp.fem.fields import ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Fields, Objective, Term
 from rmesh_nlp.models.reduced_model import ReducedObjective
@@ -48,7 +48,7 @@ def of_forces(on: Fields) -> list[ElementGroup]:
         which, vertices, _ = next(on.space.kinds(part.nodes))
         fields = (on.slip, *on.forces)
         local = (field.component(part.number).at(part.nodes[None, which]) for field in fields)
-        groups.append(objective_group(function, (on.positions.at(vertices), *local)))
+        groups.append(element_group(function, on.positions, (on.positions.at(vertices), *local)))
     return groups
 
 

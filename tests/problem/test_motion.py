@@ -171,7 +171,7 @@ def test_relative_move_limits_follow_the_shortest_edge() -> None:
 def test_without_move_limits_validity_alone_limits() -> None:
     p = problem(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
     free = MeshMap.of(p)
-    assert np.all(np.isinf(free.bound))
+    assert np.all(np.isinf(free.upper))
     assert discretise(p).validity.size == p.mesh.t.shape[1]
     one = joint.solve(p)
     two = nested.solve(p, start=one.mesh.p)  # of several minima the same

@@ -118,7 +118,7 @@ def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) 
     """A formulation that only goes uphill."""
 
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        to = 0.5 * np.sign(outer.function(q).gradient) * outer.bound
+        to = 0.5 * np.sign(outer.function(q).gradient) * outer.discretisation.mesh_map.upper
         monitor.track(outer).exact(0, to)
         if way == "raised":
             raise KeyboardInterrupt

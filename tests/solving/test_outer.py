@@ -68,7 +68,7 @@ class TestStart:
         q = np.random.default_rng(1).uniform(-1.5, 1.5, outer.n)
         start = outer.variables(outer.nodes(q), 7)  # a seed has then no effect
         np.testing.assert_allclose(start, np.clip(q, -1, 1), atol=1e-12)
-        np.testing.assert_allclose(outer.bound, 1)
+        np.testing.assert_allclose(outer.discretisation.mesh_map.upper, 1)
 
     def test_what_inverts_elements_is_shortened(self) -> None:
         wide = Outer(ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(2.0)))

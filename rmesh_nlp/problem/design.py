@@ -1,0 +1,207 @@
+"""Design variables: named numbers within bounds that a problem depends on, besides its node positions.
+
+Laws, loads, friction and obstacles may be expressions of :attr:`DesignVariable.symbol`, and a :class:`Shape`
+is the amplitude of a motion of boundary nodes. :func:`rmesh_nlp.ContactProblem.at_design` puts numbers in.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from functools import cache, cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.expressions import FUNCTIONS
+from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, on_points, once
+
+RESERVED = ("x", "y", "pi", *FUNCTIONS)
+"""Names that expressions of position have already."""
+
+
+@cache
+def symbol(name: str) -> ca.SX:
+    """The symbol of a design variable: one for each name."""
+    return ca.SX.sym(name)
+
+
+@dataclass(frozen=True)
+class DesignVariable:
+    """A number that is optimised.
+
+    Parameters
+    ----------
+    name : str
+        As in expressions and records.
+    start : float
+        Where the solve begins; by it the problem is checked.
+    bounds : tuple of float
+        Least and largest value, both finite.
+    """
+
+    name: str
+    start: float
+    bounds: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        _check(self)
+
+    @property
+    def symbol(self) -> ca.SX:
+        """What stands for it in coefficients: ``PlaneStrain.from_young(E.symbol, 0.3)``."""
+        return symbol(self.name)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A motion of the nodes of a boundary times an amplitude, which is optimised.
+
+    The other nodes follow by a harmonic map: those of straight boundary pieces along them, those of all other
+    lines stay. Nodes of the boundary itself are not relocated along it unless the motion of the problem says
+    so.
+
+    Parameters
+    ----------
+    name, boundary : str
+        Of the amplitude, and of the boundary that moves.
+    motion : tuple of float or function of position
+        Displacement (2,) of a boundary node at amplitude 1, in units of length.
+    bounds : tuple of float
+        Least and largest amplitude, both finite.
+    start : float
+        Its first value, 0 by default: the mesh as given.
+    """
+
+    name: str
+    boundary: str
+    motion: tuple[Coefficient, Coefficient]
+    bounds: tuple[float, float]
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        _check(self)
+        if len(self.motion) != 2:
+            raise ValueError(f"the motion of {self.name!r} needs 2 components, got {self.motion}")
+
+    @property
+    def symbol(self) -> ca.SX:
+        """See :attr:`DesignVariable.symbol`."""
+        return symbol(self.name)
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A quantity that a design must keep within bounds.
+
+    Parameters
+    ----------
+    value : str or Objective
+        The quantity: any text of an objective, such as "area", "resultant(bottom)" or "design(a + 2*b)".
+    bounds : tuple of float
+        Least and largest value; either may be infinite, and both the same.
+    """
+
+    value: Any
+    bounds: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        lower, upper = (float(bound) for bound in self.bounds)
+        if not (lower <= upper and lower < np.inf and upper > -np.inf and np.isfinite([lower, upper]).any()):
+            said = "must increase, one of them finite"
+            raise ValueError(f"the bounds of {str(self.value)!r} {said}, got {[lower, upper]}")
+        object.__setattr__(self, "bounds", (lower, upper))
+
+
+def _check(variable: DesignVariable | Shape) -> None:
+    name, start, bounds = variable.name, variable.start, tuple(variable.bounds)
+    object.__setattr__(variable, "bounds", bounds)
+    if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED:
+        raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
+    if len(bounds) != 2 or not (np.all(np.isfinite(bounds)) and bounds[0] < bounds[1]):
+        raise ValueError(f"the bounds of {name!r} must be finite and increase, got {list(bounds)}")
+    if not bounds[0] <= start <= bounds[1]:
+        raise ValueError(f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}")
+
+
+@dataclass(frozen=True)
+class AtDesign:
+    """A function of position with numbers in the place of design variables."""
+
+    coefficient: PositionFunction
+    values: tuple[tuple[str, float], ...]
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        value = substituted(ca.SX(at(self.coefficient, x, y)), dict(self.values))
+        return ca.Function("coefficient", [x, y], [value])
+
+    def __call__(self, x: Any, y: Any) -> Any:
+        """Value at a point: CasADi symbols or numbers."""
+        return self._function(x, y)
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        text = getattr(self.coefficient, "text", "f(x, y)")
+        return f"{text} at {', '.join(f'{name} = {value:.6g}' for name, value in self.values)}"
+
+
+def substituted(expression: ca.SX, values: Mapping[str, float]) -> ca.SX:
+    """An expression with numbers in the place of design variables."""
+    used = [one for one in ca.symvar(expression) if one.name() in values]
+    if not used:
+        return expression
+    return ca.substitute(expression, ca.vertcat(*used), ca.DM([values[one.name()] for one in used]))
+
+
+def names_in(coefficient: Any) -> tuple[str, ...]:
+    """Names of the design variables that a coefficient, a law, a load or an obstacle depends on."""
+    if isinstance(coefficient, ca.SX):
+        return tuple(sorted({one.name() for one in ca.symvar(coefficient)}))
+    if is_dataclass(coefficient) and not callable(coefficient):
+        parts = [getattr(coefficient, field.name) for field in fields(coefficient)]
+        return tuple(sorted({name for part in parts for name in names_in(part)}))
+    if isinstance(coefficient, tuple):
+        return tuple(sorted({name for part in coefficient for name in names_in(part)}))
+    return _names_in_function(coefficient) if callable(coefficient) else ()
+
+
+@once
+def _names_in_function(function: Coefficient) -> tuple[str, ...]:
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    try:
+        value = ca.SX(at(function, x, y))
+    except (NotImplementedError, RuntimeError, TypeError, ValueError):
+        return ()  # of MX alone, such as a spline, or refused elsewhere with a reason
+    point = {x.element_hash(), y.element_hash()}
+    return tuple(sorted(one.name() for one in ca.symvar(value) if one.element_hash() not in point))
+
+
+def at_design(part: Any, values: Mapping[str, float]) -> Any:
+    """A coefficient, a law, a load or an obstacle with numbers in the place of design variables."""
+    names = names_in(part)
+    if not names:
+        return part
+    if isinstance(part, ca.SX):
+        return float(substituted(part, values))
+    if isinstance(part, tuple):
+        return tuple(at_design(one, values) for one in part)
+    if callable(part):
+        return AtDesign(part, tuple((name, values[name]) for name in names if name in values))
+    parts = {field.name: at_design(getattr(part, field.name), values) for field in fields(part)}
+    return replace(part, **parts)
+
+
+def motions(shapes: tuple[Shape, ...], points: Array, on: list[NDArray[np.int64]]) -> Array:
+    """(shapes, 2, nodes) displacements at amplitude 1 of the nodes ``on`` the boundary of each shape."""
+    result = np.zeros((len(shapes), *points.shape))
+    for moved, shape, nodes in zip(result, shapes, on, strict=True):
+        for i, component in enumerate(shape.motion):
+            what = f"the motion of the shape {shape.name!r}"
+            moved[i, nodes] = on_points(component, points[:, nodes], what)
+    return result
