@@ -70,7 +70,14 @@ class Nested(NestedSettings, Formulation):
         else:
             with monitor.clock.during("build"):
                 program = replace(
-                    reduced_nlp(outer.relocation, function, outer.is_valid, outer.residual, outer.tolerance),
+                    reduced_nlp(
+                        outer.relocation,
+                        function,
+                        outer.is_valid,
+                        outer.residual,
+                        outer.tolerance,
+                        outer.constraints,
+                    ),
                     out_of_time=lambda: monitor.remaining == 0.0,
                     warm=outer.is_near,
                 )

@@ -33,14 +33,14 @@ from rmesh_nlp.fem.fields import (
 )
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem, Obstacle, at
-from rmesh_nlp.problem.coefficients import OPEN, is_number
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_number
 from rmesh_nlp.problem.data import ContactSet
 
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
 
-def friction_energy(obstacle: Obstacle, order: int = 1) -> tuple[ca.Function, PointValues | None]:
+def friction_energy(friction: Coefficient, order: int = 1) -> tuple[ca.Function, PointValues | None]:
     """``(X_e, s_e[, g at the points]) -> (energy, empty)`` on one contact edge.
 
     The integral of g times the sum of s_i and shape functions, with the slip magnitudes s_i = |u_t,i|: by
@@ -49,13 +49,13 @@ def friction_energy(obstacle: Obstacle, order: int = 1) -> tuple[ca.Function, Po
     """
     X, s = corners(2, 1, order=order)
     columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
-    if not callable(obstacle.friction):
-        energy = length * obstacle.friction * ca.sum2(s) / s.numel()
+    if not callable(friction):
+        energy = length * friction * ca.sum2(s) / s.numel()
         return ca.Function("friction_energy", columns, [energy, NO_ROWS], OPEN), None
     shares, weights = line_rule(FRICTION_DEGREE)
     bound = ca.SX.sym("g", weights.size)
     energy = length * ca.dot(bound, ca.vec(s @ ca.DM(functions(order, shares) * weights)))
-    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(obstacle.friction, x, y))
+    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(friction, x, y))
     return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS], OPEN), at_points
 
 
@@ -112,20 +112,23 @@ def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
 
 def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
+    rough = [part for part, _ in _frictional(space) if part.obstacle.has_bound]
+    return [term for part in rough for term in bound_terms(space, part, part.obstacle.friction)]
+
+
+def bound_terms(space: DisplacementSpace, part: ContactSet, bound: Coefficient) -> list[ElementTerm]:
+    """The integral over a contact set of ``bound`` times values at its nodes, of positions and these."""
     terms = []
-    for part, _ in _frictional(space):
-        if not part.obstacle.has_bound:
-            continue
-        for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
-            slips = space.nodes_of(edges)
-            if number < 0:
-                function, at_points = friction_energy(part.obstacle, space.order)
-                term = ElementTerm(function, (edges, slips), component=part.number, at_points=at_points)
-            else:
-                bound, curve = part.obstacle.friction, space.problem.curves[number]
-                function = arcs.friction_energy(bound, curve, FRICTION_DEGREE, space.order)
-                term = ElementTerm(function, (None, slips), component=part.number, arc=(number, edges))
-            terms.append(term)
+    for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
+        nodes = space.nodes_of(edges)
+        if number < 0:
+            function, at_points = friction_energy(bound, space.order)
+            term = ElementTerm(function, (edges, nodes), component=part.number, at_points=at_points)
+        else:
+            curve = space.problem.curves[number]
+            function = arcs.friction_energy(bound, curve, FRICTION_DEGREE, space.order)
+            term = ElementTerm(function, (None, nodes), component=part.number, arc=(number, edges))
+        terms.append(term)
     return terms
 
 

@@ -282,6 +282,10 @@ class ElementGroup:
         """Number of elements."""
         return self.arguments[0].shape[1]
 
+    def shifted(self, first_row: int) -> ElementGroup:
+        """The same group, its rows numbered from ``first_row`` instead of from zero."""
+        return replace(self, rows=np.where(self.rows == CONSTANT, CONSTANT, self.rows + first_row))
+
     def some(self, chosen: Index) -> ElementGroup:
         """The same group of some of its elements."""
         arguments = tuple(field.elements(chosen) for field in self.arguments)

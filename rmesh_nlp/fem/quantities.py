@@ -29,6 +29,7 @@ from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
 from rmesh_nlp.problem import ContactProblem, Law, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
+from rmesh_nlp.problem.data import ContactSet
 
 __all__ = ["at_point", "body_integral", "boundary_integral", "nodal", "peak_pressure"]
 
@@ -213,7 +214,8 @@ def peak_pressure(
     @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
         problem, space = on.problem, on.space
-        obstacle, contact = _contact_on(space, boundary)
+        part = contact_on(space, boundary)
+        obstacle, contact = part.obstacle, part.nodes
         forces = [_forces(law, problem.rule, space.order) for law, _ in problem.regions]
         edges = contact_edges(problem, obstacle)
         length, per, result = _length(problem, edges), size(space.order, 3), []
@@ -236,11 +238,11 @@ def peak_pressure(
     return quantity
 
 
-def _contact_on(space: DisplacementSpace, boundary: str) -> tuple[Obstacle, Index]:
-    """The obstacle of a contact boundary and its contact nodes."""
+def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
+    """The contact set of a boundary."""
     for part in space.contact_sets:
         if part.obstacle.boundary == boundary:
-            return part.obstacle, part.nodes
+            return part
     every = space.problem.obstacles
     known = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
     raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")

@@ -1,12 +1,13 @@
 """The KKT model: the bilevel problem as one MPCC, KKT conditions as constraints.
 
 Unknowns ``x = (q, u, lambda)`` and with friction ``(q, u, lambda, s, mu-, mu+)``, the last three where it may
-act: outer variables q in units of their move limits, displacements in units of ``length``, contact forces in
+act: outer variables q in units of their limits, displacements in units of ``length``, contact forces in
 units of ``force``, so that all are of order one. An objective that is a function of several sums S over the
 mesh adds them as unknowns sigma. Then
 
     min  F(X, u, forces, sigma)
-    s.t. equilibrium (and, with friction, mu- + mu+ = g omega + F lambda),   sigma = S,   element areas,
+    s.t. equilibrium (and, with friction, mu- + mu+ = g omega + F lambda),   sigma = S,
+         constraints of the problem,   element areas,
          0 <= gap   _|_ lambda >= 0,
          0 <= s - u_t _|_ mu- >= 0,   0 <= s + u_t _|_ mu+ >= 0.
 """
@@ -21,6 +22,7 @@ import numpy as np
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.constraints import ConstraintRows, constraint_rows
 from rmesh_nlp.fem.contact_terms import (
     bound_force_groups,
     contact_force_groups,
@@ -28,7 +30,7 @@ from rmesh_nlp.fem.contact_terms import (
     identity_group,
 )
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Index, unknown_field
+from rmesh_nlp.fem.fields import ElementGroup, Field, Index, unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -41,7 +43,9 @@ from rmesh_nlp.problem import ContactProblem
 class Bilevel:
     """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model.
 
-    ``objective`` is a function of the unknowns of the contact problem, ``sums`` (m,) the units of its sums.
+    ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units. The
+    first ``n_equations`` rows of ``mpcc.g`` determine displacement, forces and sums at fixed outer variables;
+    ``constraints`` follow them.
     """
 
     mpcc: MPCC
@@ -52,8 +56,10 @@ class Bilevel:
     length: float
     force: float
     value: float
-    objective: Functional
+    summed: Functional
     sums: Array
+    n_equations: int
+    constraints: ConstraintRows
 
     def without_complementarity(self) -> NLP:
         """The NLP that keeps ``G, H >= 0`` and drops their products.
@@ -87,7 +93,7 @@ class Bilevel:
         """The unknowns ``x`` of a contact solution at ``q``."""
         x = kkt_unknowns(q, equilibrium, system, self.friction_rows)
         x /= _units(self.length, self.force, (self.n_q, self.n_u, self.n_contact, self.friction_rows.size))
-        return np.append(x, self.objective.sum_values()(x) / self.sums)
+        return np.append(x, self.summed.sum_values()(x) / self.sums)
 
 
 def _units(length: float, force: float, sizes: tuple[int, int, int, int]) -> Array:
@@ -123,13 +129,17 @@ def bilevel(
     fields = parts.fields(length)
     _, positions, displacement, slip, forces = fields
     assert forces is not None
-    outer = parts.objective(objective, fields._replace(forces=forces.in_units(force)))
-    n_sums, first_sum = len(outer.sums), first + n_c + 3 * n_s
+    physical = fields._replace(forces=forces.in_units(force))
+    outer = parts.objective(objective, physical)
+    constraints = constraint_rows(parts.problem.constraints, physical)
+    summed = Functional([], (*outer.sums, *constraints.sums))
+    n_sums, first_sum = len(summed.sums), first + n_c + 3 * n_s
     units = _units(length, force, (free.n, n_u, n_c, n_s))
-    sums = np.ones(n_sums) if start is None else outer.sizes(start / units)
+    sums = np.ones(n_sums) if start is None else summed.sizes(start / units)
     n_x = first_sum + n_sums
+    of_sums = replace(unknown_field((n_sums, 1), first_sum), scale=sums[:, None])
 
-    # rows of g: equilibrium, slip stationarity, sums, areas; then G: gaps, slips; then H: their forces
+    # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then G: gaps, slips; H: their forces
     groups = [gradient_group(group, -free.n, force) for group in parts.bulk(positions, displacement)]
     groups += contact_force_groups(
         parts.space, parts.displacement.index, positions, forces.normal, forces[1:]
@@ -137,13 +147,19 @@ def bilevel(
     for weights in parts.friction:
         groups.append(gradient_group(weights.on(positions, slip), n_u - (first + n_c), force))
     groups += bound_force_groups(parts.space, n_u, positions, forces.normal, forces[1:])
-    for k, (terms, unit) in enumerate(zip(outer.sums, sums, strict=True)):
+    for k, (terms, unit) in enumerate(zip(summed.sums, sums, strict=True)):
         groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
     groups.append(identity_group(first_sum, n_u + n_s + np.arange(n_sums)))
     n_equations, area_bound = n_u + n_s + n_sums, parts.validity.bound
-    validity = parts.validity.upright_group
-    groups.append(replace(validity, rows=validity.rows + n_equations))
-    n_g = n_equations + area_bound.size
+    groups += [group.shifted(n_equations) for group in constraints.groups]
+    first_of = len(outer.sums)
+    for row, one in enumerate(constraints.values):
+        if one.sums:
+            own = _part(of_sums, first_of, len(one.sums))
+            groups.append(as_row(one.combined(own), n_equations + row))
+            first_of += len(one.sums)
+    groups.append(parts.validity.upright_group.shifted(n_equations + constraints.size))
+    n_g = n_equations + constraints.size + area_bound.size
     pairs = [
         *(term.on(positions, displacement, first_row=n_g) for term in parts.gaps),
         *(term.on(positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
@@ -154,9 +170,8 @@ def bilevel(
     groups.append(identity_group(first, first_h + np.arange(n_c)))
     groups.append(identity_group(first + n_c + n_s, first_h + n_c + np.arange(2 * n_s)))
     of_outer = outer.groups
-    if n_sums:
-        of_sums = unknown_field((n_sums, 1), first_sum)
-        of_outer = [*of_outer, outer.combined(replace(of_sums, scale=sums[:, None]))]
+    if outer.sums:
+        of_outer = [*of_outer, outer.combined(_part(of_sums, 0, len(outer.sums)))]
     groups += [scaled_group(group, 1 / value) for group in of_outer]
 
     x = ca.MX.sym("x", n_x)
@@ -170,12 +185,31 @@ def bilevel(
         H=assembled.g[first_h:],
         lbx=np.concatenate([free.lower, free_below]),
         ubx=np.concatenate([free.upper, -free_below]),
-        lbg=np.concatenate([np.zeros(n_equations), area_bound]),
-        ubg=np.concatenate([np.zeros(n_equations), np.full(area_bound.size, np.inf)]),
+        lbg=np.concatenate([np.zeros(n_equations), constraints.lower, area_bound]),
+        ubg=np.concatenate([np.zeros(n_equations), constraints.upper, np.full(area_bound.size, np.inf)]),
         derivatives=assembled.derivatives,
         parts=_by_name(x, (free.n, n_u, n_c, n_s, n_s, n_s, n_sums)),
     )
-    return Bilevel(mpcc, free.n, n_u, n_c, parts.friction_rows, length, force, value, outer, sums)
+    return Bilevel(
+        mpcc,
+        free.n,
+        n_u,
+        n_c,
+        parts.friction_rows,
+        length,
+        force,
+        value,
+        summed,
+        sums,
+        n_equations,
+        constraints,
+    )
+
+
+def _part(field: Field, first: int, size: int) -> Field:
+    """Some of the sums (m, 1)."""
+    rows = slice(first, first + size)
+    return Field(field.index[rows], field.scale[rows], field.offset[rows])
 
 
 def _by_name(x: ca.MX, sizes: tuple[int, ...]) -> dict[str, ca.MX]:

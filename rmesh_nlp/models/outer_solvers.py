@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.models.second_derivatives import curvature_of
@@ -133,7 +133,7 @@ OuterSolver = Callable[[ReducedNLP, Array, Monitor, NestedSettings], OuterResult
 
 
 def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt with second derivatives where they can be had, else with limited memory; never above the start.
+    """Ipopt with second derivatives where they can be had, else with limited memory; never above a feasible start.
 
     Those of the energy are sparse in outer variables and displacements together
     (:mod:`rmesh_nlp.models.reduced_nlp`), those of other objectives a dense matrix. It ends as soon as the
@@ -148,8 +148,15 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
     else:
         options, method = settings.limited_memory(bool(np.all(np.isfinite(nlp.ubx)))), LIMITED_MEMORY
     n, stationary = start.size, False
-    most = function(start).value
-    most += RISE * abs(most)
+    first = function(start)
+    most = first.value + RISE * abs(first.value)
+    bounds = problem.constraints
+    feasible_first = bounds is None or bounds.violation(first) <= problem.tolerance
+
+    def is_better(point: ReducedPoint) -> bool:
+        if bounds is not None and bounds.violation(point) > problem.tolerance:
+            return False
+        return point.value <= most or not feasible_first
 
     def clipped(x: Array) -> Array:
         return np.asarray(np.clip(x[:n], problem.nlp.lbx, problem.nlp.ubx))
@@ -159,12 +166,12 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
         stop, q = bool(monitor(iteration, x[:n], f)), clipped(x)
         if not stop and iteration > 0 and problem.is_valid(q):
             point = function(q)
-            stationary = point.value <= most and problem.residual(point) <= problem.tolerance
+            stationary = is_better(point) and problem.residual(point) <= problem.tolerance
         return stop or stationary
 
     result = Solver(nlp, options=options, monitor=watch)(np.append(start, np.zeros(nlp.n_x - n)))
     q = clipped(result.x)
-    if not (np.isfinite(result.f) and function(q).value <= most):
+    if not (np.isfinite(result.f) and is_better(function(q))):
         status = Status.STALLED if result.converged else result.status
         return OuterResult(start, status, result.iterations, method)
     status = Status.CONVERGED if result.converged or stationary else result.status
@@ -194,7 +201,7 @@ def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Neste
         found = descend(
             function, start, gain_tolerance=TIGHT_REGULARISED, max_iterations=most, on_step=monitor
         )
-    elif settings.enough is not None:
+    elif settings.enough is not None and problem.constraints is None:
         found = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
     elif problem.nlp.n_g:
         return interior(problem, start, monitor, settings)
@@ -208,7 +215,7 @@ def _newton_cg(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Ne
 
     The cheapest descent to a stationary point, but not to the lowest: see docs/assessment.md.
     """
-    if not problem.nlp.n_g:
+    if not problem.nlp.n_g or problem.constraints is not None:
         return _newton(problem, start, monitor, settings)
     found = _descend(problem, start, monitor, replace(settings, max_iterations=ALONG_AREAS))
     if found.status in (Status.CONVERGED, Status.INTERRUPTED):

@@ -33,7 +33,7 @@ from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_upright
-from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, SecondDerivatives, relocation
+from rmesh_nlp.models.energy_nlp import Blocks, ElementConstraints, Relocation, SecondDerivatives, relocation
 from rmesh_nlp.models.kkt_model import kkt_unknowns
 
 
@@ -199,13 +199,17 @@ class ReducedObjective:
         parts = rel.discretisation
         self.functional = functional = parts.objective(objective, parts.fields())
         self._n = n = np.cumsum([rel.n_q, rel.n_u, rel.n_contact, rel.n_s, rel.n_s, rel.n_s])
-        x = ca.MX.sym("x", int(n[-1]))
+        self.n_x = int(n[-1])
+        x = ca.MX.sym("x", self.n_x)
         outer = parts.assemble([*functional.groups, *functional.rows], x, ca.MX(0, 1), len(functional.sums))
         self._outer = outer.numeric("gradient")
         if functional.sums:
             self._sums, self._combine = outer.numeric("jacobian"), Evaluator(functional.function)
             self._of_sums = Block(self._sums.sums[1].numbered, slice(None), slice(None))
         self._derivatives = SecondDerivatives(rel)
+        self._last: tuple[Equilibrium, Blocks] | None = (
+            None  # several functions are differentiated at a point
+        )
         terms = [term.on(rel.mesh_map.positions) for term in coefficient_terms(parts.space)]
         self._coefficients = None
         if terms:
@@ -228,9 +232,9 @@ class ReducedObjective:
             sums, nonzeros = self._sums(x, None)
             (more,), weights = self._combine(sums)
             value, slope = value + more, slope + self._of_sums(nonzeros).T @ weights
-        return replace(inner, value=float(value), gradient=self._total(inner, slope), is_energy=False)
+        return replace(inner, value=float(value), gradient=self.total(inner, slope), is_energy=False)
 
-    def _total(self, inner: ReducedPoint, slope: Array) -> Array:
+    def total(self, inner: ReducedPoint, slope: Array) -> Array:
         """The derivative by q along contact solutions of a function with derivatives ``slope`` by x."""
         rel, system, state = self.energy.relocation, inner.system, inner.equilibrium
         f_q, f_u, by_normal, f_s, minus, plus = np.split(slope, self._n[:-1])
@@ -245,7 +249,9 @@ class ReducedObjective:
             if system.coulomb is not None:
                 touch[rows] += system.coulomb[rows] * by_bound
         p, reaction, friction = adjoint(system, state.active, f_u, touch, by_tangential)
-        blocks = self._derivatives(self.energy.point(inner.q, state), state)
+        if self._last is None or self._last[0] is not state:
+            self._last = state, self._derivatives(self.energy.point(inner.q, state), state)
+        blocks = self._last[1]
         total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
         if rel.n_s:
             by_bound = by_bound - sliding * (tangents @ p)

@@ -34,9 +34,10 @@ from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
+from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
 from rmesh_nlp.models.residual import OuterResidual
-from rmesh_nlp.models.second_derivatives import Curvature, Lifted, curvature_of
+from rmesh_nlp.models.second_derivatives import Curvature, Lifted, ObjectiveCurvature, curvature_of
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem import Place
@@ -65,6 +66,7 @@ class ReducedNLP:
     residual: OuterResidual
     scale: float
     tolerance: float
+    constraints: ReducedConstraints | None = None
     out_of_time: Callable[[], bool] = lambda: False
     warm: bool = False
 
@@ -75,8 +77,9 @@ def reduced_nlp(
     is_valid: Callable[[Array], bool],
     residual: OuterResidual,
     tolerance: float,
+    constraints: ReducedConstraints | None = None,
 ) -> ReducedNLP:
-    """The NLP ``min F(q)`` within move limits and element areas; its objective is a contact solve."""
+    """The NLP ``min F(q)`` within limits, element areas and constraints; its objective is a contact solve."""
     q, p, areas, bound = rel.validity.q, ca.MX(0, 1), rel.validity.assembled, rel.validity.bound
     scale = abs(function(np.zeros(rel.n_q)).value) or 1.0
     oracle = _Oracle(function, rel, scale)
@@ -97,7 +100,47 @@ def reduced_nlp(
             kernels=(*areas.kernels, oracle),
         ),
     )
-    return ReducedNLP(nlp, function, is_valid, residual, scale, tolerance)
+    if constraints is not None:
+        nlp = _constrained(nlp, _Rows(function, constraints, rel), constraints)
+    return ReducedNLP(nlp, function, is_valid, residual, scale, tolerance, constraints)
+
+
+def _constrained(nlp: NLP, rows: _Rows, constraints: ReducedConstraints) -> NLP:
+    """The NLP with the rows of constraints after its own."""
+    assert nlp.derivatives is not None
+    value, jacobian = rows(nlp.x)
+    of_areas, by_q = nlp.derivatives.jac_g(nlp.x, nlp.p)
+    outputs = [ca.vertcat(of_areas, value), ca.vertcat(by_q, jacobian)]
+    jac_g = ca.Function("nlp_jac_g", [nlp.x, nlp.p], outputs)
+    kernels = (*nlp.derivatives.kernels, rows)
+    return replace(
+        nlp,
+        g=ca.vertcat(nlp.g, value),
+        lbg=np.append(nlp.lbg, constraints.rows.lower),
+        ubg=np.append(nlp.ubg, constraints.rows.upper),
+        derivatives=replace(nlp.derivatives, jac_g=jac_g, kernels=kernels),
+        _of=(0, 0),
+    )
+
+
+class _Rows(PythonFunction):
+    """The constraints (rows,) and their derivatives (rows, n_q)."""
+
+    def __init__(self, function: Reduced, constraints: ReducedConstraints, relocation: Relocation) -> None:
+        self._function, self._constraints, self._relocation = function, constraints, relocation
+        n, rows = relocation.n_q, constraints.rows.size
+        outputs = [ca.Sparsity.dense(rows), ca.Sparsity.dense(rows, n)]
+        super().__init__("reduced_constraints", [ca.Sparsity.dense(n)], outputs)
+
+    def eval(self, arg: list[ca.DM]) -> list[Any]:
+        q, rel = arg[0].full().ravel(), self._relocation
+        if not is_upright(rel.problem, rel.nodes(q)):
+            return [
+                np.full(self._constraints.rows.size, np.nan),
+                np.zeros((self._constraints.rows.size, q.size)),
+            ]
+        found = self._constraints.at(self._function(q))
+        return [found.value, found.jacobian]
 
 
 class _Oracle(PythonFunction):
@@ -118,8 +161,9 @@ class _Oracle(PythonFunction):
         return [point.value / self._scale, point.gradient / self._scale]
 
 
-Values = Callable[[Array, float, sp.csc_array | None], Array]
-"""``(q, factor, rows) ->`` nonzeros of ``factor F''`` and the Hessian of the rows, where there are any."""
+Values = Callable[[Array, float, sp.csc_array | None, Array], Array]
+"""``(q, factor, rows, multiples) ->`` nonzeros of ``factor F''``, the Hessian of the rows of elements, where
+there are any, and those of constraints with their multipliers."""
 
 
 class _SecondOracle(PythonFunction):
@@ -132,14 +176,15 @@ class _SecondOracle(PythonFunction):
             upper,
             values,
         )
-        self._rows = problem.nlp.n_g
-        inputs = [ca.Sparsity.dense(size) for size in (problem.nlp.n_x, 1, self._rows)]
+        self._n_valid = problem.function.energy.relocation.n_valid
+        inputs = [ca.Sparsity.dense(size) for size in (problem.nlp.n_x, 1, problem.nlp.n_g)]
         super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
         q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]) / self._scale, arg[2].full().ravel()
-        rows = self._function.energy.validity.hessian(q, lam_g) if self._rows else None
-        return [ca.DM(self._upper, self._values(q, lam_f, rows).tolist())]
+        areas, own = np.split(lam_g, [self._n_valid])
+        rows = self._function.energy.validity.hessian(q, areas) if areas.size else None
+        return [ca.DM(self._upper, self._values(q, lam_f, rows, own).tolist())]
 
 
 def with_hessian(problem: ReducedNLP) -> ReducedNLP:
@@ -148,8 +193,12 @@ def with_hessian(problem: ReducedNLP) -> ReducedNLP:
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
-    def values(q: Array, factor: float, rows: sp.csc_array | None) -> Array:
-        hessian = dense(curvature.at(function(q)), n) * factor
+    def values(q: Array, factor: float, rows: sp.csc_array | None, multiples: Array) -> Array:
+        if multiples.size:
+            assert isinstance(curvature, ObjectiveCurvature)
+            hessian = dense(curvature.at(function(q), factor, multiples), n)
+        else:
+            hessian = dense(curvature.at(function(q)), n) * factor
         return np.asarray((hessian if rows is None else hessian + rows)[at])
 
     return replace(problem, nlp=_with(problem.nlp, _SecondOracle(problem, upper, values), n))
@@ -166,7 +215,7 @@ def lifted(problem: ReducedNLP) -> NLP:
     curvature, pattern = Curvature(function), _pattern(function.relocation)
     known = _keys(pattern)
 
-    def values(q: Array, factor: float, rows: sp.csc_array | None) -> Array:
+    def values(q: Array, factor: float, rows: sp.csc_array | None, _: Array) -> Array:
         matrix, result = _upper(curvature.at(function(q)).lifted(), factor, rows), np.zeros(known.size)
         keys = _keys(matrix)
         place = np.minimum(np.searchsorted(known, keys), known.size - 1)

@@ -1,9 +1,9 @@
 """The first-order conditions of the outer problem: their residual, and the multipliers of the bounds.
 
-At q with gradient g of the objective let w >= 0 be multipliers of the validity rows c(q) >= 0, fitted
+At q with gradient g of the objective let w >= 0 be multipliers of the validity rows and constraints c(q) >= 0, fitted
 by least squares, and r = g - c'(q)^T w. The residual is
 
-    max ( max_i |q_i - clip(q_i - r_i / unit)|,   max_k min(c_k, w_k / unit) ),
+    max ( max_i |q_i - clip(q_i - r_i / unit)|,   max_k |min(c_k, w_k / unit)| ),
 
 the natural residual of the KKT conditions over move limits and elements, ``unit`` being the largest component
 of r on the mesh as given. So it is 1 on the given mesh, on coarse and on fine grids alike, and at a point
@@ -17,7 +17,7 @@ records use this file, and nothing else measures stationarity.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,9 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.models.energy_nlp import Relocation
+from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
+from rmesh_nlp.optimize.constraints import stacked
 from rmesh_nlp.optimize.activity import is_inside
 
 FLOOR = 1e-6
@@ -41,8 +43,10 @@ class OuterResidual:
     mesh as given, and ``unit`` what gradients are measured in.
     """
 
-    def __init__(self, energy: ReducedEnergy, given: ReducedPoint) -> None:
-        self._energy = energy
+    def __init__(
+        self, energy: ReducedEnergy, given: ReducedPoint, constraints: ReducedConstraints | None = None
+    ) -> None:
+        self._energy, self._constraints = energy, constraints
         released, _, _ = _released(energy, given.q, given.gradient)
         largest = float(np.max(np.abs(released), initial=0.0))
         self.unit = max(largest, FLOOR * size_of(given)) or 1.0
@@ -73,20 +77,31 @@ class OuterResidual:
         if not np.all(np.isfinite(gradient)):
             return float("inf")
         free = self._energy.relocation.mesh_map
-        released, slack, fitted = _released(self._energy, q, gradient)
+        released, slack, fitted = _released(self._energy, q, gradient, self._constraints)
         natural = np.abs(q - free.clipped(q - released / self.unit))
-        pairs = np.minimum(slack, fitted / self.unit)
+        pairs = np.abs(np.minimum(slack, fitted / self.unit))
         return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 
 
-def _released(energy: ReducedEnergy, q: Array, gradient: Array) -> tuple[Array, Array, Array]:
-    """The gradient less the pull of the element constraints, their slacks and their multipliers."""
-    relocation, none = energy.relocation, np.zeros(0)
-    if not relocation.n_valid:  # a barrier may stand in the place of the rows
-        return gradient, none, none
-    free, rows = relocation.mesh_map, energy.validity.at(q)
-    fitted = rows.fitted(gradient, is_inside(q, free.lower, free.upper))
-    return gradient - rows.jacobian.T @ fitted, np.maximum(rows.slack, 0.0), fitted
+def _released(
+    energy: ReducedEnergy, q: Array, gradient: Array, constraints: ReducedConstraints | None = None
+) -> tuple[Array, Array, Array]:
+    """The gradient less the pull of the constraints, their slacks and their multipliers.
+
+    Elements, whose slack is at least zero, come first; a slack of other constraints may be negative.
+    """
+    relocation = energy.relocation
+    rows = []
+    if relocation.n_valid:  # a barrier may stand in the place of the rows
+        areas = energy.validity.at(q)
+        rows.append(replace(areas, slack=np.maximum(areas.slack, 0.0)))
+    if constraints is not None:
+        rows.append(constraints.linearised(energy(q)))
+    if not rows:
+        return gradient, np.zeros(0), np.zeros(0)
+    free, every = relocation.mesh_map, stacked(rows)
+    fitted = every.fitted(gradient, is_inside(q, free.lower, free.upper))
+    return gradient - every.jacobian.T @ fitted, every.slack, fitted
 
 
 def size_of(point: ReducedPoint) -> float:
@@ -110,16 +125,18 @@ class Multipliers:
     angle: Array
 
 
-def multipliers(energy: ReducedEnergy, q: Array, gradient: Array) -> Multipliers:
+def multipliers(
+    energy: ReducedEnergy, q: Array, gradient: Array, constraints: ReducedConstraints | None = None
+) -> Multipliers:
     """Fit the multipliers at ``q`` to the gradient of the outer objective there.
 
     Those of the elements are the ones of the first-order residual, non-negative least squares over the outer
     variables inside their limits; what then remains at the limits is theirs.
     """
     relocation, validity = energy.relocation, energy.relocation.validity
-    rest, _, values = _released(energy, q, gradient)
+    rest, _, values = _released(energy, q, gradient, constraints)
     free = relocation.mesh_map
-    by_element = values.reshape(-1, validity.rows_per_element)
+    by_element = values[: validity.size].reshape(-1, validity.rows_per_element)
     area, angle = np.zeros((2, relocation.problem.mesh.t.shape[1]))
     area[validity.elements] = by_element[:, 0]
     angle[validity.elements] = by_element[:, 1:].sum(axis=1)

@@ -186,29 +186,34 @@ class ObjectiveCurvature:
         assert kept is not None
         assert kept.hess_lag is not None
         self._n_g, self._n_pairs = mpcc.n_g, mpcc.n_pairs
-        self._equations = np.flatnonzero(np.asarray(mpcc.lbg) == np.asarray(mpcc.ubg))
+        n = self._program.n_equations
+        self._equations = np.arange(n)
+        self._rows = slice(n, n + self._program.constraints.size)
         self._gradient, self._jacobian = Evaluator(kept.grad_f), Evaluator(kept.jac_g)
         self._hessian = Evaluator(kept.hess_lag)
         rows, columns = kept.jac_g.sparsity_out(1).get_triplet()
         self._jacobian_at = np.asarray(rows), np.asarray(columns)
         self._symmetric = Symmetric(numbered(kept.hess_lag.sparsity_out(0)))
 
-    def at(self, point: ReducedPoint) -> ObjectiveHessian:
-        """F'' at a point, ready for products."""
+    def at(self, point: ReducedPoint, factor: float = 1.0, rows: Array | None = None) -> ObjectiveHessian:
+        """F'' at a point, ready for products; that of ``factor F + rows . c`` with multiples of constraints."""
         x = self._program.point(point.q, point.equilibrium, point.system)
         values, nonzeros = self._jacobian(x, [])
         G, H = np.split(values[self._n_g :], 2)
         first = self._n_g + np.arange(self._n_pairs)
         held = np.concatenate([self._equations, np.where(G <= H, first, first + self._n_pairs)])
-        jacobian = sp.csr_matrix((nonzeros, self._jacobian_at), shape=(values.size, x.size))[held]
+        whole = sp.csr_matrix((nonzeros, self._jacobian_at), shape=(values.size, x.size))
+        jacobian = whole[held]
         n_q = self._program.n_q
         of_q, of_y = jacobian[:, :n_q].tocsr(), jacobian[:, n_q:].tocsc()
         factors = splu(of_y)
-        _, slope = self._gradient(x, [])
+        slope, multipliers = factor * self._gradient(x, [])[1], np.zeros(values.size)
+        if rows is not None:
+            multipliers[self._rows] = rows
+            slope = slope + whole.T @ multipliers
         nu = factors.solve(-slope[n_q:], "T")
-        multipliers = np.zeros(values.size)
         multipliers[held] = nu
-        (curvature,) = self._hessian(x, [], 1.0, multipliers)
+        (curvature,) = self._hessian(x, [], factor, multipliers)
         return ObjectiveHessian(
             slope[:n_q] + of_q.T @ nu, sp.csr_matrix(self._symmetric(curvature)), of_q, factors
         )

@@ -9,7 +9,7 @@ semismooth Newton method: L. Qi, J. Sun, A nonsmooth version of Newton's method,
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -63,6 +63,12 @@ class Linearised:
         if active.size and np.any(inside):
             multipliers[active] = nonnegative_fit(self.jacobian[active][:, inside].T, gradient[inside])
         return multipliers
+
+
+def stacked(parts: Sequence[Linearised]) -> Linearised:
+    """Several constraints, one after the other."""
+    slack, floor = (np.concatenate([getattr(part, name) for part in parts]) for name in ("slack", "floor"))
+    return Linearised(slack, floor, sp.csr_array(sp.vstack([part.jacobian for part in parts])))
 
 
 class Constraints(Protocol):

@@ -223,7 +223,7 @@ class Track:
         mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
         self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
         self._recent: deque[Array] = deque(maxlen=KEPT)
-        self._best: tuple[float, Array] | None = None
+        self._best: tuple[tuple[float, float], Array] | None = None
 
     @property
     def iterations(self) -> int:
@@ -268,11 +268,12 @@ class Track:
             Further fields of the step.
         """
         point = self.outer.function(q) if point is None else point
-        lower = self._best is None or point.value < self._best[0]
+        merit = self.outer.merit(point)
+        lower = self._best is None or merit < self._best[0]
         if lower and np.isfinite(point.value) and self.outer.is_valid(q):
-            self._best = point.value, np.array(q)
+            self._best = merit, np.array(q)
         residual, spent = self.outer.residual(point), self.monitor.spent.contact_solves
-        known |= {"t": 0.0, "primal_residual": 0.0, "dual_residual": residual, "stationarity": residual}
+        known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": residual, "stationarity": residual}
         energy = point.equilibrium.energy
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 
@@ -296,9 +297,10 @@ class Track:
         """The best outer variables that give a valid mesh: at worst those it started with."""
         if self._best is not None:
             return self._best[1]
-        free, function = self.outer.discretisation.mesh_map, self.outer.function
+        outer, merit = self.outer, self.outer.merit
         for q in reversed(self._recent):
-            inside = free.clipped(q)
-            if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
-                return inside if function(inside).value < function(start).value else start
+            inside = outer.clipped(q)
+            if np.all(np.isfinite(inside)) and outer.is_valid(inside):
+                first = merit(outer.function(start))
+                return inside if merit(outer.function(inside)) < first else start
         return start

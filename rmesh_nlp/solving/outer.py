@@ -18,7 +18,14 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, outer_function
+from rmesh_nlp.models.reduced_constraints import ReducedConstraints
+from rmesh_nlp.models.reduced_model import (
+    Reduced,
+    ReducedEnergy,
+    ReducedObjective,
+    ReducedPoint,
+    outer_function,
+)
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.clock import TOLERANCE, timed
@@ -73,7 +80,7 @@ class Outer:
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
         other = copy.copy(self)
-        for name in ("energy", "function", "residual"):
+        for name in ("energy", "function", "residual", "constraints"):
             other.__dict__.pop(name, None)
         other.objective = objective
         return other
@@ -121,9 +128,16 @@ class Outer:
         """The first-order residual, relative to that on the mesh as given."""
         system, function = self.contact.system(self.problem.mesh.p), self.function
         given = self.energy.at(np.zeros(self.n), system, self.given)
-        return OuterResidual(
-            self.energy, given if isinstance(function, ReducedEnergy) else function.of(given)
-        )
+        point = given if isinstance(function, ReducedEnergy) else function.of(given)
+        return OuterResidual(self.energy, point, self.constraints)
+
+    @cached_property
+    def constraints(self) -> ReducedConstraints | None:
+        """Those of the problem as functions of the outer variables; None without any."""
+        if not self.problem.constraints:
+            return None
+        assert isinstance(self.function, ReducedObjective)
+        return ReducedConstraints(self.function)
 
     @cached_property
     def assessor(self) -> Assessor:
@@ -165,6 +179,14 @@ class Outer:
     def is_valid(self, q: Array) -> bool:
         """Whether all elements are valid at outer variables ``q``, see :mod:`rmesh_nlp.mapping.validity`."""
         return is_valid(self.problem, self.nodes(q), by_barrier=self.has_barrier)
+
+    def merit(self, point: ReducedPoint) -> tuple[float, float]:
+        """By which points of the objective are compared: first the violation of constraints, then the value.
+
+        A violation up to the tolerance counts as none.
+        """
+        violation = 0.0 if self.constraints is None else self.constraints.violation(point)
+        return violation if violation > self.tolerance else 0.0, point.value
 
     def variables(
         self,

@@ -1,0 +1,134 @@
+"""Constraints on the outer problem: quantities within bounds, as rows of sums over elements.
+
+The value of a :class:`rmesh_nlp.Constraint` is that of an objective, or ``max-pressure(NAME)``: then there is
+a row ``lambda_i <= P omega_i`` for each contact node of the boundary, which has a derivative where the largest
+pressure has none. All rows are in units of their bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_terms import bound_terms, gradient_group
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
+from rmesh_nlp.fem.functional import Functional, as_row
+from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.quantities import contact_on
+from rmesh_nlp.problem.coefficients import is_number
+from rmesh_nlp.problem.design import Constraint, at_design
+
+LARGEST_PRESSURE = "max-pressure"
+"""The word of the constraint that has a row per node."""
+
+
+@dataclass(frozen=True)
+class ConstraintRows:
+    """Rows ``lower <= c(x) <= upper``, in units of their bounds.
+
+    Attributes
+    ----------
+    values : tuple of Functional
+        The first rows, one each.
+    nodal : tuple of ElementGroup
+        All others, numbered after those.
+    lower, upper, unit : (rows,) arrays
+    names : tuple of str
+        The constraint of each row.
+    """
+
+    values: tuple[Functional, ...]
+    nodal: tuple[ElementGroup, ...]
+    lower: Array
+    upper: Array
+    unit: Array
+    names: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return int(self.lower.size)
+
+    @property
+    def sums(self) -> tuple[list[ElementGroup], ...]:
+        """The sums that values are functions of, one value after the other."""
+        return tuple(groups for value in self.values for groups in value.sums)
+
+    @property
+    def groups(self) -> list[ElementGroup]:
+        """What adds to the rows, without functions of ``sums``."""
+        first = [as_row(group, k) for k, value in enumerate(self.values) for group in value.groups]
+        return [*first, *self.nodal]
+
+    def combined(self, sums: Array) -> tuple[Array, Array]:
+        """(rows,) the functions of ``sums`` (m,), and their derivatives (rows, m)."""
+        value, slope, first = np.zeros(self.size), np.zeros((self.size, sums.size)), 0
+        for row, one in enumerate(self.values):
+            n = len(one.sums)
+            if n:
+                found, gradient = one.function(sums[first : first + n])
+                value[row], slope[row, first : first + n] = float(found), gradient.full().ravel()
+            first += n
+        return value, slope
+
+
+def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> ConstraintRows:
+    """The rows of constraints on these fields; a ValueError where one does not suit the problem."""
+    values: list[Functional] = []
+    nodal: list[ElementGroup] = []
+    bounds, names = [], []
+    at_nodes = [one for one in constraints if boundary_of(one) is not None]
+    for one in constraints:
+        if boundary_of(one) is None:
+            unit = _unit(one)
+            values.append(parse_objective(one.value).on(fields).scaled(1 / unit))
+            bounds.append((one.bounds[0] / unit, one.bounds[1] / unit, unit))
+            names.append(str(one.value))
+    for one in at_nodes:
+        groups, size, unit = _pressure_rows(fields, str(boundary_of(one)), one.bounds[1], len(bounds))
+        nodal += groups
+        bounds += [(-np.inf, 0.0, unit)] * size
+        names += [str(one.value)] * size
+    lower, upper, units = np.array(bounds).reshape(-1, 3).T
+    return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
+
+
+def boundary_of(constraint: Constraint) -> str | None:
+    """The boundary of a constraint on the largest pressure; None for every other."""
+    word, bracket, rest = str(constraint.value).partition("(")
+    if word.strip() != LARGEST_PRESSURE or not bracket:
+        return None
+    if constraint.bounds[0] > -np.inf:
+        raise ValueError(f"{constraint.value}: the largest pressure may be bounded from above alone")
+    return rest.removesuffix(")").strip()
+
+
+def _unit(constraint: Constraint) -> float:
+    finite = [abs(bound) for bound in constraint.bounds if np.isfinite(bound)]
+    return max(finite) or 1.0
+
+
+def _pressure_rows(
+    fields: Fields, boundary: str, level: float | ca.SX, first: int
+) -> tuple[list[ElementGroup], int, float]:
+    """Rows ``lambda_i - P omega_i`` numbered from ``first``, how many, and their unit."""
+    space, forces = fields.space, fields.forces
+    assert forces is not None
+    part = contact_on(space, boundary)
+    weights = space.weights(np.asarray(space.problem.mesh.p))[part.rows]
+    size = float(level if is_number(level) else at_design(level, space.problem.start))
+    unit = float(np.mean(weights)) * (abs(size) or 1.0)
+    normal = forces.normal.component(part.number)
+    value, rows = ca.SX.sym("lambda"), first + np.arange(part.nodes.size)[None]
+    function = ca.Function("pressure", [value], [0, value / unit])
+    groups = [element_group(function, fields.positions, (normal.at(part.nodes[None]),), rows)]
+    shift = first - int(forces.normal.index[part.number, part.nodes[0]])
+    for term in bound_terms(space, part, level):
+        group = gradient_group(term.on(fields.positions, forces.normal), shift, -unit)
+        groups.append(replace(group, rows=np.where(np.isin(group.rows, rows), group.rows, CONSTANT)))
+    return groups, part.nodes.size, unit
