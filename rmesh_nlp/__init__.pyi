@@ -17,7 +17,9 @@ from rmesh_nlp.meshes.curves import Parametrised as Parametrised
 from rmesh_nlp.meshes.curves import Spline as Spline
 from rmesh_nlp.mpcc import MPCC as MPCC
 from rmesh_nlp.optimize.status import Status as Status
+from rmesh_nlp.problem import Constraint as Constraint
 from rmesh_nlp.problem import ContactProblem as ContactProblem
+from rmesh_nlp.problem import DesignVariable as DesignVariable
 from rmesh_nlp.problem import Dirichlet as Dirichlet
 from rmesh_nlp.problem import ExactSolution as ExactSolution
 from rmesh_nlp.problem import Laplace as Laplace
@@ -28,6 +30,7 @@ from rmesh_nlp.problem import PlaneStress as PlaneStress
 from rmesh_nlp.problem import PointLoad as PointLoad
 from rmesh_nlp.problem import ProblemError as ProblemError
 from rmesh_nlp.problem import Relative as Relative
+from rmesh_nlp.problem import Shape as Shape
 from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
 from rmesh_nlp.problem import where as where

@@ -2,7 +2,7 @@
 
 Valid
     The contact problem is solved on the final mesh: equilibrium and complementarity hold to ``TOLERANCE``,
-    no element is inverted, and every figure is a number.
+    no element is inverted, the constraints of the problem hold, and every figure is a number.
 Improved
     The minimised objective, measured by the assessment, is not above its value on the mesh as given. The
     energy is the continuous one of an admissible displacement (:mod:`rmesh_nlp.assessment.admissible`).
@@ -59,6 +59,8 @@ class Measured:
     size: float  # of the minimised objective, in units of which ``ROUNDING`` is
     is_energy: bool  # whether the energy is minimised, perhaps with terms in the positions
     stationary: bool
+    violation: float = 0.0  # of the constraints of the problem, if above the tolerance
+    begins_violated: bool = False  # whether they are at the start
     # what the continuous energy rose by beyond the formulation's own, by the names in EXPLOITS
     corrections: Mapping[str, float] = field(default_factory=dict)
 
@@ -73,12 +75,19 @@ class Measured:
         residuals = audit.equilibrium_residual, audit.complementarity_residual
         if not all(residual <= TOLERANCE for residual in residuals):  # also if one is no number
             return Status.INACCURATE
-        figures = self.gain, self.gain_audited, self.decrease, self.size
-        return None if all(map(math.isfinite, figures)) else Status.EVALUATION_ERROR
+        figures = self.gain, self.gain_audited, self.decrease, self.size, self.violation
+        if not all(map(math.isfinite, figures)):
+            return Status.EVALUATION_ERROR
+        return Status.VIOLATED if self.violation > 0 else None
 
     @property
     def improved(self) -> bool:
-        """Whether the minimised objective is not above its value on the given mesh, up to rounding."""
+        """Whether the minimised objective is not above its value on the given mesh, up to rounding.
+
+        A point that obeys the constraints is better than a start that does not, whatever the objective.
+        """
+        if self.begins_violated:
+            return True
         rounding = ROUNDING * self.size
         rose = self.is_energy and self.gain_computed < -rounding
         return self.decrease >= -rounding and not rose and not self.is_exploited

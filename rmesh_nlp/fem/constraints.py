@@ -1,8 +1,9 @@
 """Constraints on the outer problem: quantities within bounds, as rows of sums over elements.
 
 The value of a :class:`rmesh_nlp.Constraint` is that of an objective, or ``max-pressure(NAME)``: then there is
-a row ``lambda_i <= P omega_i`` for each contact node of the boundary, which has a derivative where the largest
-pressure has none. All rows are in units of their bounds.
+a row ``lambda_i <= P omega_i`` for each contact node of the boundary, with a derivative where the largest
+pressure has none. Where a displacement is given on a contact boundary, designs must leave it admissible. All
+rows are in units of their bounds.
 """
 
 from __future__ import annotations
@@ -14,17 +15,22 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import bound_terms, gradient_group
+from rmesh_nlp.fem.contact_terms import bound_terms, given_gap_terms, gradient_group, in_units
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional, as_row
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.quantities import contact_on
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design
 
 LARGEST_PRESSURE = "max-pressure"
 """The word of the constraint that has a row per node."""
+
+
+MARGIN = 1e-6
+"""Least gap where the displacement is given, so that a tolerance of as much leaves it admissible."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +100,30 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
         nodal += groups
         bounds += [(-np.inf, 0.0, unit)] * size
         names += [str(one.value)] * size
+    groups, size, unit = _given_gaps(fields, len(bounds))
+    nodal += groups
+    bounds += [(MARGIN, np.inf, unit)] * size
+    names += ["gap where the displacement is given"] * size
     lower, upper, units = np.array(bounds).reshape(-1, 3).T
     return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
+
+
+def is_constrained(problem: ContactProblem) -> bool:
+    """Whether there is any row."""
+    given = problem.design and any(
+        problem.nodes_of(part.obstacle).size > part.nodes.size for part in problem.contact_sets
+    )
+    return bool(problem.constraints or given)
+
+
+def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], int, float]:
+    """The gaps that a design changes and displacements do not, in units of the extent of the body."""
+    problem = fields.problem
+    terms = given_gap_terms(fields.space) if problem.design else []
+    unit = float(np.max(np.ptp(problem.mesh.p, axis=1)))
+    groups = [in_units(term.on(fields.positions, fields.displacement), unit) for term in terms]
+    size = sum(group.size for group in groups)
+    return [group.shifted(first) for group in groups], size, unit
 
 
 def boundary_of(constraint: Constraint) -> str | None:

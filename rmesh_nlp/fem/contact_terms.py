@@ -110,6 +110,22 @@ def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
     return terms
 
 
+def given_gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
+    """The gaps of contact nodes whose displacement is given, numbered from zero.
+
+    Of positions and displacement. On a mesh as given they are a matter of the problem; designs change them.
+    """
+    terms, first, one = [], 0, np.ones(1)
+    for part in space.problem.contact_sets:
+        nodes = np.setdiff1d(space.problem.nodes_of(part.obstacle), part.nodes)
+        if nodes.size:
+            function, rows = gap_function(part.obstacle, space.problem.components, one), np.arange(nodes.size)
+            places = nodes[None], space.number[nodes][None]
+            terms.append(ElementTerm(function, places, first + rows[None]))
+            first += nodes.size
+    return terms
+
+
 def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
     rough = [part for part, _ in _frictional(space) if part.obstacle.has_bound]
@@ -187,6 +203,13 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
         rows=np.where(index == CONSTANT, CONSTANT, index + shift),
         closed=None,
     )
+
+
+def in_units(group: ElementGroup, unit: float) -> ElementGroup:
+    """The same rows divided by ``unit``."""
+    symbols = local_symbols(group.function)
+    f, g = group.function(*symbols)
+    return replace(group, function=ca.Function(group.function.name(), symbols, [f, g / unit]))
 
 
 def contact_force_groups(

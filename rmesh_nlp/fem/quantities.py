@@ -27,7 +27,7 @@ from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
-from rmesh_nlp.problem import ContactProblem, Law, Obstacle
+from rmesh_nlp.problem import ContactProblem, Law
 from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
 from rmesh_nlp.problem.data import ContactSet
 

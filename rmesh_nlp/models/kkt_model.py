@@ -28,9 +28,9 @@ from rmesh_nlp.fem.contact_terms import (
     contact_force_groups,
     gradient_group,
     identity_group,
+    in_units,
 )
-from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index, unknown_field
+from rmesh_nlp.fem.fields import Field, Index, unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -139,7 +139,7 @@ def bilevel(
     n_x = first_sum + n_sums
     of_sums = replace(unknown_field((n_sums, 1), first_sum), scale=sums[:, None])
 
-    # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then G: gaps, slips; H: their forces
+    # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then of G and H
     groups = [gradient_group(group, -free.n, force) for group in parts.bulk(positions, displacement)]
     groups += contact_force_groups(
         parts.space, parts.displacement.index, positions, forces.normal, forces[1:]
@@ -164,7 +164,7 @@ def bilevel(
         *(term.on(positions, displacement, first_row=n_g) for term in parts.gaps),
         *(term.on(positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
     ]
-    groups += [_in_units_of_rows(group, length) for group in pairs]
+    groups += [in_units(group, length) for group in pairs]
     n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs
     groups.append(identity_group(first, first_h + np.arange(n_c)))
@@ -217,10 +217,3 @@ def _by_name(x: ca.MX, sizes: tuple[int, ...]) -> dict[str, ca.MX]:
     names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
     found = zip(names, sizes, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True)
     return {name: part for name, size, part in found if size or name in names[:3]}
-
-
-def _in_units_of_rows(group: ElementGroup, unit: float) -> ElementGroup:
-    """The same rows divided by ``unit``."""
-    symbols = local_symbols(group.function)
-    f, g = group.function(*symbols)
-    return replace(group, function=ca.Function(group.function.name(), symbols, [f, g / unit]))

@@ -133,7 +133,9 @@ OuterSolver = Callable[[ReducedNLP, Array, Monitor, NestedSettings], OuterResult
 
 
 def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt with second derivatives where they can be had, else with limited memory; never above a feasible start.
+    """Ipopt with second derivatives where they can be had, else with limited memory.
+
+    It does not end above a feasible start.
 
     Those of the energy are sparse in outer variables and displacements together
     (:mod:`rmesh_nlp.models.reduced_nlp`), those of other objectives a dense matrix. It ends as soon as the

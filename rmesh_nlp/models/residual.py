@@ -1,7 +1,8 @@
 """The first-order conditions of the outer problem: their residual, and the multipliers of the bounds.
 
-At q with gradient g of the objective let w >= 0 be multipliers of the validity rows and constraints c(q) >= 0, fitted
-by least squares, and r = g - c'(q)^T w. The residual is
+At q with gradient g of the objective let w >= 0 be multipliers of the validity rows and constraints
+c(q) >= 0,
+fitted by least squares, and r = g - c'(q)^T w. The residual is
 
     max ( max_i |q_i - clip(q_i - r_i / unit)|,   max_k |min(c_k, w_k / unit)| ),
 
@@ -28,8 +29,8 @@ from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
-from rmesh_nlp.optimize.constraints import stacked
 from rmesh_nlp.optimize.activity import is_inside
+from rmesh_nlp.optimize.constraints import stacked
 
 FLOOR = 1e-6
 """Least unit, in units of the objective: below it the gradient on the given mesh is small already, and

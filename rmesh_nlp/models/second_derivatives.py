@@ -196,7 +196,7 @@ class ObjectiveCurvature:
         self._symmetric = Symmetric(numbered(kept.hess_lag.sparsity_out(0)))
 
     def at(self, point: ReducedPoint, factor: float = 1.0, rows: Array | None = None) -> ObjectiveHessian:
-        """F'' at a point, ready for products; that of ``factor F + rows . c`` with multiples of constraints."""
+        """The second derivative of ``factor F + rows . c``, c the constraints, ready for products."""
         x = self._program.point(point.q, point.equilibrium, point.system)
         values, nonzeros = self._jacobian(x, [])
         G, H = np.split(values[self._n_g :], 2)

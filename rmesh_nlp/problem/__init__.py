@@ -6,6 +6,7 @@ from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, Positio
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction
 from rmesh_nlp.problem.contact_problem import ContactProblem, locally_refined, refined
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape
 from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
@@ -14,8 +15,10 @@ from rmesh_nlp.problem.units import Units
 __all__ = [
     "NO_CONTACT",
     "Coefficient",
+    "Constraint",
     "ContactProblem",
     "ContactSet",
+    "DesignVariable",
     "Dirichlet",
     "Elastic",
     "ExactSolution",
@@ -31,6 +34,7 @@ __all__ = [
     "PositionFunction",
     "ProblemError",
     "Relative",
+    "Shape",
     "Traction",
     "Units",
     "at",

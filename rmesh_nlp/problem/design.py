@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -71,16 +71,14 @@ class Shape:
     motion : tuple of float or function of position
         Displacement (2,) of a boundary node at amplitude 1, in units of length.
     bounds : tuple of float
-        Least and largest amplitude, both finite.
-    start : float
-        Its first value, 0 by default: the mesh as given.
+        Least and largest amplitude, both finite; the first one is 0, the mesh as given.
     """
 
     name: str
     boundary: str
     motion: tuple[Coefficient, Coefficient]
     bounds: tuple[float, float]
-    start: float = 0.0
+    start: ClassVar[float] = 0.0
 
     def __post_init__(self) -> None:
         _check(self)

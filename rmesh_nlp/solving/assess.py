@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import kkt_unknowns
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedPoint
+from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -51,11 +51,14 @@ class _Ends:
     """The two meshes that are compared: where ``begin`` begins, and the last one of ``outer``, at ``q``.
 
     ``exact`` and ``point`` are the energy and the outer objective at ``q``, ``found`` is the solution there;
-    ``start`` and ``after`` are the admissible displacements of the assessment on either mesh.
+    ``start`` and ``after`` are the admissible displacements of the assessment on either mesh. Of a problem
+    with design variables both are the problems at the first and at the last design; ``designed`` is the one
+    that has them, where ``point`` is. ``value_at_start`` is the objective on the mesh before any motion.
     """
 
     begin: Outer
     outer: Outer
+    designed: Outer
     q: Array
     nodes: Array
     exact: ReducedPoint
@@ -63,6 +66,7 @@ class _Ends:
     found: Equilibrium
     start: Admissible
     after: Admissible
+    value_at_start: float | None
 
 
 def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessment:
@@ -77,10 +81,15 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
     relocates : bool
         Whether the formulation moves nodes at all.
     """
-    outer, q = outcome.outer, outcome.q
-    problem, nodes, given = outer.problem, outer.nodes(q), np.array(outer.problem.mesh.p)
-    begin = outer if is_comparable(first, outer) else first  # what it begins from, by the same rules
-    start, areas = begin.assessor.initial, signed_areas(given, problem.triangles)
+    designed = outcome.outer
+    nodes, given = designed.nodes(outcome.q), np.array(designed.problem.mesh.p)
+    begin = designed if is_comparable(first, designed) else first  # what it begins from, by the same rules
+    areas = signed_areas(given, designed.problem.triangles)
+    upright = bool(np.min(signed_areas(nodes, designed.problem.triangles) / areas) > 0)
+    value_at_start = designed.function(np.zeros(designed.n)).value if begin is designed else None
+    begin = begin.at_design(np.zeros(begin.n))[0]
+    outer, q = designed.at_design(outcome.q) if upright else (begin, outcome.q)
+    problem, start = outer.problem, begin.assessor.initial
     ratio = float(np.min(signed_areas(nodes, problem.triangles) / areas))
     common: dict[str, Any] = {
         "problem": problem,
@@ -92,6 +101,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         "initial_nodes": given,
         "initial_areas": areas,
         "details": outcome.details,
+        "design": designed.design(outcome.q),
     }
     if not ratio > 0:  # the contact problem cannot be solved
         unknown = np.full((problem.components, outer.discretisation.space.n_nodes), np.nan)
@@ -102,22 +112,24 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
     ends = _Ends(
         begin,
         outer,
+        designed,
         q,
         nodes,
         exact,
-        point=exact if isinstance(outer.function, ReducedEnergy) else outer.function.of(exact),
+        point=designed.function(outcome.q),
         found=outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium,
         start=start,
         after=outer.assessor.solve(nodes, exact.equilibrium.active),
+        value_at_start=value_at_start,
     )
-    residual = outer.residual(ends.point)
+    residual = designed.residual(ends.point)
     proved = outcome.label in PROVED and bool(np.any(ends.point.weak))
-    stationary = residual <= outer.tolerance or proved or not relocates
+    stationary = residual <= designed.tolerance or proved or not relocates
     measured = _measured(ends, outcome, ratio, stationary)
     end = conclusion(outcome.status, measured)
     label = outcome.label
     if label is None:
-        label = "KKT" if residual <= outer.tolerance else ""
+        label = "KKT" if residual <= designed.tolerance else ""
     return Assessment(
         **common,
         displacement=outer.discretisation.space.values(outer.contact.displacement.values(ends.found.u)),
@@ -131,7 +143,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         success=end.success,
         stationarity=label,
         stationarity_residual=residual,
-        multipliers=multipliers(outer.energy, q, ends.point.gradient),
+        multipliers=multipliers(designed.energy, outcome.q, ends.point.gradient, designed.constraints),
         detail=EXPLOITED.get(measured.exploits, "") if end.status is Status.EXPLOITED else "",
         measured=measured,
         assessed=(start, ends.after),
@@ -162,7 +174,7 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
 
 def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> Measured:
     """What the status rests on."""
-    begin, outer, found, after = ends.begin, ends.outer, ends.found, ends.after
+    begin, outer, designed, found, after = ends.begin, ends.outer, ends.designed, ends.found, ends.after
     is_energy = outer.function is outer.energy
     decrease, size = _decrease(ends)
     if is_energy:
@@ -181,6 +193,8 @@ def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> 
         gain_audited=ends.start.energy - after.energy,
         gain_computed=max(begin.given.energy, ends.start.energy) - found.energy,
         decrease=decrease,
+        violation=designed.merit(ends.point)[0],
+        begins_violated=designed.merit(designed.function(np.zeros(designed.n)))[0] > 0,
         size=size,
         is_energy=is_energy,
         stationary=stationary,
@@ -195,7 +209,12 @@ def _decrease(ends: _Ends) -> tuple[float, float]:
     """Decrease of the minimised objective, measured by the assessment, and the objective's size."""
     begin, outer, q, function = ends.begin, ends.outer, ends.q, ends.outer.function
     same, zero = begin is outer, np.zeros(begin.n)
-    if isinstance(function, ReducedEnergy):
+    if ends.designed.problem.design and isinstance(function, ReducedObjective):
+        one, two = (
+            objective_value(at.energy, outer.objective, q, state)
+            for at, q, state in ((begin, zero, begin.given), (outer, ends.q, ends.exact.equilibrium))
+        )
+    elif isinstance(function, ReducedEnergy):
         one, two = ends.start.energy, ends.after.energy
         if same:
             one, two = one + outer.energy.of_positions(zero), two + outer.energy.of_positions(q)
@@ -237,7 +256,7 @@ def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: st
         exploits=exploits,
         warnings=_warnings(ends) + (() if grown is None else (grown,)),
         objective_value=ends.point.value,
-        objective_initial=outer.function(np.zeros(outer.n)).value if ends.begin is outer else None,
+        objective_initial=ends.value_at_start,
         domain_area_change=change,
         coulomb_residual=after,
         coulomb_residual_initial=before,

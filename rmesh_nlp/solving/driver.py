@@ -128,11 +128,15 @@ def solve_by_options(
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
     """Raise a BadInputError where an energy is to be minimised that there is not."""
     energies = [term.name for _, term in objective.terms if term.name in ("energy", "certificate")]
-    if problem.has_coulomb and formulation.relocates and energies:
-        raise BadInputError(
-            "with Coulomb friction no energy is minimised, which the objective "
-            f"{objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
-        )
+    if not (energies and formulation.relocates):
+        return
+    example = (
+        f"which the objective {objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
+    )
+    if problem.has_coulomb:
+        raise BadInputError(f"with Coulomb friction no energy is minimised, {example}")
+    if problem.design or problem.constraints:
+        raise BadInputError(f"energies of different designs do not compare, {example}")
 
 
 def _chosen(

@@ -10,9 +10,10 @@ import numpy as np
 
 from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -134,10 +135,10 @@ class Outer:
     @cached_property
     def constraints(self) -> ReducedConstraints | None:
         """Those of the problem as functions of the outer variables; None without any."""
-        if not self.problem.constraints:
+        function = self.function
+        if not (isinstance(function, ReducedObjective) and is_constrained(self.problem)):
             return None
-        assert isinstance(self.function, ReducedObjective)
-        return ReducedConstraints(self.function)
+        return ReducedConstraints(function)
 
     @cached_property
     def assessor(self) -> Assessor:
@@ -166,6 +167,21 @@ class Outer:
     def spent(self) -> Work:
         """Contact solves so far."""
         return Work(self.energy.contact_solves, self.energy.cold_solves, self.energy.factorisations)
+
+    def at_design(self, q: Array) -> tuple[Outer, Array]:
+        """The outer problem with numbers in the place of design variables, and its outer variables.
+
+        Nodes are where they are at ``q``; itself where there are no design variables.
+        """
+        if not self.problem.design:
+            return self, q
+        other = Outer(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
+        other.contact_seconds = self.contact_seconds
+        return other, other.discretisation.mesh_map.q_of(self.nodes(q))
+
+    def system(self, q: Array) -> ContactSystem:
+        """The contact problem at outer variables ``q``."""
+        return self.contact.system(self.nodes(q), self.discretisation.mesh_map.design(q))
 
     def nodes(self, q: Array) -> Array:
         """(2, nodes) positions at outer variables ``q``."""

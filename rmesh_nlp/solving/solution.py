@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
@@ -91,6 +92,8 @@ class Assessment:
         None where the contact problem could not be solved; ``quantities`` also without contact.
     details : tuple of Part
         What the formulation adds to the record.
+    design : mapping of str to float
+        Design variables by their names; ``problem`` has these numbers in their place.
     """
 
     problem: ContactProblem
@@ -119,6 +122,7 @@ class Assessment:
     findings: Findings | None = None
     quantities: ContactQuantities | None = None
     details: tuple[Part, ...] = ()
+    design: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def message(self) -> str:
@@ -239,6 +243,7 @@ class Solution(Assessment):
             "units": asdict(problem.units),
             "versions": versions(),
             **self._own("start", "settings", "seed"),
+            **({"design": dict(self.design)} if self.design else {}),
             **self.extra,
         }
         return {key: plain(value) for key, value in row.items()}

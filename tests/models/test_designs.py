@@ -1,0 +1,130 @@
+"""Design variables: derivatives by differences, and agreement with the problem that has their numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.evaluation import Evaluator
+from rmesh_nlp.models.kkt_model import bilevel
+from rmesh_nlp.models.reduced_constraints import ReducedConstraints
+from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
+from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
+from rmesh_nlp.solving.outer import Outer
+from support.designs import BOW, DESIGNS, LIMITED, E, F, block
+from support.orders import ORDERS
+from support.taylor import difference_order, taylor_order
+
+OBJECTIVE = "mean(right, uy) + 0.3*boundary(bottom, ux**2) + body(x*ux)"
+
+
+def at_random(problem: ContactProblem, objective: str = OBJECTIVE, seed: int = 3) -> tuple[Outer, np.ndarray]:
+    """An outer problem and a point away from its limits."""
+    outer = Outer(problem, objective)
+    return outer, 0.3 * outer.variables(seed=seed)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", DESIGNS)
+def test_gradients_by_designs_and_positions(name: str, order: int) -> None:
+    outer, q = at_random(DESIGNS[name](order))
+    rng = np.random.default_rng(4)
+    for of_design in (True, False):  # by the design alone, then by all
+        d = rng.uniform(-1, 1, q.size)
+        if of_design:
+            d[: outer.discretisation.mesh_map.n_positions] = 0.0
+        assert taylor_order(outer.function, q, d) == pytest.approx(2, abs=0.02)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_second_derivatives_by_all(order: int) -> None:
+    outer, q = at_random(DESIGNS["all"](order))
+    d = np.random.default_rng(5).uniform(-1, 1, q.size)
+    product = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q))(d)
+    order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d, 1e-3)
+    assert order_of == pytest.approx(2, abs=0.05)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", DESIGNS)
+def test_values_are_those_of_the_problem_with_numbers(name: str, order: int) -> None:
+    outer, q = at_random(DESIGNS[name](order))
+    there, same = outer.at_design(q)
+    assert not there.problem.design
+    assert there.function(same).value == pytest.approx(outer.function(q).value, rel=1e-9)
+    np.testing.assert_allclose(there.nodes(same), outer.nodes(q), atol=1e-12)
+
+
+def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
+    outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
+    constraints, point = ReducedConstraints(outer.function), outer.function(q)  # type: ignore[arg-type]
+    program = bilevel(outer.discretisation, outer.objective, length=1e-2, force=10.0)
+    x = program.point(q, point.equilibrium, point.system)
+    assert program.mpcc.derivatives is not None
+    rows = Evaluator(program.mpcc.derivatives.jac_g)(x, [])[0]
+    n, size = program.n_equations, constraints.rows.size
+    np.testing.assert_allclose(rows[:n], 0, atol=1e-9)
+    np.testing.assert_allclose(rows[n : n + size], constraints.at(point).value, rtol=1e-9, atol=1e-12)
+
+
+def test_derivatives_of_constraints() -> None:
+    outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
+    constraints = ReducedConstraints(outer.function)  # type: ignore[arg-type]
+    rng = np.random.default_rng(6)
+    d, multiples = rng.uniform(-1, 1, q.size), rng.uniform(-1, 1, constraints.rows.size)
+
+    def gradient(at: np.ndarray) -> np.ndarray:
+        point = outer.function(at)
+        return point.gradient + constraints.at(point).jacobian.T @ multiples
+
+    def values(at: np.ndarray) -> np.ndarray:
+        return constraints.at(outer.function(at)).value
+
+    by_d = constraints.at(outer.function(q)).jacobian @ d
+    assert difference_order(values, by_d, q, d, 1e-3) == pytest.approx(2, abs=0.05)
+    curvature = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q), 1.0, multiples)
+    np.testing.assert_allclose(curvature.gradient, gradient(q), rtol=1e-7, atol=1e-10)
+    assert difference_order(gradient, curvature(d), q, d, 1e-3) == pytest.approx(2, abs=0.05)
+
+
+def test_rows_of_the_largest_pressure_are_pressures() -> None:
+    outer, q = at_random(block(E, F, constraints=LIMITED[1:2]))
+    constraints, point = ReducedConstraints(outer.function), outer.function(q)  # type: ignore[arg-type]
+    weights = outer.discretisation.space.weights(outer.nodes(q))
+    excess = point.equilibrium.normal_force - 200 * weights
+    np.testing.assert_allclose(constraints.at(point).value * constraints.rows.unit, excess, atol=1e-9)
+
+
+def test_shapes_keep_straight_sides_and_their_own_motion() -> None:
+    problem = block(BOW)
+    motion = problem.shape_motions[0]
+    x, y = problem.mesh.p
+    bottom = y == 0
+    np.testing.assert_allclose(motion[1, bottom], x[bottom] * (4 - x[bottom]) / 4)
+    assert np.all(motion[0, (x == 0) | (x == 4)] == 0)
+    assert np.all(motion[1, y == 1] == 0)
+    inside = (y > 0) & (y < 1) & (x > 0) & (x < 4)
+    assert np.all(motion[1, inside] > 0)  # the maximum principle
+    assert motion[1, inside].max() < 1
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: DesignVariable("x", 0.0, (0, 1)), "name of its own"),
+        (lambda: DesignVariable("a", 2.0, (0, 1)), "'a' starts at 2.0"),
+        (lambda: DesignVariable("a", 0.0, (1, 1)), "must be finite and increase"),
+        (lambda: Shape("a", "bottom", (0.0, 1.0), (0.1, 1.0)), "'a' starts at 0.0"),
+        (lambda: block(E, E), "two design variables are named 'E'"),
+        (lambda: block(Shape("a", "base", (0.0, 1.0), (-1, 1))), "unknown boundary 'base'"),
+    ],
+)
+def test_nonsense_is_named(make: object, message: str) -> None:
+    with pytest.raises((ProblemError, ValueError), match=message):
+        make()  # type: ignore[operator]
+
+
+def test_unknown_names_are_named() -> None:
+    problem = block(E)
+    with pytest.raises(ProblemError, match="'E' is no design variable: choose from F"):
+        ContactProblem(problem.mesh, problem.law, problem.dirichlet, problem.obstacle, design=F)

@@ -1,0 +1,63 @@
+"""Problems with design variables of every kind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+import rmesh_nlp as rm
+from rmesh_nlp.meshes import shapes
+from rmesh_nlp.problem import Constraint, ContactProblem, DesignVariable, Shape
+
+E, F, H0, LOAD = (
+    DesignVariable(name, start, bounds)
+    for name, start, bounds in (
+        ("E", 1.0, (0.5, 2.0)),
+        ("F", 0.05, (0.0, 0.1)),
+        ("h0", 0.0, (-0.02, 0.02)),
+        ("load", 1.0, (0.5, 1.5)),
+    )
+)
+BOW = Shape("bow", "bottom", (0.0, lambda x, y: x * (4 - x) / 4), (-0.05, 0.05))
+
+
+def block(
+    *design: DesignVariable | Shape,
+    constraints: tuple[Constraint, ...] = (),
+    order: int = 1,
+    n: tuple[int, int] = (6, 3),
+) -> ContactProblem:
+    """A block held at its top that a foundation presses from below; it depends on the given variables."""
+    names = {variable.name for variable in design}
+
+    def value(variable: DesignVariable) -> object:
+        return variable.symbol if variable.name in names else variable.start
+
+    gap: Callable[..., object] = lambda x, y: value(H0) - 0.01 + 0.01 * (x - 1) ** 2  # noqa: E731
+    return ContactProblem(
+        mesh=shapes.rectangle(*n, x=(0, 4), y=(0, 1)),
+        law=rm.PlaneStrain.from_young(1e4 * value(E), 0.3, (0.0, lambda x, y: -100 * value(LOAD) * x)),
+        dirichlet="top",
+        obstacle=rm.Obstacle("bottom", (0, 1), gap, coulomb=value(F) if "F" in names else 0.0),
+        tractions=rm.Traction("right", (20.0, lambda x, y: -60 * value(LOAD) * (1 + y))),
+        motion=rm.Motion(delta=0.05),
+        order=order,
+        design=design,
+        constraints=constraints,
+    )
+
+
+DESIGNS = {
+    "modulus and load": lambda order: block(E, LOAD, order=order),
+    "foundation": lambda order: block(H0, order=order),
+    "Coulomb's coefficient": lambda order: block(F, order=order),
+    "shape": lambda order: block(BOW, order=order),
+    "all": lambda order: block(E, LOAD, H0, F, BOW, order=order),
+}
+
+LIMITED = (
+    Constraint("boundary(bottom, ux)", (-0.1, 0.01)),
+    Constraint("max-pressure(bottom)", (-np.inf, 200.0)),
+    Constraint("body(ux**2)", (-np.inf, 1e-4)),
+)
