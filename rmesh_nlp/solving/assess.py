@@ -53,7 +53,7 @@ class _Ends:
     ``exact`` and ``point`` are the energy and the outer objective at ``q``, ``found`` is the solution there;
     ``start`` and ``after`` are the admissible displacements of the assessment on either mesh. Of a problem
     with design variables both are the problems at the first and at the last design; ``designed`` is the one
-    that has them, where ``point`` is. ``value_at_start`` is the objective on the mesh before any motion.
+    that has them, where ``point`` is. ``comparable`` says that it is where both ends are.
     """
 
     begin: Outer
@@ -66,7 +66,12 @@ class _Ends:
     found: Equilibrium
     start: Admissible
     after: Admissible
-    value_at_start: float | None
+    comparable: bool
+
+    @property
+    def at_start(self) -> ReducedPoint:
+        """The outer objective at the first design on the mesh before any motion."""
+        return self.designed.function(np.zeros(self.designed.n))
 
 
 def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessment:
@@ -86,7 +91,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
     begin = designed if is_comparable(first, designed) else first  # what it begins from, by the same rules
     areas = signed_areas(given, designed.problem.triangles)
     upright = bool(np.min(signed_areas(nodes, designed.problem.triangles) / areas) > 0)
-    value_at_start = designed.function(np.zeros(designed.n)).value if begin is designed else None
+    comparable = begin is designed
     begin = begin.at_design(np.zeros(begin.n))[0]
     outer, q = designed.at_design(outcome.q) if upright else (begin, outcome.q)
     problem, start = outer.problem, begin.assessor.initial
@@ -120,7 +125,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         found=outcome.own if outcome.decides and outcome.own is not None else exact.equilibrium,
         start=start,
         after=outer.assessor.solve(nodes, exact.equilibrium.active),
-        value_at_start=value_at_start,
+        comparable=comparable,
     )
     residual = designed.residual(ends.point)
     proved = outcome.label in PROVED and bool(np.any(ends.point.weak))
@@ -194,7 +199,7 @@ def _measured(ends: _Ends, outcome: Outcome, ratio: float, stationary: bool) -> 
         gain_computed=max(begin.given.energy, ends.start.energy) - found.energy,
         decrease=decrease,
         violation=designed.merit(ends.point)[0],
-        begins_violated=designed.merit(designed.function(np.zeros(designed.n)))[0] > 0,
+        begins_violated=designed.constraints is not None and designed.merit(ends.at_start)[0] > 0,
         size=size,
         is_energy=is_energy,
         stationary=stationary,
@@ -256,7 +261,7 @@ def _findings(ends: _Ends, own: Equilibrium, given: ContactProblem, exploits: st
         exploits=exploits,
         warnings=_warnings(ends) + (() if grown is None else (grown,)),
         objective_value=ends.point.value,
-        objective_initial=ends.value_at_start,
+        objective_initial=ends.at_start.value if ends.comparable else None,
         domain_area_change=change,
         coulomb_residual=after,
         coulomb_residual_initial=before,

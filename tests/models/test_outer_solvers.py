@@ -72,6 +72,7 @@ def test_an_interior_point_never_ends_above_its_start(start, end, status, monkey
         nlp=SimpleNamespace(n_x=1, lbx=-2 * np.ones(1), ubx=2 * np.ones(1)),
         function=lambda q: SimpleNamespace(value=float(q @ q)),
         **{"warm": False, "tolerance": 1e-6, "scale": 1.0, "residual": SimpleNamespace(unit=1.0)},
+        constraints=None,
     )
     found = outer_solvers.interior(problem, np.array([start]), lambda *_: None, NestedSettings())
     assert (found.q[0], found.status, found.iterations) == (end, status, 3)
