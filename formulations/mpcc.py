@@ -22,7 +22,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.alternating import alternated
-from rmesh_nlp.models.kkt_model import Bilevel, bilevel, kkt_unknowns
+from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, kkt_unknowns
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -48,18 +49,6 @@ on the given mesh times its largest nodal load."""
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 """Ipopt options that push a start off its bounds."""
 
-COMMON: Mapping[str, Any] = {
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
-    # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
-    # less than with the ordering that MUMPS takes of itself
-    "mumps_pivot_order": 5,
-    # the least shift of an indefinite Hessian within a factor 1.5, as in joint
-    "perturb_dec_fact": 0.2,
-    "perturb_inc_fact": 1.5,
-}
-"""Ipopt options of all stages."""
-
 BARRIER_ENERGY, BARRIER = 2.0, 0.1
 """Ipopt's first barrier: in units of the pull for the energy, as in ``joint``, in units of the objective for
 others."""
@@ -77,12 +66,6 @@ costs no iterations in the sum."""
 
 LOOSE, BETWEEN, TIGHT = 1e-4, 1e-8, 1e-10
 """Ipopt's tolerance in the first relaxation, in the later ones, in the exact finish."""
-
-TIGHT_OTHERS = 1e-12
-"""That of the exact finish for objectives other than the energy, whose gradient is small in their own unit.
-
-1e-10 left first-order residuals of 2e-6 to 7e-6 on 6.1 with 6 and 10 squares (error-l2, error-h1), 1e-12
-less than 1e-7, for one or two iterations more."""
 
 FACTOR_OTHERS = 0.01
 """By how much t falls from stage to stage for objectives other than the energy.
@@ -211,14 +194,7 @@ class AllAtOnce(Formulation):
             q = _in_step(outer, q)
         here = outer.energy(q)
         with monitor.clock.during("build"):
-            program = bilevel(
-                outer.discretisation,
-                outer.objective,
-                length=float(np.max(np.abs(here.equilibrium.u))) or 1.0,
-                force=here.system.force_scale,
-                value=abs(outer.function(np.zeros(outer.n)).value) or 1.0,
-                start=kkt_unknowns(q, here.equilibrium, here.system, outer.discretisation.friction_rows),
-            )
+            program = outer.kkt if not (is_energy or np.any(q)) else _own_units(outer, here)
         track = monitor.track(outer, program.value)
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
@@ -257,6 +233,18 @@ class AllAtOnce(Formulation):
         )
 
 
+def _own_units(outer: Outer, here: ReducedPoint) -> Bilevel:
+    """The KKT model in units of the contact solution at the start."""
+    return bilevel(
+        outer.discretisation,
+        outer.objective,
+        length=float(np.max(np.abs(here.equilibrium.u))) or 1.0,
+        force=here.system.force_scale,
+        value=abs(outer.function(np.zeros(outer.n)).value) or 1.0,
+        start=kkt_unknowns(here.q, here.equilibrium, here.system, outer.discretisation.friction_rows),
+    )
+
+
 def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
     """Options on top of ``OPTIONS``; ``scaling`` is that of the energy, ``near`` a start near a minimiser."""
     if not outer.objective.is_energy:
@@ -291,8 +279,6 @@ STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "secon
 
 
 def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> Homotopy:
-    gaps, slips = outer.contact.contact_nodes, outer.contact.contact_nodes[program.friction_rows]
-    of_pair = np.concatenate([gaps, slips, slips])
     return Homotopy(
         stages=[
             {**{name: getattr(one, name) for name in STAGE}, "status": one.status.value}
@@ -301,7 +287,7 @@ def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) ->
         label=result.label,
         b_stationary=result.b_stationary,
         biactive=int(result.biactive.size),
-        biactive_nodes=np.unique(of_pair[result.biactive]).tolist(),
+        biactive_nodes=np.unique(outer.contact.contact_nodes[program.pair_rows(result.biactive)]).tolist(),
         equilibrium_multiplier=float(np.max(np.abs(result.lam_g[: program.n_u]))),
         constraint_violation=result.constraint_violation,
         complementarity=result.complementarity,

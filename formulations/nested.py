@@ -2,17 +2,22 @@
 
 u(X) is not differentiable where contact changes, L(X) = J(u(X); X) is: the term with U'
 drops out. Its second derivative jumps there; the default outer solver is a Newton method
-with the second derivative of the active set at hand.
+with the second derivative of the active set at hand. Other objectives have kinks there, from which
+:mod:`formulations.kinks` goes on.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from formulations.kinks import EXACT_FINISH, Zigzag, finished
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterResult
-from rmesh_nlp.models.reduced_nlp import reduced_nlp
+from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
+from rmesh_nlp.models.reduced_nlp import ReducedNLP, reduced_nlp
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.clock import Falling
 from rmesh_nlp.solving.formulation import Formulation
@@ -20,6 +25,10 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Part, Work
+
+ROUNDS = 3
+"""Descents of the outer solver, each but the first from where the exact finish at a kink has ended; the last
+one is not stopped at kinks."""
 
 
 @dataclass(frozen=True)
@@ -36,8 +45,9 @@ class Nested(NestedSettings, Formulation):
     """Minimises an outer objective with exact contact solves inside.
 
     The energy needs no adjoint; other objectives get one with the active set held, which is their gradient
-    wherever strict complementarity holds. The contact nodes where it fails at the end are listed in the
-    record as ``biactive_nodes``: they are what may have stopped it.
+    wherever strict complementarity holds. Where the outer solver stalls at a kink, the exact finish of the
+    KKT model goes on from there, and an exact contact solve ends it; ``outer_method`` of the record says so.
+    The contact nodes where strict complementarity fails at the end are its ``biactive_nodes``.
 
     Attributes
     ----------
@@ -56,38 +66,101 @@ class Nested(NestedSettings, Formulation):
             raise unknown("outer solver", self.outer, OUTER_SOLVERS)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        track, function = monitor.track(outer), outer.function
-        ends = None if self.enough is None else _Decrease(self.enough)
-
-        def watch(iteration: int, at: Array, _: float) -> bool:
-            point = function(at)
-            known = {} if ends is None else {"seconds_left": ends(monitor.clock.elapsed, point.value)}
-            return track.exact(iteration, at, point, **known)
-
+        descent = _Descent(self, outer, monitor)
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
-            watch(0, q, 0.0)
+            descent.note(0, q)
+            monitor.check()
             found = OuterResult(q, Status.CONVERGED, 0)
         else:
-            with monitor.clock.during("build"):
-                program = replace(
-                    reduced_nlp(
-                        outer.relocation,
-                        function,
-                        outer.is_valid,
-                        outer.residual,
-                        outer.tolerance,
-                        outer.constraints,
-                    ),
-                    out_of_time=lambda: monitor.remaining == 0.0,
-                    warm=outer.is_near,
-                )
-            found = OUTER_SOLVERS[self.outer](program, q, watch, self)
-        if self.outer == "ipopt":
-            monitor.work += Work(kkt_factorisations=found.iterations)
-        monitor.check()
-        weak = outer.contact.contact_nodes[function(found.q).weak]
+            found = descent(q)
+        weak = outer.contact.contact_nodes[outer.function(found.q).weak]
         figures = OuterFigures(self.outer, weak.tolist(), found.method or None)
         return Outcome(outer, found.q, found.status, details=(figures,))
+
+
+class _Descent:
+    """One run: the outer solver, and where the objective has kinks what goes on from them."""
+
+    def __init__(self, settings: Nested, outer: Outer, monitor: Monitor) -> None:
+        self._settings, self._outer, self._monitor = settings, outer, monitor
+        self._track, self._before = monitor.track(outer), 0
+        self._ends = None if settings.enough is None else _Decrease(settings.enough)
+        unlimited = settings.enough is None and settings.max_iterations is None
+        is_other = isinstance(outer.function, ReducedObjective)
+        self._has_kinks = unlimited and is_other and outer.discretisation.n_contact > 0
+        self._lowest: ReducedPoint | None = None
+
+    def note(self, iteration: int, q: Array) -> bool:
+        """Report an iterate; whether the solve is over."""
+        outer, ends, lowest = self._outer, self._ends, self._lowest
+        point = outer.function(q)
+        if self._has_kinks and (lowest is None or outer.merit(point) < outer.merit(lowest)):
+            self._lowest = point if outer.is_valid(q) else lowest
+        known = {} if ends is None else {"seconds_left": ends(self._monitor.clock.elapsed, point.value)}
+        return self._track.exact(self._before + iteration, q, point, **known)
+
+    def __call__(self, q: Array) -> OuterResult:
+        outer, monitor = self._outer, self._monitor
+        with monitor.clock.during("build"):
+            program = replace(
+                reduced_nlp(
+                    outer.relocation,
+                    outer.function,
+                    outer.is_valid,
+                    outer.residual,
+                    outer.tolerance,
+                    outer.constraints,
+                ),
+                out_of_time=lambda: monitor.remaining == 0.0,
+                warm=outer.is_near,
+            )
+        if not self._has_kinks:
+            return self._solved(program, q)
+        methods: list[str] = []
+        for attempt in range(ROUNDS):
+            found = self._solved(program, q, Zigzag() if attempt < ROUNDS - 1 else None)
+            methods.append(found.method or self._settings.outer)
+            method = ", then ".join(methods) if attempt else found.method
+            if self._is_stationary(found.q):
+                stopped = found.status is Status.INTERRUPTED
+                return replace(found, status=Status.CONVERGED if stopped else found.status, method=method)
+            if attempt == ROUNDS - 1:
+                break
+            lowest = self._lowest or outer.function(found.q)
+            end, iterations = finished(outer, lowest, monitor)
+            self._before += iterations
+            q, program = lowest.q, replace(program, warm=True)
+            if end is None:
+                continue
+            methods.append(EXACT_FINISH)
+            q = end.q
+            self.note(0, q)
+            monitor.check()
+            if self._is_stationary(q):
+                return OuterResult(q, Status.CONVERGED, self._before, ", then ".join(methods))
+        return replace(found, method=method)
+
+    def _solved(self, program: ReducedNLP, q: Array, zigzag: Zigzag | None = None) -> OuterResult:
+        """Where the outer solver ends, or a descent that ``zigzag`` stops."""
+        outer = self._outer
+
+        def watch(iteration: int, at: Array, _: float) -> bool:
+            over = self.note(iteration, at)
+            return over or (zigzag is not None and zigzag(point := outer.function(at), *outer.merit(point)))
+
+        found = OUTER_SOLVERS[self._settings.outer](program, q, watch, self._settings)
+        if self._settings.outer == "ipopt":
+            self._monitor.work += Work(kkt_factorisations=found.iterations)
+        self._monitor.check()
+        self._before += found.iterations
+        return found
+
+    def _is_stationary(self, q: Array) -> bool:
+        """To the tolerance of the solve, over the branches of the contact where there are several."""
+        point = self._outer.function(q)
+        if np.any(point.weak):
+            return bool(self._outer.branches(point).b_stationary)
+        return self._outer.residual(point) <= self._outer.tolerance
 
 
 class _Decrease:

@@ -45,6 +45,7 @@ from rmesh_nlp.contact.sensitivity import TangentResponse
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.branches import held_members
 from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
 from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import Reduced, ReducedCertificate, ReducedEnergy, ReducedPoint
@@ -201,8 +202,9 @@ class ObjectiveCurvature:
         values, nonzeros = self._jacobian(x, [])
         G, H = np.split(values[self._n_g :], 2)
         first = self._n_g + np.arange(self._n_pairs)
-        held = np.concatenate([self._equations, np.where(G <= H, first, first + self._n_pairs)])
         whole = sp.csr_matrix((nonzeros, self._jacobian_at), shape=(values.size, x.size))
+        is_first, _ = held_members(self._program, whole, G, H, 0.0)
+        held = np.concatenate([self._equations, np.where(is_first, first, first + self._n_pairs)])
         jacobian = whole[held]
         n_q = self._program.n_q
         of_q, of_y = jacobian[:, :n_q].tocsr(), jacobian[:, n_q:].tocsc()

@@ -118,6 +118,15 @@ def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
     return worst if np.isfinite(worst) else np.inf
 
 
+def in_words(stationarity: str, b_stationary: bool | None, n_biactive: int) -> str:
+    """A stationarity label, and what it means with so many biactive pairs."""
+    if stationarity == "S" and n_biactive == 0:
+        return "S (no biactive pair: a KKT point)"
+    b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[b_stationary]
+    pairs = f"{n_biactive} biactive pair{'' if n_biactive == 1 else 's'}"
+    return f"{stationarity or 'no label'} ({pairs}, {b_word})"
+
+
 @dataclass(frozen=True, eq=False)
 class Duals:
     """Multipliers of ``f + lam_x^T x + lam_g^T g + lam_G^T G + lam_H^T H`` to start from."""
@@ -200,11 +209,7 @@ class MPCCResult:
     @property
     def label(self) -> str:
         """The stationarity in words: the letter, and what it means here."""
-        if self.stationarity == "S" and self.n_biactive == 0:
-            return "S (no biactive pair: a KKT point)"
-        b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[self.b_stationary]
-        pairs = f"{self.n_biactive} biactive pair{'' if self.n_biactive == 1 else 's'}"
-        return f"{self.stationarity or 'no label'} ({pairs}, {b_word})"
+        return in_words(self.stationarity, self.b_stationary, self.n_biactive)
 
     def table(self) -> str:
         """The history as text, one line per NLP solve."""

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import Finish, polished
+from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
@@ -83,6 +83,23 @@ class MPCCSolver:
             limit = stop.status
         total = time.perf_counter() - began
         return _result(run, _end(run, paths, z0, limit), nlps.build_seconds - built, total, rescues)
+
+    def finish(self, x0: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
+        """Only the exact finish, from a point whose pairs are complementary or nearly so.
+
+        It descends over the branches from the one that ``x0`` is next to, without any relaxation.
+        """
+        began, built, path = time.perf_counter(), self.nlps.build_seconds, Path()
+        parameters = self.mpcc.parameters(p)
+        given = self.mpcc.start(x0, parameters)
+        z0, weight = self.nlps.lifted.start(given, parameters), self.nlps.lifted.weight(given, parameters)
+        run, limit = Run(self.nlps, parameters, weight), None
+        try:
+            path.keep(finish(run, z0, search=True))
+        except LimitReachedError as stop:
+            limit = stop.status
+        total = time.perf_counter() - began
+        return _result(run, _end(run, [path], z0, limit), self.nlps.build_seconds - built, total, 0)
 
     def _looks_twice(self, path: Path) -> bool:
         """Whether another trajectory may end lower, and can be had."""

@@ -20,11 +20,12 @@ from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
+from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import ContactQuantities, Findings
+from rmesh_nlp.solving.parts import ContactQuantities, Findings, Label
 from rmesh_nlp.solving.solution import Assessment
 
 ACCURATE = 20
@@ -128,13 +129,18 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         comparable=comparable,
     )
     residual = designed.residual(ends.point)
-    proved = outcome.label in PROVED and bool(np.any(ends.point.weak))
-    stationary = residual <= designed.tolerance or proved or not relocates
+    over_branches = _over_branches(ends, residual) if relocates else None
+    if over_branches is None:
+        label, words = outcome.label, None
+        proved = label in PROVED and bool(np.any(ends.point.weak))
+        stationary = residual <= designed.tolerance or proved or not relocates
+        if label is None:
+            label = "KKT" if residual <= designed.tolerance else ""
+    else:
+        label, words = over_branches
+        stationary = bool(words.b_stationary)
     measured = _measured(ends, outcome, ratio, stationary)
     end = conclusion(outcome.status, measured)
-    label = outcome.label
-    if label is None:
-        label = "KKT" if residual <= designed.tolerance else ""
     return Assessment(
         **common,
         displacement=outer.discretisation.space.values(outer.contact.displacement.values(ends.found.u)),
@@ -154,6 +160,31 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         assessed=(start, ends.after),
         findings=_findings(ends, outcome.own or ends.found, first.problem, measured.exploits or None),
         quantities=_quantities(ends),
+        label=words,
+    )
+
+
+def _over_branches(ends: _Ends, residual: float) -> tuple[str, Label] | None:
+    """Stationarity label over the branches of the contact; None for the energy, which is smooth across them.
+
+    Where no pair is biactive the first-order residual is the proof.
+    """
+    outer, point = ends.designed, ends.point
+    if not isinstance(outer.function, ReducedObjective):
+        return None
+    if not np.any(point.weak):
+        stationary = residual <= outer.tolerance
+        label = "S" if stationary else ""
+        return label, Label(in_words(label, stationary, 0), stationary, 0, [])
+    found = outer.branches(point)
+    words = in_words(found.label, found.b_stationary, found.pairs.size)
+    nodes = outer.kkt.pair_rows(found.pairs)
+    return found.label, Label(
+        words,
+        found.b_stationary,
+        int(found.pairs.size),
+        np.unique(outer.contact.contact_nodes[nodes]).tolist(),
+        found.rate,
     )
 
 

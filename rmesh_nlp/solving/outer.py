@@ -18,7 +18,9 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
+from rmesh_nlp.models.branches import Branches
 from rmesh_nlp.models.energy_nlp import Relocation
+from rmesh_nlp.models.kkt_model import Bilevel, bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import (
     Reduced,
@@ -81,7 +83,7 @@ class Outer:
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
         other = copy.copy(self)
-        for name in ("energy", "function", "residual", "constraints"):
+        for name in ("energy", "function", "residual", "constraints", "kkt", "branches"):
             other.__dict__.pop(name, None)
         other.objective = objective
         return other
@@ -139,6 +141,24 @@ class Outer:
         if not (isinstance(function, ReducedObjective) and is_constrained(self.problem)):
             return None
         return ReducedConstraints(function)
+
+    @cached_property
+    def kkt(self) -> Bilevel:
+        """The KKT model in units of the contact solution and of the objective on the mesh as given."""
+        given, zero, system = self.given, np.zeros(self.n), self.contact.system(self.problem.mesh.p)
+        return bilevel(
+            self.discretisation,
+            self.objective,
+            length=float(np.max(np.abs(given.u), initial=0.0)) or 1.0,
+            force=system.force_scale,
+            value=abs(self.function(zero).value) or 1.0,
+            start=kkt_unknowns(zero, given, system, self.discretisation.friction_rows),
+        )
+
+    @cached_property
+    def branches(self) -> Branches:
+        """First-order conditions where contact is about to change, for objectives that have a KKT model."""
+        return Branches(self.kkt, self.residual.unit, self.tolerance)
 
     @cached_property
     def assessor(self) -> Assessor:

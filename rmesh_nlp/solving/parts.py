@@ -110,6 +110,32 @@ class Findings(Part):
 
 
 @dataclass(frozen=True)
+class Label(Part):
+    """Stationarity of an end for another objective than the energy, whatever formulation ended there.
+
+    Attributes
+    ----------
+    label : str
+        In words.
+    b_stationary : bool or None
+        Whether no branch of the contact descends; None: not decided.
+    biactive : int
+        Complementarity pairs whose members are both zero.
+    biactive_nodes : list of int
+        The nodes they belong to.
+    descent_rate : float, optional
+        Steepest descent over the branches where there are biactive pairs, relative to the largest component
+        of the gradient on the mesh as given: 0 at a B-stationary end, negative elsewhere.
+    """
+
+    label: str
+    b_stationary: bool | None
+    biactive: int
+    biactive_nodes: list[int]
+    descent_rate: float | None = None
+
+
+@dataclass(frozen=True)
 class ContactQuantities(Part):
     """Pressure, resultant and contact on the given mesh, on the last one and on its refinement."""
 

@@ -30,6 +30,7 @@ from rmesh_nlp.solving.parts import (
     Choices,
     ContactQuantities,
     Findings,
+    Label,
     Part,
     Step,
     Work,
@@ -90,6 +91,8 @@ class Assessment:
         The admissible displacements on the given and on the last mesh.
     findings, quantities : optional
         None where the contact problem could not be solved; ``quantities`` also without contact.
+    label : Label, optional
+        Stationarity where contact is about to change, for other objectives than the energy.
     details : tuple of Part
         What the formulation adds to the record.
     design : mapping of str to float
@@ -121,6 +124,7 @@ class Assessment:
     assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
     findings: Findings | None = None
     quantities: ContactQuantities | None = None
+    label: Label | None = None
     details: tuple[Part, ...] = ()
     design: Mapping[str, float] = field(default_factory=dict)
 
@@ -194,7 +198,7 @@ class Solution(Assessment):
     @property
     def extra(self) -> dict[str, Any]:
         """The entries of the record that not every solution has."""
-        extra = entries(*self.details, self.findings, self.quantities, self.choices, self.work)
+        extra = entries(*self.details, self.findings, self.quantities, self.label, self.choices, self.work)
         if changed := self.limits.changed():
             extra["limits"] = changed
         if self.certificate is not None:

@@ -1,4 +1,4 @@
-"""Biactive nodes: a lower edge cut away until contact is just lost, where only an MPCC ends well.
+"""Biactive nodes: a lower edge cut away until contact is just lost, where the objective has a kink.
 
 An elastic block, 2 wide and 1 high, E = 1000, nu = 0.3, plane strain, stands on a rigid plane under a uniform
 pressure of 10 on its top. The middle of its lower edge, 0.5 < x < 1.5, is the seal: its nodes may move up by
@@ -10,9 +10,9 @@ the material saved,
 As long as a node carries pressure, cutting it higher saves material and opens no gap. As soon as it carries
 none, the gap opens, and costs more than is saved. The best edge is cut until every node of the seal just
 touches without pressure: gap = 0 and pressure = 0 at all of them, strict complementarity fails, and the
-objective has a kink there. ``nested`` differentiates with the contact set held, so it sees one side of the
-kink and stops somewhere on it. ``mpcc`` has gap and pressure as unknowns, and ends at the best edge with a
-label.
+objective has a kink there. ``nested`` differentiates with the contact set held, so its outer solver sees one
+side of the kink and stalls; the exact finish of the KKT model goes on. ``mpcc`` has gap and pressure as
+unknowns. Both end at the best edge with a label.
 
     python scripts/gallery/seal.py --n 8 --picture seal.png
 """

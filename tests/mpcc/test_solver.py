@@ -401,3 +401,20 @@ def test_sparse_square_problem_of_a_thousand_pairs():
     assert result.success
     # u'' = 1 off the contact, u = u' = 0 relative to the obstacle at its ends: width sqrt(2 * 0.05)
     assert np.sum(result.G > 0.5) * h == pytest.approx(1 - 2 * np.sqrt(0.1), abs=3 * h)
+
+
+def test_the_exact_finish_alone_leaves_a_branch_that_is_not_the_best() -> None:
+    """From a feasible point of one branch over the corner to the other, without any relaxation."""
+    program = MPCC(XY, (x - 1) ** 2 + (y - 2) ** 2, None, x, y)
+    result = MPCCSolver(program).finish([0.5, 0.0])
+    assert result.success
+    assert {step.phase for step in result.history} == {"branch"}
+    assert result.stationarity == "S"
+    # the minimum of the branch it began on, which is one of the program
+    np.testing.assert_allclose(result.x, [1.0, 0.0], atol=1e-7)
+    trap = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
+    result = MPCCSolver(trap).finish([0.5, 0.0])
+    np.testing.assert_allclose(result.x, [0.0, 1.0], atol=1e-7)
+    assert result.counts["pivots"] == 1
+    limited = MPCCSolver(trap, max_iterations=1).finish([0.5, 0.0])
+    assert limited.status is Status.ITERATION_LIMIT

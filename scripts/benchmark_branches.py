@@ -1,0 +1,159 @@
+"""Outer objectives with kinks: ``nested`` and ``mpcc`` on forty small contact problems, judged alike.
+
+Ten slabs of Example 6.3 with Coulomb friction, four errors of Example 6.1, four seals whose best edges
+just lose contact (``scripts/gallery/seal.py``), and problems of random kind, half with Coulomb friction. Of
+every end that is called stationary all branches of its biactive pairs are searched for a direction of descent
+(:mod:`branches`), with none of the code that gave the label.
+
+    python scripts/benchmark_branches.py --out rows.jsonl
+    python scripts/benchmark_branches.py --read rows.jsonl
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import rmesh_nlp as rm
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes import named
+from rmesh_nlp.problem import ContactProblem
+
+SAG = "mean(top, -uy)"
+
+QUANTITIES = (
+    SAG,
+    "boundary(bottom, (y + uy)**2)",
+    "boundary(top, (uy + 0.03)**2)",
+    "mean(right, ux)",
+    "body(ux**2 + uy**2)",
+    "body(uy_y**2 + ux_x**2)",
+    "boundary(bottom, y + uy) + 0.5*boundary(top, -uy)",
+)
+"""Objectives of the random problems."""
+
+COEFFICIENTS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.0, 2.0, 3.0, 5.0)
+"""Coulomb's, of the slabs."""
+
+ERRORS = ((4, "error-l2"), (5, "error-h1"), (6, "error-l2"), (6, "contact"))
+"""Squares a side and objective."""
+
+SEALS = ((4, 1.2, 0.0), (6, 1.2, 0.0), (4, 2.0, 0.3), (6, 1.5, 0.6))
+"""Squares over the height, cost of a gap, Coulomb's coefficient."""
+
+RANDOM = 22
+"""Number of problems of random kind."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A problem and what is minimised."""
+
+    name: str
+    problem: ContactProblem
+    objective: str
+
+
+def slab(coulomb: float, n: tuple[int, int]) -> ContactProblem:
+    """Example 6.3 with Coulomb's coefficient in the place of its bound."""
+    problem = rm.EXAMPLES["6.3"](n=n)
+    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=coulomb))
+
+
+def seal(n: int, coulomb: float) -> ContactProblem:
+    """A block on ``2 n`` x ``n`` squares whose lower edge moves up and down in the middle."""
+    mesh = named(
+        rm.shapes.rectangle(2 * n, n, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)}
+    )
+    x, y = mesh.p
+    moves = (y == 0) & (abs(x - 1) < 0.5)
+    free, pinned = (tuple(int(node) for node in np.flatnonzero(which)) for which in (moves, ~moves))
+    return rm.ContactProblem(
+        mesh=mesh,
+        law=rm.PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=(rm.Dirichlet("left", (0.0, None)),),
+        obstacle=replace(rm.Obstacle.graph("bottom", 0.0), coulomb=coulomb),
+        motion=rm.Motion((1e-6, 0.02), pinned=pinned, free=free),
+        tractions=(rm.Traction("top", (0.0, -10.0)),),
+        name="seal",
+    )
+
+
+def cases() -> Iterator[Case]:
+    """The forty problems, the same ones every time."""
+    for k, coulomb in enumerate(COEFFICIENTS):
+        n, objective = [(6, 4), (12, 6), (8, 4)][k % 3], QUANTITIES[0 if k % 2 == 0 else k % len(QUANTITIES)]
+        if k == 6:
+            n, objective = (12, 6), SAG
+        objective = objective.replace("bottom", "contact")
+        yield Case(f"slab-{k}-F{coulomb:g}", slab(coulomb, n), objective)
+    for n, objective in ERRORS:
+        yield Case(f"6.1-{n}-{objective}", rm.EXAMPLES["6.1"](n=n), objective)
+    for n, cost, coulomb in SEALS:
+        yield Case(
+            f"seal-{n}-{cost:g}-F{coulomb:g}", seal(n, coulomb), f"boundary(seal, {cost}*(y + uy) - y)"
+        )
+    for seed in range(RANDOM):
+        rng = np.random.default_rng(1000 + seed)
+        problem = random_problem(100 + seed, kind="elastic" if seed % 2 else "rough")
+        coulomb = 0.0
+        if seed % 2:
+            coulomb = float(np.round(np.exp(rng.uniform(np.log(0.1), np.log(5.0))), 2))
+            problem = replace(problem, obstacle=replace(problem.obstacle, coulomb=coulomb))
+        objective = QUANTITIES[int(rng.integers(len(QUANTITIES)))]
+        yield Case(f"random-{seed}-F{coulomb:g}", problem, objective)
+
+
+def row(case: Case, formulation: str, seconds: float) -> dict[str, Any]:
+    """One solve: how it ended, what it cost."""
+    began, clock = time.process_time(), time.perf_counter()
+    found: dict[str, Any] = {"case": case.name, "objective": case.objective, "formulation": formulation}
+    try:
+        limits = rm.Limits(seconds=seconds)
+        solution = rm.solve(case.problem, formulation, objective=case.objective, limits=limits)
+    except Exception as error:  # whatever happens leaves a row
+        return {**found, "status": type(error).__name__, "message": str(error)}
+    record = solution.record()
+    names = ("status", "solver_status", "success", "stationarity", "stationarity_residual", "iterations")
+    names += ("contact_solves", "kkt_factorisations", "objective_initial", "objective_value", "outer_method")
+    names += ("label", "b_stationary", "biactive_nodes", "biactive", "descent_rate", "solve_time_s")
+    names += ("audit_time_s", "build_time_s")
+    found |= {name: record.get(name) for name in names}
+    return {**found, "cpu_s": time.process_time() - began, "wall_s": time.perf_counter() - clock}
+
+
+def main() -> None:
+    """Solve what is not in the file yet, or show it."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--out", type=Path, default=Path("branches.jsonl"))
+    parser.add_argument("--only", default="", help="part of the names of the problems")
+    parser.add_argument("--formulations", default="nested,mpcc")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    given = parser.parse_args()
+    for case in cases():
+        for formulation in given.formulations.split(","):
+            if given.only not in case.name:
+                continue
+            found = row(case, formulation, given.seconds)
+            with given.out.open("a") as file:
+                file.write(json.dumps(found) + "\n")
+            value = found.get("objective_value")
+            print(
+                f"{case.name:16s} {formulation:7s} {found['status']:15s} {found.get('stationarity')!s:4s}"
+                f" {found.get('stationarity_residual') or 0:.1e} {value if value is None else f'{value:.9g}'}"
+                f" it {found.get('iterations')} cs {found.get('contact_solves')}"
+                f" kkt {found.get('kkt_factorisations')} cpu {found.get('cpu_s', 0):.1f}"
+                f" {found.get('biactive_nodes')} {found.get('message') or ''}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Descents that meet a kink go on from there, and what both formulations end at is judged alike."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from formulations import nested as module
+from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
+from formulations.nested import Nested
+from rmesh_nlp.meshes import named
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from support.solved import example
+
+LEAK = "boundary(seal, 1.2*(y + uy) - y)"
+
+
+def seal() -> ContactProblem:
+    """A block whose lower edge may be cut in the middle; at the best edge it touches there without force."""
+    mesh = named(rm.shapes.rectangle(8, 4, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)})
+    moves = (mesh.p[1] == 0) & (abs(mesh.p[0] - 1) < 0.5)
+    free, pinned = (tuple(int(node) for node in np.flatnonzero(which)) for which in (moves, ~moves))
+    return rm.ContactProblem(
+        mesh=mesh,
+        law=rm.PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet=(rm.Dirichlet("left", (0.0, None)),),
+        obstacle=rm.Obstacle.graph("bottom", 0.0),
+        motion=rm.Motion((1e-6, 0.02), pinned=pinned, free=free),
+        tractions=(rm.Traction("top", (0.0, -10.0)),),
+    )
+
+
+def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() -> None:
+    nested, mpcc = (rm.solve(seal(), name, objective=LEAK) for name in ("nested", "mpcc"))
+    rows = [solution.record() for solution in (nested, mpcc)]
+    for solution, row in zip((nested, mpcc), rows, strict=True):
+        assert (solution.status, solution.stationarity) == (Status.CONVERGED, "S")
+        assert row["label"] == "S (3 biactive pairs, B-stationary)"
+        assert (row["b_stationary"], row["biactive"], row["descent_rate"]) == (True, 3, 0.0)
+        assert len(row["biactive_nodes"]) == 3
+        # the gradient with the contact set held is that of one side
+        assert solution.stationarity_residual > 1e-2
+    assert rows[0]["objective_value"] == pytest.approx(rows[1]["objective_value"], rel=1e-8)
+    assert rows[0]["outer_method"].endswith(f", then {EXACT_FINISH}")
+    assert 0 < rows[0]["kkt_factorisations"] < rows[1]["kkt_factorisations"]
+    assert nested.history[-1].objective == pytest.approx(rows[0]["objective_value"], rel=1e-12)
+    iterations = [step.iteration for step in nested.history]
+    assert iterations == sorted(iterations)
+
+
+def test_a_kink_that_descends_is_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As it was before: the outer solver stalls, and what is reported then is the descent that is left."""
+    monkeypatch.setattr(module, "ROUNDS", 1)
+    solution = rm.solve(seal(), "nested", objective=LEAK)
+    row = solution.record()
+    assert solution.status is Status.STALLED
+    assert row["b_stationary"] is False
+    if row["biactive"]:
+        assert row["descent_rate"] < -1e-6
+    assert "outer_method" not in row
+
+
+def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "finished", lambda outer, point, monitor: (None, 7))
+    solution = rm.solve(seal(), "nested", objective=LEAK)
+    assert solution.success
+    assert solution.status is not Status.CONVERGED
+    assert EXACT_FINISH not in solution.extra["outer_method"]
+
+
+@pytest.mark.parametrize("formulation", [Nested(max_iterations=3), Nested(enough=0.1)])
+def test_an_end_that_was_asked_for_is_the_end(formulation: Nested, monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: object) -> None:
+        raise AssertionError("the exact finish was asked")
+
+    monkeypatch.setattr(module, "finished", forbidden)
+    assert rm.solve(seal(), formulation, objective=LEAK).success
+
+
+def test_for_the_energy_there_is_no_kink(monkeypatch: pytest.MonkeyPatch) -> None:
+    def forbidden(*_: object) -> None:
+        raise AssertionError("a kink was looked for")
+
+    monkeypatch.setattr(module, "finished", forbidden)
+    monkeypatch.setattr(module, "Zigzag", forbidden)
+    row = rm.solve(example("6.3", (4, 2)), "nested").record()
+    assert row["stationarity"] == "KKT"
+    assert "descent_rate" not in row
+    assert "label" not in row
+
+
+def _point(contact: int) -> SimpleNamespace:
+    active = SimpleNamespace(key=lambda: bytes([contact]))
+    return SimpleNamespace(equilibrium=SimpleNamespace(active=active))
+
+
+@pytest.mark.parametrize("changes", [True, False])
+@pytest.mark.parametrize("part", [0.5 * CREEPING, 2 * CREEPING])
+def test_a_descent_zigzags_if_contact_changes_and_hardly_anything_is_gained(
+    changes: bool, part: float
+) -> None:
+    tell = Zigzag()
+    said = [tell(_point(0), 0.0, 1.0)]
+    said += [tell(_point(k % 2 if changes else 0), 0.0, -part * k / WINDOW) for k in range(1, 2 * WINDOW)]
+    assert not any(said[: WINDOW + 1])
+    assert any(said) == (changes and part < CREEPING)
