@@ -3,7 +3,9 @@
 >>> from rmesh_nlp.mpcc import MPCC, solve
 """
 
+from rmesh_nlp.mpcc.bilevel import bilevel
 from rmesh_nlp.mpcc.interfaces import MultiStart, mpccsol, multistart
+from rmesh_nlp.mpcc.lower_level import LowerLevel, LowerLevelCheck
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
@@ -18,12 +20,15 @@ __all__ = [
     "Classification",
     "Duals",
     "Iterate",
+    "LowerLevel",
+    "LowerLevelCheck",
     "MPCCResult",
     "MPCCSolver",
     "MultiStart",
     "Options",
     "Problem",
     "Step",
+    "bilevel",
     "classify",
     "mpccsol",
     "multistart",

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import Member, PlainPairs, sides
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
@@ -49,6 +50,9 @@ class MPCC:
         may then be given for the user's own unknowns alone, which come first.
     parts : mapping of str to expression, optional
         Parts of the unknowns by name.
+    lower_level : LowerLevel, optional
+        The lower level whose KKT conditions these are, see :func:`rmesh_nlp.mpcc.bilevel`. A start may then
+        be given for the upper level's variables alone, which come first.
 
     Raises
     ------
@@ -70,6 +74,7 @@ class MPCC:
     derivatives: Derivatives | None = None
     completion: ca.Function | None = None
     parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    lower_level: LowerLevel | None = None
 
     def __repr__(self) -> str:
         p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
@@ -123,14 +128,19 @@ class MPCC:
 
     @property
     def n_own(self) -> int:
-        """Number of the user's own unknowns; :meth:`mixed` may add others after them."""
+        """Number of the unknowns that a start must have; those after them can be completed."""
+        if self.lower_level is not None and self.lower_level.size == self.n_x:
+            return self.lower_level.n_upper
         return self.n_x - (0 if self.completion is None else int(self.completion.numel_out(0)))
 
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
-        """Return ``x0`` as a checked array; a scalar fills it, what :meth:`mixed` added is completed."""
-        if self.completion is None or np.size(_numbers("x0", x0)) == self.n_x:
+        """Return ``x0`` as a checked array; a scalar fills it, unknowns after the user's are completed."""
+        if self.n_own == self.n_x or np.size(_numbers("x0", x0)) == self.n_x:
             return _values("x0", x0, self.n_x, finite=True)
         own = _values("x0", x0, self.n_own, finite=True)
+        if self.completion is None:
+            assert self.lower_level is not None
+            return self.lower_level.start(own, p=self.parameters(p), multipliers=1.0)
         added = np.asarray(self.completion(own, self.parameters(p))).ravel()
         return np.append(own, np.nan_to_num(added))
 

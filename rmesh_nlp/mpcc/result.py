@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.lower_level import LowerLevelCheck
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.optimize.status import Status
 
@@ -177,6 +178,8 @@ class MPCCResult:
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ``lpecs``, ...
     seconds : mapping
         Wall time of each phase: ``build``, ``homotopy``, ``finish``, ``total``.
+    lower_level : LowerLevelCheck, optional
+        Of a bilevel program: whether its lower level is at a minimum. Without success where it is not.
     """
 
     x: Array
@@ -200,6 +203,7 @@ class MPCCResult:
     history: tuple[Step, ...]
     counts: Mapping[str, int]
     seconds: Mapping[str, float]
+    lower_level: LowerLevelCheck | None = None
 
     @property
     def n_biactive(self) -> int:
@@ -223,4 +227,5 @@ class MPCCResult:
         return (
             f"{self.status.value}: f = {self.f:.10g}, violation {self.constraint_violation:.1e}, "
             f"complementarity {self.complementarity:.1e}, stationarity {self.label}"
+            + ("" if self.lower_level is None else f"; lower level: {self.lower_level}")
         )

@@ -13,6 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
+from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -228,11 +229,17 @@ def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> 
         column /= run.p[-1]
         lam_x = own.z[: mpcc.n_x] / run.p[-1]
     lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
+    level, check, status = mpcc.lower_level, None, end.status
+    if level is not None and level.nlp.n_x <= DENSE:
+        check = level.check(end.z[: mpcc.n_x], p=run.p[:-1])
+        if end.solved and check.verdict == "no minimum":
+            status = Status.NO_MINIMUM
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in run.steps:
         phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
     return MPCCResult(
-        x=end.z[: mpcc.n_x], f=f, status=end.status, success=end.solved, message=end.status.message,
+        x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
+        message=status.message, lower_level=check,
         **vars(res),
         stationarity="" if found is None else found.label,
         b_stationary=None if found is None else found.b_stationary,

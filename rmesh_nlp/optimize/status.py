@@ -34,6 +34,7 @@ class Status(str, Enum):
         "not_stationary",
         "The solver met its own test, but not the tolerance of the first-order residual.",
     )
+    NO_MINIMUM = "no_minimum", "Stationary, but the lower level is at no minimum."
     WORSE = "worse", "The minimised objective, measured accurately, is above its value on the given mesh."
     EXPLOITED = (
         "exploited",

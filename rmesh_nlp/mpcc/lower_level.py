@@ -1,0 +1,296 @@
+"""The lower level of a bilevel program: solved for a start, and checked at the end.
+
+    y in argmin f(y; x, p)   subject to   lbx <= y <= ubx,   lbg <= g(y; x, p) <= ubg,
+
+with the upper level's x fixed. KKT conditions hold at minima that satisfy a constraint qualification, but
+at maxima and saddle points too: a point of the MPCC is one of the bilevel program only if the lower level is
+at a minimum there.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import eigh, qr
+
+from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import NLPResult, Solver
+
+DENSE = 1000
+"""Most variables of a lower level that is checked after each solve, by dense matrices: within a second."""
+
+_FLAT = 1e-6  # part of the Hessian's largest entry below which a curvature has no sign
+_FACES, _SMALL = 6, 100  # most weakly active constraints, and variables, for a search of all critical faces
+_RANK = 1e-9  # part of the largest diagonal entry of R below which one is zero
+
+BoolArray = NDArray[np.bool_]
+
+
+class Sides(NamedTuple):
+    """One multiplier each: lower bounds of (y, g), then upper ones, then equal ones."""
+
+    entry: NDArray[np.int64]
+    """Entry of (y, g)."""
+    sign: Array
+    """-1 for lower bounds, else 1: its multiplier in CasADi's signs is ``sign * multiplier``."""
+    bound: Array
+    equal: BoolArray
+
+
+@dataclass(frozen=True)
+class LowerLevelCheck:
+    """Whether a point of the MPCC is a minimum of the lower level with the upper level's variables fixed.
+
+    Attributes
+    ----------
+    f : float
+        The lower level's objective.
+    residual : float
+        Largest residual of its KKT conditions, relative to 1 and to the largest term of the Lagrangian's
+        gradient, and to ``1 + |bound|``.
+    curvature_low, curvature_high : float
+        Bounds of the least curvature of the Lagrangian along critical directions: its least eigenvalue on the
+        null space of the strongly active constraints, and along the critical directions that were found.
+        Equal if no constraint is weakly active, infinite if no direction is left.
+    flat : float
+        Curvatures below this have no sign: 1e-6 of the Hessian, or what it changes by in a step of 1e-6.
+    n_active, n_weakly_active : int
+        Active constraints, bounds included, and those of them with a multiplier of zero.
+    independent : bool
+        Whether the gradients of the active constraints are linearly independent (LICQ). Otherwise
+        multipliers are not unique.
+    linear_constraints : bool
+        Whether ``g`` is linear in the lower level's variables.
+    convex : bool
+        Whether, in the lower level's variables, f is a convex quadratic and g linear. Other convex problems
+        are not recognised.
+    """
+
+    f: float
+    residual: float
+    curvature_low: float
+    curvature_high: float
+    flat: float
+    n_active: int
+    n_weakly_active: int
+    independent: bool
+    linear_constraints: bool
+    convex: bool
+
+    @property
+    def verdict(self) -> str:
+        """``global minimum``, ``local minimum``, ``undecided``, ``no minimum`` or ``not stationary``.
+
+        By the second-order conditions of Nocedal and Wright, *Numerical Optimization* (2006), theorems 12.5
+        and 12.6. Negative curvature disproves a minimum only if multipliers are unique or do not enter it.
+        """
+        if not self.residual <= ZERO:
+            return "not stationary"
+        if self.convex:
+            return "global minimum"
+        if self.curvature_low > self.flat:
+            return "local minimum"
+        if self.curvature_high < -self.flat and (self.independent or self.linear_constraints):
+            return "no minimum"
+        return "undecided"
+
+    def __str__(self) -> str:
+        low, high = (f"{value:.3g}" for value in (self.curvature_low, self.curvature_high))
+        return f"{self.verdict}, least curvature {low if low == high else f'between {low} and {high}'}"
+
+
+@dataclass(frozen=True, eq=False)
+class LowerLevel:
+    """The lower level of an MPCC that :func:`rmesh_nlp.mpcc.bilevel` has made.
+
+    Attributes
+    ----------
+    nlp : NLP
+        Unknowns y; parameters (x, p), the upper level's variables first. Both are pure symbols.
+    n_upper : int
+        Number of the upper level's variables.
+    """
+
+    nlp: NLP
+    n_upper: int
+
+    @cached_property
+    def sides(self) -> Sides:
+        """The finite bounds of y and g."""
+        lower, upper = np.append(self.nlp.lbx, self.nlp.lbg), np.append(self.nlp.ubx, self.nlp.ubg)
+        fixed = lower == upper
+        low, high, equal = (
+            np.flatnonzero(mask) for mask in (np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed, fixed)
+        )
+        n, n_equal = low.size + high.size, equal.size
+        return Sides(
+            entry=np.concatenate([low, high, equal]),
+            sign=np.concatenate([-np.ones(low.size), np.ones(high.size + n_equal)]),
+            bound=np.concatenate([lower[low], upper[high], upper[equal]]),
+            equal=np.arange(n + n_equal) >= n,
+        )
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns of the MPCC: x, y and a multiplier for each side."""
+        return self.n_upper + self.nlp.n_x + self.sides.entry.size
+
+    def solve(self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), **options: object) -> NLPResult:
+        """Solve the lower level by Ipopt with the upper level's variables ``x``.
+
+        Parameters
+        ----------
+        x : array_like
+        y0 : array_like
+            Start, moved into the bounds; a scalar fills it.
+        p : array_like
+            Values of the parameters.
+        **options
+            Ipopt's.
+        """
+        solver = Solver(self.nlp, options=options) if options else self._solver
+        start = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
+        return solver(np.clip(start, self.nlp.lbx, self.nlp.ubx), p=np.append(x, p))
+
+    def lowest(
+        self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = 20, seed: int = 0
+    ) -> NLPResult:
+        """The lowest of ``n`` solutions of the lower level, from ``y0`` and from seeded random starts.
+
+        A second-order check cannot tell a local minimum from a global one: compare ``f`` with that of
+        :meth:`check`. Starts are uniform between the bounds, or within 10 of ``y0`` where there are none.
+        """
+        centre = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
+        lower = np.where(np.isfinite(self.nlp.lbx), self.nlp.lbx, centre - 10)
+        upper = np.where(np.isfinite(self.nlp.ubx), self.nlp.ubx, centre + 10)
+        starts = [
+            centre,
+            *np.random.default_rng(seed).uniform(lower, np.maximum(lower, upper), (n - 1, centre.size)),
+        ]
+        found = [self.solve(x, start, p=p) for start in starts]
+        return min(found, key=lambda end: (not end.converged, end.f))
+
+    def start(
+        self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), multipliers: float | None = None
+    ) -> Array:
+        """All unknowns of the MPCC at a solution of the lower level: ``x``, y, multipliers.
+
+        Parameters
+        ----------
+        x, y0, p : array_like
+            As of :meth:`solve`. If Ipopt fails, y is where it stopped.
+        multipliers : float, optional
+            Of all inequalities. By default those of the solution, so that the start satisfies all constraints
+            of the lower level and all pairs. It then lies on one branch, and homotopies that begin there end
+            at poorer minima; a start for x alone is completed with 1.
+        """
+        found, sides = self.solve(x, y0, p=p), self.sides
+        signed = sides.sign * np.append(found.lam_x, found.lam_g)[sides.entry]
+        own = np.maximum(signed, 0.0) if multipliers is None else multipliers
+        return np.concatenate([np.ravel(x), found.x, np.where(sides.equal, signed, own)])
+
+    def check(self, x: ArrayLike, *, p: ArrayLike = ()) -> LowerLevelCheck:
+        """Whether the lower level is at a minimum.
+
+        Parameters
+        ----------
+        x : array_like
+            A point of the MPCC, such as ``result.x``.
+        p : array_like
+            Values of the parameters.
+        """
+        n_y, n_g, (entry, sign, bound, equal) = self.nlp.n_x, self.nlp.n_g, self.sides
+        upper, y, multiplier = np.split(np.ravel(x)[: self.size], [self.n_upper, self.n_upper + n_y])
+        lam = np.zeros(n_y + n_g)
+        np.add.at(lam, entry, sign * multiplier)
+        f, slope, g, jacobian, hessian = self._derivatives(y, np.append(upper, p), lam[n_y:])
+        rows = np.vstack([np.eye(n_y), jacobian.reshape(n_g, n_y, order="F")])
+        unit = max(1.0, float(np.max(np.abs(slope), initial=0.0)))
+        room = sign * (bound - np.append(y, g)[entry]) / (1 + np.abs(bound))
+        terms = max(unit, float(np.max(np.abs(rows.T) @ np.abs(lam), initial=0.0)))
+        kkt = [(slope + rows.T @ lam) / terms, np.where(equal, room, np.minimum(room, multiplier / unit))]
+        active = equal | (room <= BOUND_OF_AN_NLP)
+        strong = equal | (active & (multiplier > ZERO * unit))
+        matrix, (quadratic, linear) = hessian.reshape(n_y, n_y, order="F"), self._shape
+        beside = self._derivatives(y + ZERO * (1 + np.abs(y)), np.append(upper, p), lam[n_y:])[4]
+        noise = float(np.max(np.abs(np.nan_to_num(beside - hessian)), initial=0.0))
+        flat = max(noise, _FLAT * float(np.max(np.abs(matrix), initial=0.0)))
+        gradients = sign[:, None] * rows[entry]
+        low, _ = _least(matrix, _directions(gradients[strong]))
+        high = _least_critical(matrix, gradients[strong], gradients[active & ~strong])
+        whole, _ = _least(matrix, np.eye(n_y))
+        n_active = int(active.sum())
+        return LowerLevelCheck(
+            f=float(f[0]), residual=float(np.max(np.abs(np.concatenate(kkt)), initial=0.0)),
+            curvature_low=low, curvature_high=high, flat=flat,
+            n_active=n_active, n_weakly_active=n_active - int(strong.sum()),
+            independent=_directions(gradients[active]).shape[1] == n_y - n_active,
+            linear_constraints=linear, convex=quadratic and linear and whole >= -flat,
+        )  # fmt: skip
+
+    @cached_property
+    def _solver(self) -> Solver:
+        return Solver(self.nlp)
+
+    @cached_property
+    def _derivatives(self) -> Evaluator:
+        """``(y, (x, p), lam_g) -> f, its gradient, g, its Jacobian, Hessian of f + lam_g^T g``, dense."""
+        y, p, f, g = self.nlp.x, self.nlp.p, self.nlp.f, self.nlp.g
+        lam = type(y).sym("lam_g", self.nlp.n_g)
+        hessian, _ = ca.hessian(f + ca.dot(lam, g), y)
+        values = [f, ca.gradient(f, y), g, ca.jacobian(g, y), hessian]
+        return Evaluator(ca.Function("lower", [y, p, lam], [ca.densify(value) for value in values]))
+
+    @cached_property
+    def _shape(self) -> tuple[bool, bool]:
+        """Whether f is quadratic in y, and whether g is linear."""
+        y, f, g = self.nlp.x, self.nlp.f, self.nlp.g
+        bent = (ca.which_depends(column, y, 2, True) for column in (ca.densify(ca.gradient(f, y)), g))
+        quadratic, linear = (not any(rows) for rows in bent)
+        return quadratic, linear
+
+
+def _directions(gradients: Array) -> Array:
+    """Orthonormal columns that span the directions along which no constraint changes."""
+    if gradients.shape[0] == 0:
+        return np.eye(gradients.shape[1])
+    q, r, _ = qr(gradients.T, pivoting=True)
+    sizes = np.abs(np.diagonal(r))
+    return np.asarray(q[:, int(np.sum(sizes > _RANK * sizes[0])) :])
+
+
+def _least(matrix: Array, directions: Array) -> tuple[float, Array]:
+    """Least eigenvalue of the matrix on the span of orthonormal directions, and its vector.
+
+    Infinite if there are no directions.
+    """
+    if directions.shape[1] == 0:
+        return np.inf, np.zeros(directions.shape[0])
+    values, vectors = eigh(directions.T @ matrix @ directions, subset_by_index=(0, 0))
+    return float(values[0]), directions @ vectors[:, 0]
+
+
+def _least_critical(matrix: Array, strong: Array, weak: Array) -> float:
+    """Least curvature found along d with ``strong d = 0`` and ``weak d <= 0``.
+
+    The least one is attained inside a face of the cone, at an eigenvector there. With few weakly active
+    constraints all faces are searched, of each its least eigenvector; else that of all active constraints.
+    """
+    n = weak.shape[0]
+    few = n <= _FACES and matrix.shape[0] <= _SMALL
+    faces = itertools.product((False, True), repeat=n) if few else [(True,) * n]
+    least = np.inf
+    for face in faces:
+        value, d = _least(matrix, _directions(np.vstack([strong, weak[list(face)]])))
+        slopes = weak @ d
+        if value < least and (np.all(slopes <= _RANK) or np.all(slopes >= -_RANK)):
+            least = value
+    return least
