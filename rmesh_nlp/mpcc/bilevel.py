@@ -60,18 +60,24 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: An
     sufficient only if it is convex. Where the lower level has several minima the MPCC takes that which
     suits the upper level (optimistic).
     """
-    y, x = _column("variables", variables, None), _column("x", upper.get("x"), None)
+    if "x" not in upper:
+        raise ValueError("upper: 'x' is missing, the upper level's variables")
+    if "p" in lower:
+        raise ValueError("lower: parameters p belong to the upper level's mapping, for both levels")
+    y, x = _column("variables", variables, None), _column("x", upper["x"], None)
+    if type(x) is not type(y):
+        raise ValueError(f"x is {type(x).__name__}, variables are {type(y).__name__}: SX and MX do not mix")
     p = _column("p", upper.get("p"), type(x))
     if "x" in lower and not ca.is_equal(_column("x", lower["x"], None), y, 1):
         raise ValueError("lower: x is not the column of the variables; it may be left out")
-    above = _level("upper", {"x": x, **upper}, [y, p])
+    above = _level("upper", upper, [y, p])
     below = _level("lower", {**lower, "x": y}, [x, p])
     level = _lower_level(below, above.n_x)
     sides, n_sides, n_y = level.sides, level.sides.entry.size, below.n_x
     shape, n_pairs = (n_y + below.n_g, n_sides), int(np.sum(~sides.equal))
     signs = ca.DM.triplet(sides.entry.tolist(), list(range(n_sides)), ca.DM(sides.sign), *shape)
     multiplier = type(x).sym("multiplier", n_sides)
-    lam_x, lam_g, _ = ca.vertsplit(signs @ multiplier, [0, n_y, shape[0], shape[0]])
+    lam_x, lam_g, _ = ca.vertsplit(ca.densify(signs @ multiplier), [0, n_y, shape[0], shape[0]])
     room = ca.DM(sides.sign * sides.bound) - signs.T @ ca.vertcat(below.x, below.g)
     member, _ = ca.vertsplit(multiplier, [0, n_pairs, n_sides])
     distance, equations = ca.vertsplit(room, [0, n_pairs, n_sides])
@@ -87,10 +93,11 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: An
 
 def _level(name: str, level: Mapping[str, Any], p: list[Any]) -> MPCC:
     """One level, checked, as a program without pairs; its parameters are all that it does not choose."""
-    unknown, missing = set(level) - _KEYS, {"x", "f"} - set(level)
-    if unknown or missing:
-        word = f"unknown key {min(unknown)!r}" if unknown else f"{min(missing)!r} is missing"
-        raise ValueError(f"{name}: {word}; there are {', '.join(sorted(_KEYS))}")
+    unknown = set(level) - _KEYS
+    if unknown:
+        raise ValueError(f"{name}: unknown key {min(unknown)!r}; there are {', '.join(sorted(_KEYS))}")
+    if "f" not in level:
+        raise ValueError(f"{name}: 'f' is missing, the objective")
     if level.get("g") is not None and not {"lbg", "ubg"} & set(level):
         raise ValueError(f"{name}: g has neither lbg nor ubg, so it constrains nothing")
     try:

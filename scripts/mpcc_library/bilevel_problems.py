@@ -234,7 +234,7 @@ NONLINEAR = (
          "g": 2 * y[0] + y[1] - 2 * x, "ubg": 1, "lbx": 0})),
     P("outrata-1990-1a", OUTRATA, [0, 0], [3, 3], -8.9172, _outrata(0.1, [[1, -2], [-2, 5]])),
     P("outrata-1990-1b", OUTRATA, [0, 0], [3, 3], -7.5783, _outrata(1, [[1, -2], [-2, 5]])),
-    P("outrata-1990-1c", OUTRATA, [0, 0], [3, 3], -12, _outrata(0, [[1, 3], [3, 10]])),
+    P("outrata-1990-1c", OUTRATA, [0, 0], [3, 3], -11.9985, _outrata(0, [[1, 3], [3, 10]])),
     P("outrata-1990-1d", OUTRATA, [6, -3], [3, 3], -3.6, _outrata(0.1, [[1, 3], [3, 10]])),
     P("outrata-1990-1e", OUTRATA, [6, -3], [3, 3], -3.92,
       _outrata(0.1, [[1, 3], [3, 10]], [[-1, 2], [3, -3]])),
@@ -247,7 +247,7 @@ NONLINEAR = (
         {"f": ca.sumsqr(x - ca.DM([30, 20])) - 20 * y[0] + 20 * y[1], "g": [x[0] + 2 * x[1], x[0] + x[1]],
          "lbg": [30, -float("inf")], "ubg": [float("inf"), 25], "ubx": [float("inf"), 15]},
         {"f": ca.sumsqr(x - y), "lbx": 0, "ubx": 10})),
-    P("sinha-tp6", "Sinha, Malo and Deb, Evol. Comput. 22 (2014)", [1], [1, 1], -1.2091, lambda x, y: (
+    P("sinha-tp6", "Sinha, Malo and Deb, Evol. Comput. 22 (2014)", [1], [1, 1], -98 / 81, lambda x, y: (
         {"f": (x - 1) ** 2 - 2 * x + 2 * y[0], "lbx": 0},
         {"f": (2 * y[0] - 4) ** 2 + (2 * y[1] - 1) ** 2 + x * y[0], "lbx": 0, "ubg": [12, -4, 4, 4],
          "g": [4 * x + 5 * y[0] + 4 * y[1], -4 * x - 5 * y[0] + 4 * y[1], 4 * x - 4 * y[0] + 5 * y[1],
@@ -298,3 +298,17 @@ NONCONVEX = tuple(
 )  # fmt: skip
 
 PROBLEMS = {problem.name: problem for problem in (*LINEAR, *NONLINEAR, *NONCONVEX)}
+
+
+def names() -> list[str]:
+    """Those with a convex lower level, for ``benchmark_mpcc.py``: their MPCC is the bilevel program."""
+    return [problem.name for problem in PROBLEMS.values() if problem.convex]
+
+
+def get(name: str) -> dict[str, Any]:
+    """A problem in the form that ``benchmark_mpcc.py`` reads, its start completed by the lower level."""
+    problem = PROBLEMS[name]
+    mpcc = problem.program()
+    fields = ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")
+    program = {field: getattr(mpcc, field) for field in fields}
+    return {**program, "x0": mpcc.start(problem.x0), "target": problem.best}

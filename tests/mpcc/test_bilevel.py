@@ -1,0 +1,343 @@
+"""Bilevel programs: their KKT conditions, starts, known optima, and the check of the lower level."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
+from rmesh_nlp.mpcc import MPCC, bilevel, classify, solve
+from rmesh_nlp.optimize.status import Status
+
+INF = np.inf
+KINDS = (ca.SX, ca.MX)
+
+
+def values(mpcc, at, *names, p=()):
+    """The named parts of an MPCC at a point, flat."""
+    function = ca.Function("parts", [mpcc.x, mpcc.p], [ca.densify(mpcc.parts[name]) for name in names])
+    parts = function.call([ca.DM(at), ca.DM(p)])
+    return [part.full().ravel() for part in parts]
+
+
+def projection(kind=ca.SX):
+    """``min (x - 3)^2 + (y - 2)^2``, y the point of [0, 1] nearest to x: x = 3, y = 1."""
+    x, y = kind.sym("x"), kind.sym("y")
+    return bilevel(
+        {"x": x, "f": (x - 3) ** 2 + (y - 2) ** 2}, {"f": (y - x) ** 2 / 2, "lbx": 0, "ubx": 1}, variables=y
+    )
+
+
+def all_bounds(kind=ca.SX, variables=list):
+    """A lower level with every kind of bound on its five variables and its four rows."""
+    x = kind.sym("x", 2)
+    y = [kind.sym(f"y{i}") for i in range(5)]
+    column = ca.vertcat(*y)
+    target = ca.vertcat(x, 2 * x, -x[0])
+    lower = {
+        "f": ca.sumsqr(column - target) / 2 + ca.exp(y[0] - y[1]),
+        "g": [y[0] + y[1], y[1] * y[2], y[3] - y[4], ca.sum1(column) + x[1]],
+        "lbx": [0, -INF, -1, -INF, 0.5], "ubx": [INF, 1, 1, INF, 0.5],
+        "lbg": [0.2, -INF, -1, 2], "ubg": [INF, 0.5, 1, 2],
+    }  # fmt: skip
+    upper = {"x": x, "f": ca.sumsqr(x - 1) + ca.sum1(column), "lbx": -2, "ubx": 2}
+    return bilevel(upper, lower, variables=variables(y)), lower, column, x
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("variables", [list, lambda y: ca.vertcat(*y)])
+def test_multipliers_are_those_of_nlpsol(kind, variables):
+    """The start satisfies the KKT conditions, and its multipliers have the values and signs of CasADi."""
+    mpcc, lower, y, x = all_bounds(kind, variables)
+    # pairs: lbx 2 (0, -1), ubx 2 (1, 1), lbg 2 and ubg 2; free: y[4] = 0.5 and the row of 2
+    assert (mpcc.n_pairs, mpcc.n_g, mpcc.n_x) == (8, 5 + 2, 2 + 5 + 10)
+    nlp = {"x": y, "p": x, "f": lower["f"], "g": ca.vertcat(*lower["g"])}
+    options = {
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-10, "bound_relax_factor": 0},
+        "print_time": 0,
+    }
+    known = ca.nlpsol("known", "ipopt", nlp, options)
+    for at in ([0.3, 0.1], [1.5, -0.7], [-1, 0.8]):
+        bounds = {key: lower[key] for key in ("lbx", "ubx", "lbg", "ubg")}
+        expected = known(p=at, x0=0, **bounds)
+        start = mpcc.lower_level.start(at)
+        names = ("upper", "lower", "lam_x", "lam_g")
+        for name, got in zip(names, values(mpcc, start, *names), strict=True):
+            right = at if name == "upper" else expected["x" if name == "lower" else name].full().ravel()
+            assert got == pytest.approx(right, abs=1e-6), name
+        column = ca.Function("kkt", [mpcc.x], [mpcc.g, mpcc.G, mpcc.H])
+        rows, G, H = (part.full().ravel() for part in column(start))
+        assert np.max(np.abs(rows)) <= 1e-7
+        assert min(G.min(), H.min()) >= -1e-7
+        assert np.max(np.minimum(G, H)) <= 1e-6
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("target", [-1.0, 0.4, 3.0])
+def test_two_sided_bounds_have_separate_multipliers(kind, target):
+    x, y = kind.sym("x"), kind.sym("y")
+    lower = {"f": (y - x) ** 2 / 2, "lbx": 0, "ubx": 1}
+    mpcc = bilevel({"x": x, "f": (x - target) ** 2 + 0.01 * y}, lower, variables=y)
+    result = solve(mpcc, 0.5)
+    assert result.success
+    _, nearest, low, high = result.x
+    x = result.x[0]
+    assert nearest == pytest.approx(np.clip(x, 0, 1), abs=1e-7)
+    assert (low, high) == pytest.approx((max(-x, 0), max(x - 1, 0)), abs=1e-7)
+    assert result.f == pytest.approx((x - target) ** 2 + 0.01 * np.clip(x, 0, 1))
+    assert x == pytest.approx(target - (0.005 if target == 0.4 else 0), abs=1e-6)
+    assert result.lower_level.verdict == "global minimum"
+
+
+def test_equality_has_a_multiplier_of_any_sign():
+    """min |y|^2 / 2 - x y_1 over y_1 + y_2 = 1: y = (1 + x, 1 - x) / 2, lam = (x - 1) / 2."""
+    x, y = ca.SX.sym("x"), ca.SX.sym("y", 2)
+    lower = {"f": ca.sumsqr(y) / 2 - x * y[0], "g": ca.sum1(y), "lbg": 1, "ubg": 1}
+    for target in (-1.5, 2.5):
+        mpcc = bilevel({"x": x, "f": (y[0] - target) ** 2}, lower, variables=y)
+        assert mpcc.n_pairs == 0
+        result = solve(mpcc, 0.3)
+        assert result.success
+        solved = 2 * target - 1
+        expected = [solved, (1 + solved) / 2, (1 - solved) / 2, (solved - 1) / 2]
+        assert result.x == pytest.approx(expected, abs=1e-7)
+        assert values(mpcc, result.x, "lam_g")[0] == pytest.approx([(solved - 1) / 2], abs=1e-7)
+
+
+EXPECTED = (
+    "bard-1984-a", "bard-falk-1982", "ben-ayed-blair-1990-a", "candler-townsley-1982", "glackin-2009",
+    "toll-setting-5", "bard-1988-3", "bard-1991-1", "calvete-gale-1999", "clark-westerberg-1990-a",
+    "colson-bipa-3", "de-silva-1978", "macal-hurter-1997", "muu-quy-2003-1", "outrata-1990-1a", "sinha-tp6",
+    "shimizu-aiyoshi-1981-2", "yezza-1996-4.1",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_known_optimum_from_the_given_start(name):
+    problem = PROBLEMS[name]
+    result = solve(problem.program(), problem.x0)
+    assert result.success
+    assert result.f == pytest.approx(problem.best, rel=1e-3, abs=1e-3)
+    assert result.lower_level.verdict in ("global minimum", "local minimum")
+
+
+@pytest.mark.slow
+def test_most_of_the_library_ends_at_known_optima_and_none_below():
+    reached, convex = 0, [problem for problem in PROBLEMS.values() if problem.convex]
+    for problem in convex:
+        result = solve(problem.program(ca.MX), problem.x0)
+        assert result.success, problem.name
+        assert result.b_stationary, problem.name
+        tolerance = 1e-3 * (1 + abs(problem.best))
+        assert result.f >= problem.best - tolerance, problem.name
+        reached += result.f <= problem.best + tolerance
+    assert len(convex) >= 50
+    assert reached >= 0.8 * len(convex)
+
+
+@pytest.mark.parametrize("name", ["muu-quy-2003-1", "colson-bipa-4", "henderson-quandt-1958"])
+def test_no_upper_value_on_a_grid_is_better(name):
+    """With exact lower-level solves; the grid comes as near as its spacing allows."""
+    problem = PROBLEMS[name]
+    mpcc = problem.program()
+    result, level = solve(mpcc, problem.x0), mpcc.lower_level
+    objective = ca.Function("F", [mpcc.x], [mpcc.f])
+    width = min(float(mpcc.ubx[0]), 6.0 if name.startswith("colson") else INF)
+    best = min(float(objective(level.start([x], problem.y0))) for x in np.linspace(0, width, 61))
+    assert result.success
+    assert result.f <= best + 1e-6
+    assert best - result.f <= 2e-3 * (1 + abs(best))
+
+
+def test_stackelberg_duopoly_with_a_parameter():
+    """Demand p - q_1 - q_2, unit cost 1: the leader sells half of p - 1, the follower a quarter."""
+    leader, follower, size = (ca.SX.sym(name) for name in ("leader", "follower", "size"))
+    price = size - leader - follower
+    mpcc = bilevel(
+        {"x": leader, "f": -(price - 1) * leader, "lbx": 0, "p": size},
+        {"f": -(price - 1) * follower, "lbx": 0},
+        variables=follower,
+    )
+    for p in (5.0, 13.0):
+        result = solve(mpcc, 1.0, p=p)
+        assert result.x == pytest.approx([(p - 1) / 2, (p - 1) / 4, 0], abs=1e-7)
+        assert -result.f == pytest.approx((p - 1) ** 2 / 8)
+        assert result.lower_level.verdict == "global minimum"
+        assert result.lower_level.f == pytest.approx(-((p - 1) ** 2) / 16)
+
+
+def test_multipliers_may_enter_the_upper_level():
+    """The price of a market is the multiplier of its balance; the upper level sells x at that price.
+
+    min y^2 / 2 over x + y = 4: y = 4 - x, price y. Revenue x (4 - x) is largest at 2.
+    """
+    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    market = {"f": y**2 / 2, "g": x + y, "lbg": 4, "ubg": 4}
+    mpcc = bilevel({"x": x, "f": 0}, market, variables=y)
+    priced = mpcc.extended(f=x * mpcc.parts["lam_g"])  # the multiplier of an equality is minus the price
+    result = solve(priced, 0.5)
+    assert result.success
+    assert result.x == pytest.approx([2, 2, -2], abs=1e-7)
+    assert result.f == pytest.approx(-4)
+
+
+def test_obstacle_control_is_that_of_hand_written_conditions():
+    """Membrane over an obstacle: u controls its load; y >= obstacle, pairs of gaps and contact forces."""
+    n = 12
+    h, u, y, force = 1 / (n + 1), ca.SX.sym("u", n), ca.SX.sym("y", n), ca.SX.sym("force", n)
+    t = np.linspace(h, 1 - h, n)
+    obstacle, wanted = -0.1 + 0.05 * np.cos(3 * t), -0.15 * np.sin(np.pi * t)
+    steps = ca.vertcat(y, 0) - ca.vertcat(0, y)
+    tracking = h * ca.sumsqr(y - wanted) + 1e-3 * h * ca.sumsqr(u)
+    mpcc = bilevel(
+        {"x": u, "f": tracking, "lbx": -8, "ubx": 8},
+        {"f": ca.sumsqr(steps) / (2 * h) - h * ca.dot(u - 1, y), "lbx": obstacle},
+        variables=y,
+    )
+    stiffness = (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)) / h
+    balance = ca.mtimes(ca.DM(stiffness), y) - h * (u - 1) - force
+    bounds = {"lbx": [-8] * n + [-INF] * 2 * n, "ubx": [8] * n + [INF] * 2 * n, "lbg": 0, "ubg": 0}
+    by_hand = MPCC(ca.vertcat(u, y, force), tracking, balance, force, y - obstacle, **bounds)
+    ours, other = solve(mpcc, 0.0), solve(by_hand, 0.0)
+    assert ours.success
+    assert other.success
+    assert ours.f == pytest.approx(other.f, rel=1e-6)
+    assert ours.x == pytest.approx(other.x, abs=1e-4)
+    assert np.any(ours.x[2 * n :] > 1e-3)  # there is contact
+    assert classify(by_hand, ours.x).b_stationary
+    assert ours.lower_level.verdict == "global minimum"
+
+
+def test_start_for_the_upper_level_alone_is_completed():
+    mpcc = projection()
+    assert mpcc.n_own == 1
+    assert mpcc.start(3.0) == pytest.approx([3, 1, 1, 1], abs=1e-6)
+    assert list(mpcc.start([1.0, 2, 3, 4])) == [1, 2, 3, 4]
+    assert mpcc.lower_level.start(3.0) == pytest.approx([3, 1, 0, 2], abs=1e-6)
+    with pytest.raises(ValueError, match="x0 has length 2, expected 1"):
+        mpcc.start([1.0, 2.0])
+    y = mpcc.parts["lower"]
+    assert mpcc.extended(g=y, lbg=0.2).start(3.0).size == 4
+    assert mpcc.extended(x=ca.SX.sym("new")).start(np.zeros(5)).size == 5
+    assert solve(mpcc.extended(g=y, ubg=0.6), 3.0).x[1] == pytest.approx(0.6, abs=1e-7)
+
+
+def saddle(f, at, g=(), curvature_of=None, **bounds):
+    """The check of ``min f(y_1, y_2)`` at ``at`` with the multipliers given."""
+    y, x = ca.SX.sym("y", 2), ca.SX.sym("x")
+    lower = {"f": f(y), **({"g": [row(y) for row in g]} if g else {}), **bounds}
+    mpcc = bilevel({"x": x, "f": x}, lower, variables=y)
+    return mpcc.lower_level.check([0.0, *at])
+
+
+@pytest.mark.parametrize(
+    ("check", "verdict", "low", "high"),
+    [
+        (saddle(lambda y: y[0] ** 2 + 3 * y[1] ** 2, [0, 0]), "global minimum", 2, 2),
+        (saddle(lambda y: y[0] ** 2 + y[1] ** 2 + y[0] ** 4, [0, 0]), "local minimum", 2, 2),
+        (saddle(lambda y: y[0] ** 2 - y[1] ** 2, [0, 0]), "no minimum", -2, -2),
+        (saddle(lambda y: y[0] ** 2 + y[1] ** 4, [0, 0]), "undecided", 0, 0),
+        (saddle(lambda y: y[0] ** 2 + y[1] ** 3, [0, 1e-12]), "undecided", 0, 0),
+        (saddle(lambda y: y[0], [0, 0]), "not stationary", 0, 0),
+        # vertex: no direction is left
+        (saddle(lambda y: ca.sum1(y) - y[0] * y[1], [0, 0, 1, 1], lbx=0), "local minimum", INF, INF),
+        # y_1 >= 0 holds with a multiplier, the rest is concave
+        (saddle(lambda y: y[0] - y[1] ** 2, [0, 0, 1], lbx=[0, -INF]), "no minimum", -2, -2),
+        # the same without one: -2 along +y_1 is a critical direction
+        (saddle(lambda y: y[1] ** 2 - y[0] ** 2, [0, 0, 0], lbx=[0, -INF]), "no minimum", -2, -2),
+        # y >= 0 with y_1 y_2: the Hessian is indefinite, the quadrant has no direction of descent
+        (saddle(lambda y: y[0] * y[1], [0, 0, 0, 0], lbx=0), "undecided", -1, 0),
+        # ... and with y_1 y_2 < 0 inside it, though along no edge
+        (saddle(lambda y: -y[0] * y[1], [0, 0, 0, 0], lbx=0), "no minimum", -1, -1),
+        # y_1 = y_2^2 / 2: curvature of the constraint, with its multiplier 1
+        (
+            saddle(
+                lambda y: y[0] - y[1] ** 2, [0, 0, -1], [lambda y: y[0] - y[1] ** 2 / 2], lbg=0, ubg=0
+            ),
+            "no minimum", -1, -1,
+        ),
+        # the same row twice: multipliers are not unique, so negative curvature with these proves nothing
+        (
+            saddle(
+                lambda y: y[0] - y[1] ** 2, [0, 0, -1, 0],
+                [lambda y: y[0] - y[1] ** 2 / 2, lambda y: y[0] - 2 * y[1] ** 2], lbg=0, ubg=0,
+            ),
+            "undecided", -1, -1,
+        ),
+    ],
+)  # fmt: skip
+def test_second_order_conditions(check, verdict, low, high):
+    assert check.verdict == verdict
+    assert (check.curvature_low, check.curvature_high) == pytest.approx((low, high), abs=1e-9)
+    assert verdict in str(check)
+
+
+def test_check_counts_active_constraints():
+    check = saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0], lbx=0)
+    assert (check.n_active, check.n_weakly_active, check.independent, check.convex) == (2, 1, True, True)
+    doubled = saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0, 0], [lambda y: 2 * y[0]], lbx=0, lbg=0)
+    assert (doubled.n_active, doubled.independent, doubled.linear_constraints) == (3, False, True)
+    assert saddle(lambda y: y[0], [0.5, 0, 1], lbx=[0, -INF]).verdict == "not stationary"  # not complementary
+    assert saddle(lambda y: -y[0], [0, 0, -1], lbx=[0, -INF]).verdict == "not stationary"  # wrong sign
+
+
+@pytest.mark.parametrize("name", ["mitsos-barton-3.12", "mitsos-barton-3.13", "mitsos-barton-3.17"])
+def test_end_at_a_maximum_of_the_lower_level_is_no_success(name):
+    """The MPCC takes a stationary point of the lower level that is better for the upper one."""
+    problem = PROBLEMS[name]
+    result = solve(problem.program(), problem.x0)
+    assert (result.status, result.success) == (Status.NO_MINIMUM, False)
+    assert result.f < problem.best - 0.1
+    assert result.stationarity == "S"
+    assert result.lower_level.verdict == "no minimum"
+    assert result.lower_level.curvature_high < 0
+    assert "lower level: no minimum, least curvature -" in str(result)
+
+
+def test_local_minimum_that_is_not_global_is_found_out():
+    problem = next(one for one in NONCONVEX if one.name == "mitsos-barton-3.15")
+    mpcc = problem.program()
+    result = solve(mpcc, problem.x0)
+    assert result.lower_level.verdict == "local minimum"
+    lowest = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
+    assert result.lower_level.f - lowest.f > 0.5
+    assert lowest.x == pytest.approx([1], abs=1e-6)
+    again = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
+    assert again.f == lowest.f
+
+
+def test_result_without_a_lower_level_has_no_check():
+    x = ca.SX.sym("x", 2)
+    result = solve(MPCC(x, ca.sumsqr(x - 1), None, x[0], x[1]), 0.5)
+    assert result.lower_level is None
+    assert "lower" not in str(result)
+
+
+x, y, z = (ca.SX.sym(name) for name in "xyz")
+
+
+@pytest.mark.parametrize(
+    ("upper", "lower", "words"),
+    [
+        ({"x": x, "f": x, "h": x}, {"f": y}, "upper: unknown key 'h'"),
+        ({"f": y}, {"f": y}, "upper: 'x' is missing"),
+        ({"x": x}, {"f": y}, "upper: 'f' is missing"),
+        ({"x": x, "f": x}, {"g": y, "ubg": 0}, "lower: 'f' is missing"),
+        ({"x": x, "f": x}, {"f": y, "p": z}, "lower: parameters p belong to the upper level"),
+        ({"x": x, "f": x}, {"f": y, "g": x + y}, "lower: g has neither lbg nor ubg"),
+        ({"x": x, "f": x}, {"f": y, "x": z}, "lower: x is not the column of the variables"),
+        ({"x": x, "f": x}, {"f": y + z}, "lower: free symbols"),
+        ({"x": x, "f": z}, {"f": y}, "upper: free symbols"),
+        ({"x": x, "f": x}, {"f": y, "lbx": [0, 1]}, "lower: lbx has length 2"),
+        ({"x": x, "f": x}, {"f": y, "lbx": 1, "ubx": 0}, "lower: lbx.0. = 1.0 and ubx.0. = 0.0"),
+        ({"x": y, "f": x}, {"f": y}, "distinct symbols"),
+        ({"x": ca.MX.sym("x"), "f": 0}, {"f": y}, "SX and MX"),
+    ],
+)  # fmt: skip
+def test_malformed_levels_are_refused(upper, lower, words):
+    with pytest.raises(ValueError, match=words):
+        bilevel(upper, lower, variables=y)
+
+
+def test_the_lower_level_may_name_its_variables():
+    again = bilevel({"x": x, "f": x**2}, {"x": y, "f": (y - x) ** 2}, variables=y)
+    assert solve(again, 1.0).x == pytest.approx([0, 0], abs=1e-8)
