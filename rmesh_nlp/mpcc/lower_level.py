@@ -150,7 +150,7 @@ class LowerLevel:
         ----------
         x : array_like
         y0 : array_like
-            Start, moved into the bounds; a scalar fills it.
+            Start; a scalar fills it. Ipopt moves it into the bounds.
         p : array_like
             Values of the parameters.
         **options
@@ -158,7 +158,7 @@ class LowerLevel:
         """
         solver = Solver(self.nlp, options=options) if options else self._solver
         start = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
-        return solver(np.clip(start, self.nlp.lbx, self.nlp.ubx), p=np.append(x, p))
+        return solver(start, p=np.append(x, p))
 
     def lowest(
         self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = 20, seed: int = 0
@@ -217,8 +217,8 @@ class LowerLevel:
         room = sign * (bound - np.append(y, g)[entry]) / (1 + np.abs(bound))
         terms = max(unit, float(np.max(np.abs(rows.T) @ np.abs(lam), initial=0.0)))
         kkt = [(slope + rows.T @ lam) / terms, np.where(equal, room, np.minimum(room, multiplier / unit))]
-        active = equal | (room <= BOUND_OF_AN_NLP)
-        strong = equal | (active & (multiplier > ZERO * unit))
+        active = room <= BOUND_OF_AN_NLP
+        strong = active & (equal | (multiplier > ZERO * unit))
         matrix, (quadratic, linear) = hessian.reshape(n_y, n_y, order="F"), self._shape
         beside = self._derivatives(y + ZERO * (1 + np.abs(y)), np.append(upper, p), lam[n_y:])[4]
         noise = float(np.max(np.abs(np.nan_to_num(beside - hessian)), initial=0.0))

@@ -217,12 +217,12 @@ def test_start_for_the_upper_level_alone_is_completed():
         mpcc.start([1.0, 2.0])
     y = mpcc.parts["lower"]
     assert mpcc.extended(g=y, lbg=0.2).start(3.0).size == 4
-    assert mpcc.extended(x=ca.SX.sym("new")).start(np.zeros(5)).size == 5
+    assert mpcc.extended(x=ca.SX.sym("new")).n_own == 5
     assert solve(mpcc.extended(g=y, ubg=0.6), 3.0).x[1] == pytest.approx(0.6, abs=1e-7)
 
 
-def saddle(f, at, g=(), curvature_of=None, **bounds):
-    """The check of ``min f(y_1, y_2)`` at ``at`` with the multipliers given."""
+def saddle(f, at, g=(), **bounds):
+    """The check of ``min f(y_1, y_2)`` at ``at``: y, then multipliers."""
     y, x = ca.SX.sym("y", 2), ca.SX.sym("x")
     lower = {"f": f(y), **({"g": [row(y) for row in g]} if g else {}), **bounds}
     mpcc = bilevel({"x": x, "f": x}, lower, variables=y)
@@ -236,13 +236,26 @@ def saddle(f, at, g=(), curvature_of=None, **bounds):
         (saddle(lambda y: y[0] ** 2 + y[1] ** 2 + y[0] ** 4, [0, 0]), "local minimum", 2, 2),
         (saddle(lambda y: y[0] ** 2 - y[1] ** 2, [0, 0]), "no minimum", -2, -2),
         (saddle(lambda y: y[0] ** 2 + y[1] ** 4, [0, 0]), "undecided", 0, 0),
-        (saddle(lambda y: y[0] ** 2 + y[1] ** 3, [0, 1e-12]), "undecided", 0, 0),
+        # curvature -6e-12 at points of 1e-12
+        (saddle(lambda y: y[0] ** 3 + y[1] ** 3, [-1e-12, -1e-12]), "undecided", 0, 0),
         (saddle(lambda y: y[0], [0, 0]), "not stationary", 0, 0),
+        # convex, but not its constraint, which is not active
+        (saddle(ca.sumsqr, [0, 0, 0], [lambda y: y[0] * y[1]], lbg=-5), "local minimum", 2, 2),
+        # an equality without a multiplier leaves no direction along y_2
+        (
+            saddle(lambda y: y[0] ** 2 - y[1] ** 2, [0, 0, 0], [lambda y: y[1]], lbg=0, ubg=0),
+            "local minimum", 2, 2,
+        ),
         # vertex: no direction is left
         (saddle(lambda y: ca.sum1(y) - y[0] * y[1], [0, 0, 1, 1], lbx=0), "local minimum", INF, INF),
         # y_1 >= 0 holds with a multiplier, the rest is concave
         (saddle(lambda y: y[0] - y[1] ** 2, [0, 0, 1], lbx=[0, -INF]), "no minimum", -2, -2),
-        # the same without one: -2 along +y_1 is a critical direction
+        # the same with the bound as a row, too: multipliers are not unique, but do not enter the curvature
+        (
+            saddle(lambda y: y[0] - y[1] ** 2, [0, 0, 1, 0], [lambda y: y[0]], lbx=[0, -INF], lbg=0),
+            "no minimum", -2, -2,
+        ),
+        # one bound without a multiplier: -2 along +y_1 is a critical direction
         (saddle(lambda y: y[1] ** 2 - y[0] ** 2, [0, 0, 0], lbx=[0, -INF]), "no minimum", -2, -2),
         # y >= 0 with y_1 y_2: the Hessian is indefinite, the quadrant has no direction of descent
         (saddle(lambda y: y[0] * y[1], [0, 0, 0, 0], lbx=0), "undecided", -1, 0),
