@@ -20,7 +20,7 @@ from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional, as_row
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.quantities import contact_on
+from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design

@@ -8,6 +8,11 @@ Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest
 ``node(X, Y, EXPR)``            value at the vertex that is at (X, Y) on the given mesh
 ``peak-pressure(NAME, P)``      smoothed peak of the pressure on a boundary, P a pressure of its size
 ``peak-pressure(NAME, P, K)``   the same with exponent K, by default 8
+``level-pressure(NAME)``        integral of ``(p - mean p)^2`` over a contact boundary
+``resultant(NAME)``             integral of the contact pressure
+``shear(NAME)``                 integral of the tangential stress of friction
+``contact-length(NAME, P)``     integral of ``p^2 / (p^2 + P^2)``, the length of contact as P tends to 0
+``square(SUM - VALUE)``         square of what a sum of weighted terms lacks to a value
 
 EXPR is an expression of ``x``, ``y``, the displacement (``u`` of a scalar problem, else ``ux``, ``uy``), its
 derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the body, and the outward normal
@@ -26,7 +31,17 @@ import numpy as np
 from rmesh_nlp.expressions import value_of
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
-from rmesh_nlp.fem.quantities import at_point, body_integral, boundary_integral, peak_pressure
+from rmesh_nlp.fem.quantities import (
+    at_point,
+    body_integral,
+    boundary_integral,
+    contact_length,
+    level_pressure,
+    peak_pressure,
+    resultant,
+    shear,
+    square,
+)
 
 DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
 SLOPES = {1: ("u_x", "u_y"), 2: ("ux_x", "ux_y", "uy_x", "uy_y")}
@@ -120,12 +135,38 @@ def _peak_pressure(text: str, arguments: list[str]) -> Objective:
     return peak_pressure(name, _number(text, reference), exponent=int(power), name=text)
 
 
+def _on_boundary(make: Callable[..., Objective], kind: str, text: str, arguments: list[str]) -> Objective:
+    (name,) = _take(text, arguments, f"{kind}(NAME)")
+    return make(name, name=text)
+
+
+def _contact_length(text: str, arguments: list[str]) -> Objective:
+    name, reference = _take(text, arguments, "contact-length(NAME, P)")
+    return contact_length(name, _number(text, reference), name=text)
+
+
+def _square(text: str, arguments: list[str]) -> Objective:
+    inside = ", ".join(arguments)
+    for place in _places(inside, "+-"):
+        try:
+            value = float(inside[place:].replace(" ", ""))
+        except ValueError:
+            continue
+        return square(parse_objective(inside[:place].strip()), -value, name=text)
+    return square(parse_objective(inside), name=text)
+
+
 QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "body": _body,
     "boundary": _boundary,
     "mean": partial(_boundary, mean=True),
     "node": _node,
     "peak-pressure": _peak_pressure,
+    "level-pressure": partial(_on_boundary, level_pressure, "level-pressure"),
+    "resultant": partial(_on_boundary, resultant, "resultant"),
+    "shear": partial(_on_boundary, shear, "shear"),
+    "contact-length": _contact_length,
+    "square": _square,
 }
 """Quantities of interest by the word before their bracket."""
 
@@ -148,12 +189,19 @@ def _number(text: str, value: str) -> float:
 
 def _split(text: str, separator: str) -> list[str]:
     """The parts between separators that are outside of all brackets, stripped."""
-    parts, depth, begin = [], 0, 0
+    places = _places(text, separator)
+    return [
+        text[a:b].strip() for a, b in zip([0, *(k + 1 for k in places)], [*places, len(text)], strict=True)
+    ]
+
+
+def _places(text: str, separators: str) -> list[int]:
+    """Where separators are that stand outside of all brackets and of numbers."""
+    places, depth = [], 0
     for place, sign in enumerate(text):
         depth += (sign == "(") - (sign == ")")
-        # a plus sign inside a number (1e+3) belongs to the number
+        # a sign inside a number (1e+3) belongs to the number
         exponent = place >= 2 and text[place - 1] in "eE" and text[place - 2] in ".0123456789"
-        if sign == separator and depth == 0 and not exponent:
-            parts.append(text[begin:place].strip())
-            begin = place + 1
-    return [*parts, text[begin:].strip()]
+        if sign in separators and depth == 0 and not exponent:
+            places.append(place)
+    return places

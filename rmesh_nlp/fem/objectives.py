@@ -9,6 +9,8 @@ Errors are measured against the problem's exact solution u:
 ``friction``      I3 of (4.2), what friction takes on the discrete slip less the work of the exact stress
 ``certificate``   guaranteed bound of half the squared error in the energy norm of a scalar problem, see
                   :mod:`rmesh_nlp.models.reduced_model`; no exact solution is needed
+``compliance``    work of the loads, ``f . u``
+``area``          of the body, in the positions alone; beside curves that of the polygon
 ``quality``, ``shape-size``, ``elastic``
                   distortion against the initial mesh, see :mod:`rmesh_nlp.fem.distortion`
 """
@@ -22,8 +24,10 @@ import casadi as ca
 
 from rmesh_nlp.fem.contact_terms import friction_terms
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
+from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.energy import load_terms, strain_terms
-from rmesh_nlp.fem.fields import ElementGroup
+from rmesh_nlp.fem.fields import ElementGroup, element_group
+from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.objective import Fields, Groups, Objective, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
@@ -39,12 +43,29 @@ SPLINE_DEGREE = 5
 
 def _energy(on: Fields) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
+    if on.problem.has_coulomb:
+        raise ValueError("with Coulomb friction there is no energy that the displacement minimises")
     bulk = [*strain_terms(on.space), *load_terms(on.space, on.problem.rule)]
     return [*(term.on(on.positions, on.displacement) for term in bulk), *_friction_energy(on)]
 
 
 def _friction_energy(on: Fields) -> list[ElementGroup]:
     return [term.on(on.positions, on.slip) for term in friction_terms(on.space)]
+
+
+def _compliance(on: Fields) -> list[ElementGroup]:
+    """The work of source or body force, tractions and point loads, (3.3)."""
+    terms = load_terms(on.space, on.problem.rule)
+    if not terms:
+        raise ValueError(f"the objective 'compliance' needs a load, and {on.problem.name!r} has none")
+    return [scaled_group(term.on(on.positions, on.displacement), -1.0) for term in terms]
+
+
+def _area(on: Fields) -> list[ElementGroup]:
+    X = ca.SX.sym("X", 2, 3)
+    a, b = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]
+    function = ca.Function("area", [ca.vec(X)], [(a[0] * b[1] - a[1] * b[0]) / 2, NO_ROWS])
+    return [element_group(function, on.positions, (on.positions.at(on.problem.triangles),))]
 
 
 def _error(which: str, on: Fields) -> list[ElementGroup]:
@@ -151,6 +172,8 @@ def _terms() -> dict[str, Term]:
         Term("energy", _energy, minimised_only=True),
         *(Term(name, groups, needs_exact=True, minimised_only=True) for name, groups in errors.items()),
         Term("certificate", _certificate, minimised_only=True),
+        Term("compliance", _compliance),
+        Term("area", _area, of_positions=True),
         *(
             Term(name, partial(_distortion, name), of_positions=True, barrier=True, minimised_only=True)
             for name in DISTORTIONS

@@ -13,25 +13,32 @@ integrals are taken with rules of high degree.
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.bernstein import size
-from rmesh_nlp.fem.element import corners, plain
-from rmesh_nlp.fem.energy import load_energy, strain_energy
+from rmesh_nlp.fem.element import corners
 from rmesh_nlp.fem.fields import ElementGroup
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
-from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges, outward_edges
-from rmesh_nlp.problem import ContactProblem, Law
-from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
-from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.fem.pressure import contact_length, level_pressure, peak_pressure, resultant, shear
+from rmesh_nlp.fem.space import Index, outward_edges
+from rmesh_nlp.problem import ContactProblem
 
-__all__ = ["at_point", "body_integral", "boundary_integral", "nodal", "peak_pressure"]
+__all__ = [
+    "at_point",
+    "body_integral",
+    "boundary_integral",
+    "contact_length",
+    "level_pressure",
+    "nodal",
+    "peak_pressure",
+    "resultant",
+    "shear",
+    "square",
+]
 
 DEGREE = 8
 """Degree of the rules for densities of one's own."""
@@ -181,114 +188,33 @@ def at_point(
     return quantity
 
 
-def peak_pressure(
-    boundary: str, reference: float, *, exponent: int = 8, name: str = "peak pressure"
-) -> Objective:
-    """The peak of the contact pressure, smoothed: the mean of ``(pressure / reference)^exponent``.
+def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Objective:
+    """The square of what an objective lacks to a value that is wanted.
 
-    The pressure at a node is the force with which its elements pull at it, less their load, over the node's
-    share omega_i of the boundary (5.9): at equilibrium the pressure that solutions report, its mean weighted
-    by the node's shape function. Of order 2 edges have nodes too. Stresses of the elements would be less
-    accurate; an optimiser lowers them while the forces grow.
-
-    The mean is over the length of the contact boundary on the initial mesh, with the weights omega_i.
-    ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
-    objective itself, because its second derivatives would couple all nodes of the boundary,
-    while the minimisers are the same. Tractions and point loads at contact nodes are not taken off.
+    Second derivatives stay sparse: the objective is one unknown more in the KKT model.
 
     Parameters
     ----------
-    boundary : str
-        A contact boundary.
-    reference : float
-        A pressure of the size that is expected, in units of stress.
-    exponent : int
-        At least 3, so that second derivatives are continuous; the larger, the closer to the peak.
-    name : str
+    of : Objective
+    value : float
+        What it should be.
+    name : str, optional
+        By default the text of both.
     """
-    if not (np.isfinite(reference) and reference > 0):
-        raise ValueError(f"{name}: the reference pressure must be positive, got {reference}")
-    if not exponent >= 3:
-        raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
+    if not np.isfinite(value):
+        raise ValueError(f"the square of {of.text!r} needs a finite value, got {value}")
 
-    @_quantity(name)
-    def quantity(on: Fields) -> list[ElementGroup]:
-        problem, space = on.problem, on.space
-        part = contact_on(space, boundary)
-        obstacle, contact = part.obstacle, part.nodes
-        forces = [_forces(law, problem.rule, space.order) for law, _ in problem.regions]
-        edges = contact_edges(problem, obstacle)
-        length, per, result = _length(problem, edges), size(space.order, 3), []
-        for (laws, carriers, ends), patches in _patches(space, contact, edges).items():
-            vertices = np.array(patches).T
-            nodes = np.vstack([space.nodes_of(vertices[3 * k : 3 * k + 3]) for k in range(len(laws))])
-            n = len(vertices)
-            X, u = corners(n, 2)[0], corners(len(nodes), problem.components)[1]
-            own, force = 0 if carriers == 1 else 3, ca.SX.zeros(problem.components)
-            for k, law in enumerate(laws):
-                pulls = forces[law](ca.vec(X[:, 3 * k : 3 * k + 3]), ca.vec(u[:, per * k : per * (k + 1)]))
-                force += pulls[:, own]
-            share = sum(ca.norm_2(X[:, n - 1 - k] - X[:, 0]) for k in range(ends)) / size(space.order, 2)
-            x, y = ca.vertsplit(X[:, :carriers] @ np.full(carriers, 1 / carriers))
-            pressure = ca.fmax(ca.dot(obstacle.direction(x, y), force) / share, 0)
-            value = share / length * (pressure / reference) ** exponent
-            result.append(on.group("peak_pressure", X, u, value, vertices, nodes))
-        return result
+    def quantity(on: Fields) -> Functional:
+        return of.on(on).then(lambda found: (found - value) ** 2)
 
-    return quantity
-
-
-def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
-    """The contact set of a boundary."""
-    for part in space.contact_sets:
-        if part.obstacle.boundary == boundary:
-            return part
-    every = space.problem.obstacles
-    known = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
-    raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")
-
-
-def _forces(law: Law, quadrature: str | int, order: int) -> ca.Function:
-    """``(X_e, u_e) ->`` what a triangle pulls with at its nodes, its load taken off (components, nodes)."""
-    symbols = corners(3, law.components, order=order)
-    X, u = (ca.vec(part) for part in symbols)
-    energy = strain_energy(law, order)(X, u)[0]
-    if any(is_nonzero(component) for component in law.load):
-        energy += plain(*load_energy(law, quadrature, order))(X, u)[0]
-    pulls = ca.reshape(ca.gradient(energy, u), *symbols[1].shape)
-    return ca.Function("forces", [X, u], [pulls], OPEN)
-
-
-def _patches(
-    space: DisplacementSpace, contact: Index, edges: Index
-) -> dict[tuple[tuple[int, ...], int, int], list[list[int]]]:
-    """Vertices around each contact node, by the laws of its triangles and the numbers of vertices and edges.
-
-    Those of its triangles, in each first the vertex or the two of the edge that carry the node, then the
-    other ends of its contact edges.
-    """
-    problem = space.problem
-    law_of = np.empty(problem.mesh.t.shape[1], dtype=int)
-    for number, (_, elements) in enumerate(problem.regions):
-        law_of[elements] = number
-    patches: dict[tuple[tuple[int, ...], int, int], list[list[int]]] = defaultdict(list)
-    triangles, near = problem.triangles, np.flatnonzero(np.isin(problem.triangles, edges).any(axis=0))
-    for _, carriers, _ in space.kinds(contact):
-        for own in carriers.T:
-            element = near[np.isin(triangles[:, near], own).sum(axis=0) == own.size]
-            element = element[np.argsort(law_of[element], kind="stable")]
-            around = [_turned(triangles[:, i], own) for i in element]
-            beside = edges[:, np.isin(edges, own).sum(axis=0) == own.size]
-            ends = [int(pair[pair != around[0][0]][0]) for pair in beside.T]
-            key = tuple(int(law_of[i]) for i in element), own.size, len(ends)
-            patches[key].append([*(int(vertex) for vertex in np.concatenate(around)), *ends])
-    return patches
-
-
-def _turned(triangle: Index, own: Index) -> Index:
-    """The vertices of a triangle, counter-clockwise, those of ``own`` first."""
-    turns = (np.roll(triangle, -k) for k in range(3))
-    return next(turned for turned in turns if np.isin(turned[: own.size], own).all())
+    term = Term(
+        name or f"square({of.text} - {value:g})",
+        quantity,
+        needs_exact=of.needs_exact,
+        barrier=of.has_barrier,
+        minimised_only=True,
+    )
+    return Objective(((1.0, term),))
 
 
 def _length(problem: ContactProblem, edges: Index) -> float:
