@@ -169,7 +169,7 @@ def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
     if len(parts) == 1:
         return parts[0]
     if parts:
-        raise ValueError(f"{boundary!r} may meet {len(parts)} obstacles: name it twice, once for each")
+        raise ValueError(f"{boundary!r} may meet {len(parts)} obstacles: give each a boundary of its own")
     every = space.problem.obstacles
     known = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
     raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")
