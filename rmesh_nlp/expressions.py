@@ -65,14 +65,18 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
 
 
 class Expression:
-    """A function of position (x, y), read from text; a ValueError says what is not allowed in it."""
+    """A function of position (x, y), read from text; a ValueError says what is not allowed in it.
 
-    def __init__(self, text: str) -> None:
+    ``names`` are further symbols that may stand in it, by their names. ``value`` is the expression itself if
+    it does not depend on the position, else None.
+    """
+
+    def __init__(self, text: str, names: Mapping[str, ca.SX] = {}) -> None:
         self.text = text
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
-        value = value_of(text, {"x": x, "y": y})
-        self._function = ca.Function("expression", [x, y], [value])
-        self.is_constant = not bool(ca.depends_on(value, ca.vertcat(x, y)))
+        value = value_of(text, {"x": x, "y": y, **names})
+        self._function = ca.Function("expression", [x, y], [value], {"allow_free": True})
+        self.value = None if ca.depends_on(value, ca.vertcat(x, y)) else ca.SX(value)
 
     def __call__(self, x: Any, y: Any) -> Any:
         """Value at a point: CasADi symbols or numbers."""

@@ -79,7 +79,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     rows += [("unknowns of the displacement", str(parts.n_u))]
     with located(path):
         parts.check_unknowns()
-        found = [warning.message for warning in setup_warnings(problem)]
+        found = [warning.message for warning in setup_warnings(problem.at_design())]
     doubts = f"{len(found)} doubt{'s' * (len(found) > 1)}"
     said = f"states a problem, with {doubts}" if found else "is in order"
     Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))
@@ -87,7 +87,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         print(f"warning: {message}")
     target = path.with_suffix(".png") if picture is None else picture
     try:
-        draw_problem(problem, target)
+        draw_problem(problem.at_design(), target)
     except (OSError, ValueError) as error:
         raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
     print(f"drew {target}")
@@ -98,7 +98,7 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> int:
     """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
     problem = load_problem(path, order, says=not json)
     with located(path):
-        found = advice(problem)
+        found = advice(problem.at_design())
     if json:
         print(to_json(found.record()))
     else:
@@ -113,7 +113,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     source = read_table(path).mesh.file
     if source is not None and out.exists() and out.samefile(path.parent / source):
         raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
-    problem = replace(with_edge_gaps(load_problem(path, order)), quadrature="auto")
+    problem = replace(with_edge_gaps(load_problem(path, order).at_design()), quadrature="auto")
     _check_format(problem.mesh, out)
     with located(path):
         first = Solved.of(problem)

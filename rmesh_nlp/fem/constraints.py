@@ -108,6 +108,13 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
     return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
 
 
+def checked(constraint: Constraint) -> Constraint:
+    """The same; a ValueError if its value cannot be read."""
+    if boundary_of(constraint) is None:
+        parse_objective(constraint.value)
+    return constraint
+
+
 def is_constrained(problem: ContactProblem) -> bool:
     """Whether there is any row."""
     given = problem.design and any(

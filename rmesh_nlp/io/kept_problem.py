@@ -75,6 +75,7 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     asked = {name: record[name] for name in ("order", "quadrature") if record.get(name) is not None}
     if asked:
         problem = replace(problem, **asked)
+    problem = problem.at_design(record.get("design"))
     fields = read_vtu(folder / "solution.vtu")
     space = DisplacementSpace.of(problem)
     is_remeshed = not np.array_equal(fields.triangles, space.elements)

@@ -18,6 +18,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.expressions import value_of
+from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_messages import ProblemFileError, nearest, one_line
 from rmesh_nlp.io.problem_schema import (
@@ -28,11 +29,14 @@ from rmesh_nlp.io.problem_schema import (
     PointLoadTable,
     ProblemTable,
     Table,
+    design_names,
 )
 from rmesh_nlp.meshes import named, read_mesh, shapes
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
 from rmesh_nlp.problem import (
+    Constraint,
     ContactProblem,
+    DesignVariable,
     Dirichlet,
     Laplace,
     Law,
@@ -44,6 +48,7 @@ from rmesh_nlp.problem import (
     PointLoad,
     ProblemError,
     Relative,
+    Shape,
     Traction,
     Units,
 )
@@ -111,7 +116,7 @@ def read_table(path: str | Path) -> ProblemTable:
     path = Path(path)
     data = read_toml(path)
     try:
-        return ProblemTable.model_validate(data)
+        return ProblemTable.model_validate(data, context=design_names(data))
     except ValidationError as error:
         raise messages.schema_errors(path, error, data, ProblemTable) from error
 
@@ -186,7 +191,7 @@ class _Builder:
         for key, contact in self.contacts.items():
             with self.at(key, contact):
                 obstacles.append(
-                    replace(_obstacle(contact, n), gap=contact.gap, coulomb=contact.coulomb or 0.0)
+                    replace(_obstacle(contact, n), gap=contact.gap, coulomb=_or_zero(contact.coulomb))
                 )
         loads = [self.point_load(k, load, mesh, n) for k, load in enumerate(table.point_loads, 1)]
         for name, value in table.dirichlet.items():
@@ -196,6 +201,8 @@ class _Builder:
             with self.at(f"curves.{name}", curve):
                 curves[name] = _curve(curve, mesh, name)
         rules = dict(table.motion)
+        if table.design.names and "motion" not in table.model_fields_set:
+            rules["delta"] = 0.0  # a design alone
         if isinstance(rules["delta"], dict):
             rules["delta"] = Relative(rules["delta"]["relative"])
         with self.at("motion", table.motion):
@@ -214,12 +221,33 @@ class _Builder:
                 point_loads=tuple(loads),
                 units=Units(table.units.length, table.units.force),
                 order=table.order,
+                design=self.design(),
+                constraints=self.constraints(),
             )
         except ProblemError as error:
             raise self.wrong(*self.fault(error), one_line(error)) from error
         with self.at("motion", table.motion):
             _ = discretise(problem).validity  # the rules of the motion can be obeyed
         return problem
+
+    def design(self) -> tuple[DesignVariable | Shape, ...]:
+        """Design variables, and the amplitudes of shapes after them."""
+        found: list[DesignVariable | Shape] = []
+        for name, variable in self.table.design.variables.items():
+            with self.at(f"design.{name}", variable):
+                found.append(DesignVariable(name, variable.start, variable.bounds))
+        for name, shape in self.table.design.shapes.items():
+            with self.at(f"design.shapes.{name}", shape):
+                found.append(Shape(name, shape.boundary, shape.motion, shape.bounds))
+        return tuple(found)
+
+    def constraints(self) -> tuple[Constraint, ...]:
+        """What designs must keep, with values that can be read."""
+        found = []
+        for number, one in enumerate(self.table.constraints, 1):
+            with self.at(f"constraints[{number}]", one):
+                found.append(checked(Constraint(one.value, one.bounds)))
+        return tuple(found)
 
     def fault(self, error: ProblemError) -> tuple[str, Any]:
         """Key that an error of the problem speaks of, and what stands there."""
@@ -289,7 +317,7 @@ class _Builder:
             if spec.law == "laplace":
                 return Laplace(**values)
             kind = PlaneStrain if spec.law == "plane-strain" else PlaneStress
-            force = values.pop("body_force", None) or (0.0, 0.0)
+            force = values.pop("body_force", (0.0, 0.0))
             if values.keys() == {"lame_lambda", "lame_mu"}:
                 return kind(**values, body_force=force)
             if values.keys() == {"young", "poisson"}:
@@ -322,6 +350,8 @@ class _Builder:
         for rule in ("pinned", "slides", "free"):
             places = getattr(table.motion, rule)
             used += [(f"motion.{rule}", name, places) for name in places if isinstance(name, str)]
+        for name, shape in table.design.shapes.items():
+            used.append((f"design.shapes.{name}.boundary", shape.boundary, shape.boundary))
         for key, contact in self.contacts.items():
             if contact.boundary is not None:
                 used.append((f"{key}.boundary", contact.boundary, contact.boundary))
@@ -342,7 +372,7 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
         if table.given("friction", "coulomb"):
             raise ValueError("friction needs contact on a boundary")
         return Obstacle.interior(table.interior)
-    boundary, friction = str(table.boundary), 0.0 if table.friction is None else table.friction
+    boundary, friction = str(table.boundary), _or_zero(table.friction)
     if components == 1 and table.given("circle", "curve"):
         raise ValueError("a circle or a curve needs an elastic body")
     if (circle := table.circle) is not None:
@@ -362,7 +392,12 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
     length = float(np.hypot(*normal)) if components == 2 else 1.0
     if length == 0:
         raise ValueError("expected a normal that is not zero")
-    return Obstacle(boundary, tuple((normal / length).tolist()), table.offset or 0.0, friction)
+    return Obstacle(boundary, tuple((normal / length).tolist()), _or_zero(table.offset), friction)
+
+
+def _or_zero(coefficient: Any) -> Any:
+    """What a file gives, zero where it gives nothing."""
+    return 0.0 if coefficient is None else coefficient
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, get_args
 
+import casadi as ca
 from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError
 
-LISTS = ("contact", "point_loads")  # tables of which a file may have several
+LISTS = ("contact", "point_loads", "constraints")  # tables of which a file may have several
 NAMED = ("materials", "formulations")  # tables of tables by names
 
 
@@ -53,6 +54,8 @@ def _plain(value: Any) -> Any:
         value = value.model_dump(exclude_unset=True)
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, ca.SX):
+        return str(value)
     if isinstance(value, (list, tuple)):
         return ["free" if item is None else _plain(item) for item in value]
     return getattr(value, "text", value)

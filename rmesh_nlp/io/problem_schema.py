@@ -6,8 +6,10 @@ branches of a union.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, TypeAlias
 
+import casadi as ca
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -15,12 +17,14 @@ from pydantic import (
     ConfigDict,
     Field,
     ValidationError,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
     model_validator,
 )
 
 from rmesh_nlp.expressions import Expression
+from rmesh_nlp.problem.design import RESERVED, symbol
 
 LARGEST = 1e100  # numbers must be smaller than this, so that their squares are finite
 FREE = "free"  # written in ``[dirichlet]`` for a component that is not given
@@ -40,31 +44,59 @@ def expected(text: str) -> WrapValidator:
     return WrapValidator(check)
 
 
-def _coefficient(value: Any) -> float | Expression:
+Value: TypeAlias = float | ca.SX | Expression
+"""A number, an expression of design variables, or one of position."""
+
+
+def design_names(data: Mapping[str, Any]) -> dict[str, ca.SX]:
+    """Symbols of the design variables that a file declares, before it is checked."""
+    design = data.get("design")
+    found = [*design, *(design.get("shapes") or ())] if isinstance(design, dict) else []
+    return {name: symbol(name) for name in found if name.isidentifier() and name not in ("shapes", *RESERVED)}
+
+
+def _coefficient(value: Any, info: ValidationInfo) -> Value:
     if isinstance(value, str):
-        expression = Expression(value)
-        if not expression.is_constant:
+        expression = Expression(value, info.context or {})
+        if expression.value is None:
             return expression
+        if not expression.value.is_constant():
+            return expression.value
         # a number after all: nodes fixed at it may slide, those fixed at a function may not
-        value = float(expression(0.0, 0.0))
+        value = float(expression.value)
     if type(value) in (int, float) and -LARGEST < value < LARGEST:
         return float(value)
     raise ValueError("expected a finite number or an expression of x and y such as 'sin(pi*x)*y'")
 
 
-def _components(value: Any) -> tuple[float | Expression | None, ...]:
+def _number(value: Any, info: ValidationInfo) -> Any:
+    """An expression of design variables in the place of a number, or what stands there."""
+    if not isinstance(value, str) or not info.context:
+        return value
+    expression = Expression(value, info.context)
+    if expression.value is None:
+        raise ValueError("expected a number or an expression of design variables alone")
+    return float(expression.value) if expression.value.is_constant() else expression.value
+
+
+def _designed(value: Any, read: ValidatorFunctionWrapHandler) -> Any:
+    """An expression of design variables as it is; anything else as its kind of number."""
+    return value if isinstance(value, ca.SX) else read(value)
+
+
+def _components(value: Any, info: ValidationInfo) -> tuple[Value | None, ...]:
     """One or two; in ``[dirichlet]`` one may be free."""
     items = value if isinstance(value, list) else [value]
     if not 1 <= len(items) <= 2:
         raise ValueError
-    return tuple(None if item is None else _coefficient(item) for item in items)
+    return tuple(None if item is None else _coefficient(item, info) for item in items)
 
 
-def _given(value: Any) -> str | tuple[float | Expression | None, ...]:
+def _given(value: Any, info: ValidationInfo) -> str | tuple[Value | None, ...]:
     if value == SYMMETRY:
         return SYMMETRY
     items = value if isinstance(value, list) else [value]
-    return _components([None if item == FREE else item for item in items])
+    return _components([None if item == FREE else item for item in items], info)
 
 
 def _condition(value: Any) -> Expression:
@@ -108,6 +140,14 @@ Seed = Annotated[_Whole, Field(ge=0), expected("a whole number of at least 0")]
 Levels = Annotated[_Whole, Field(ge=0, le=4), expected("a whole number from 0 to 4")]
 Text = Annotated[str, Field(strict=True, pattern=r"\S"), expected("a text")]
 Pair = Annotated[_Two, expected("two numbers such as [0.0, 1.0]")]
+Limits = Annotated[
+    tuple[Annotated[float, Field(strict=True, allow_inf_nan=True)], Annotated[float, Field(strict=True)]],
+    expected("least and largest value such as [0.0, 2.5]; -inf or inf for none"),
+]
+DesignedFinite = Annotated[Finite, WrapValidator(_designed), BeforeValidator(_number)]
+DesignedPositive = Annotated[Positive, WrapValidator(_designed), BeforeValidator(_number)]
+DesignedPoisson = Annotated[Poisson, WrapValidator(_designed), BeforeValidator(_number)]
+DesignedPair = Annotated[tuple[DesignedFinite, DesignedFinite], expected("two numbers such as [0.0, 1.0]")]
 Triple = Annotated[tuple[_Real, _Real, _Above0], expected("centre and radius such as [0.0, 0.0, 1.0]")]
 Points = Annotated[
     list[_Two], Field(min_length=2), expected("points such as [[0, 0], [1, 0.1]], two or more")
@@ -126,12 +166,12 @@ Quadrature = Annotated[
     expected("'auto', 'midpoint' or a degree from 1 to 50"),
 ]
 Delta = Annotated[
-    _Above0
+    Annotated[_Real, Field(ge=0)]
     | tuple[_Above0, _Above0]
     | Annotated[dict[Literal["relative"], _Above0], Field(min_length=1)]
     | None,
     BeforeValidator(lambda value: None if value == "none" else value),
-    expected("a positive number, two of them, {relative = number} or 'none'"),
+    expected("a positive number, two of them, 0, {relative = number} or 'none'"),
 ]
 Places = Annotated[
     tuple[Annotated[str, Field(strict=True)] | _Whole, ...],
@@ -192,27 +232,27 @@ class MaterialTable(Table):
     """``[material]`` or ``[materials.<subdomain>]``."""
 
     law: Literal["laplace", "plane-strain", "plane-stress"]
-    young: Positive | None = None
-    poisson: Poisson | None = None
-    lame_lambda: Finite | None = None
-    lame_mu: Positive | None = None
+    young: DesignedPositive | None = None
+    poisson: DesignedPoisson | None = None
+    lame_lambda: DesignedFinite | None = None
+    lame_mu: DesignedPositive | None = None
     body_force: Vector | None = None
     source: Scalar | None = None
-    conductivity: Positive | None = None
+    conductivity: DesignedPositive | None = None
 
 
 class LineTable(Table):
     """A rigid straight line."""
 
-    point: Pair
+    point: DesignedPair
     normal: Pair
 
 
 class CircleTable(Table):
     """A rigid disc, or a round hole around the body."""
 
-    centre: Pair
-    radius: Positive
+    centre: DesignedPair
+    radius: DesignedPositive
     inside: Flag = False
 
 
@@ -249,6 +289,47 @@ class PointLoadTable(Table):
 
     at: Pair
     force: Vector
+
+
+class VariableTable(Table):
+    """One of ``[design]``: a number that is optimised."""
+
+    start: Finite
+    bounds: Pair
+
+
+class ShapeTable(Table):
+    """One of ``[design.shapes]``: a motion of a boundary times an amplitude."""
+
+    boundary: Text
+    motion: Vector
+    bounds: Pair
+
+
+class DesignTable(BaseModel):
+    """``[design]``: variables by their names, and ``shapes`` by theirs."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
+
+    __pydantic_extra__: dict[str, VariableTable] = Field(init=False)
+    shapes: dict[str, ShapeTable] = Field(default_factory=dict)
+
+    @property
+    def variables(self) -> dict[str, VariableTable]:
+        """All but the shapes."""
+        return self.__pydantic_extra__
+
+    @property
+    def names(self) -> list[str]:
+        """Of all."""
+        return [*self.variables, *self.shapes]
+
+
+class ConstraintTable(Table):
+    """One of ``[[constraints]]``."""
+
+    value: Text
+    bounds: Limits
 
 
 class UnitsTable(Table):
@@ -355,6 +436,8 @@ class ProblemTable(Table):
     tractions: dict[str, Vector] = Field(default_factory=dict)
     point_loads: tuple[PointLoadTable, ...] = ()
     contact: Annotated[tuple[ContactTable, ...], BeforeValidator(_as_list)] = ()
+    design: DesignTable = Field(default_factory=DesignTable)
+    constraints: tuple[ConstraintTable, ...] = ()
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
     curves: dict[str, FittedCurve] = Field(default_factory=dict)

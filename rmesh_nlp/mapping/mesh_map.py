@@ -236,13 +236,15 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
                     f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
                 )
     mobility[list(tied)] = Mobility.TIED
+    if motion.is_fixed:
+        mobility[:] = Mobility.PINNED
     return mobility, tangent
 
 
 def _units(problem: ContactProblem) -> Array:
     """Move limits (2, nodes) in x and y, or the shortest edge at each node where there are none."""
     delta, mesh = problem.motion.delta, problem.mesh
-    if delta is not None and not isinstance(delta, Relative):
+    if delta is not None and not isinstance(delta, Relative) and not problem.motion.is_fixed:
         return np.broadcast_to(np.asarray(delta, dtype=float)[:, None], mesh.p.shape)
     a, b = mesh.facets
     length = np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)

@@ -45,8 +45,8 @@ class Motion:
     Parameters
     ----------
     delta : float, (float, float), Relative or None
-        Move limits: half-widths around each initial position, in units of length; None for none, so that
-        only element validity limits the motion.
+        Move limits: half-widths around each initial position, in units of length; 0 where no node is
+        relocated, None for no limits, so that only element validity limits the motion.
     pinned, slides, free : tuples of str or int, or one alone
         Names of boundaries, or node numbers; none by default. Rules for names apply first, then those for
         numbers; among equals ``pinned`` beats ``slides`` beats ``free``. A node slides only
@@ -82,8 +82,8 @@ class Motion:
             if not isinstance(pair, (tuple, list)) or len(pair) != 2:
                 raise ValueError(f"delta must be a number, two numbers, Relative or None, got {pair!r}")
             for value in pair:
-                if not (isinstance(value, Real) and np.isfinite(value) and value > 0):
-                    raise ValueError(f"delta must be positive and finite, got {value}")
+                if not (isinstance(value, Real) and np.isfinite(value) and (value > 0 or self.is_fixed)):
+                    raise ValueError(f"delta must be positive and finite, or 0, got {value}")
         if not 0 < self.min_area_fraction < 1:
             raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
         if not 0 <= self.min_angle < 60:
@@ -104,6 +104,11 @@ class Motion:
                 raise ValueError(said)
 
     @property
+    def is_fixed(self) -> bool:
+        """Whether no node is relocated."""
+        return isinstance(self.delta, (tuple, list)) and tuple(self.delta) == (0, 0)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """All boundary names that the rules mention."""
         places = (*self.pinned, *self.slides, *self.free, *self.curves)
@@ -121,6 +126,8 @@ class Motion:
             text = f"delta {figure(self.delta.fraction)} of the shortest edge"
         elif self.delta is None:
             text = "no move limits"
+        elif self.is_fixed:
+            return "no node is relocated"
         else:
             text = "delta " + " x ".join(figure(v) for v in self.delta)  # type: ignore[union-attr]
         text += f", areas at least {figure(self.min_area_fraction)} of the given ones"

@@ -111,7 +111,13 @@ class Obstacle:
             raise ValueError(f"gap must be {' or '.join(map(repr, GAPS))}, got {self.gap!r}")
 
     @classmethod
-    def line(cls, boundary: str, point: Vector, normal: Vector, friction: Coefficient = 0.0) -> Obstacle:
+    def line(
+        cls,
+        boundary: str,
+        point: tuple[float | ca.SX, float | ca.SX],
+        normal: Vector,
+        friction: Coefficient = 0.0,
+    ) -> Obstacle:
         """A rigid straight line through ``point``, with the gap ``normal^T (X + u - point)``.
 
         ``normal`` points from the line to the body and may have any length but zero.
@@ -153,8 +159,8 @@ class Obstacle:
     def circle(
         cls,
         boundary: str,
-        centre: Vector,
-        radius: float,
+        centre: tuple[float | ca.SX, float | ca.SX],
+        radius: float | ca.SX,
         *,
         inside: bool = False,
         friction: Coefficient = 0.0,
@@ -164,9 +170,9 @@ class Obstacle:
         The gap at zero displacement is the distance to the circle, the normal that at the
         undeformed node; both are exact, the dependence on the displacement is linear.
         """
-        if not 0 < radius < np.inf:
+        if is_number(radius) and not 0 < radius < np.inf:
             raise ValueError(f"the radius of the circle must be positive, got {radius}")
-        if not np.all(np.isfinite(centre)):
+        if not all(np.isfinite(value) for value in centre if is_number(value)):
             raise ValueError(f"the centre of the circle must be finite, got {centre}")
         sign = -1.0 if inside else 1.0
 

@@ -136,7 +136,8 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Motion(0.0), "delta must be positive and finite, got 0.0"),
+        (lambda: Motion(-0.1), "delta must be positive and finite, or 0, got -0.1"),
+        (lambda: Motion((0.0, 0.1)), "delta must be positive and finite, or 0, got 0.0"),
         (lambda: Motion((0.1, np.inf)), "got inf"),
         (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
         (lambda: Motion(Relative(0.0)), "relative delta must be positive and finite, got 0.0"),
