@@ -17,8 +17,8 @@ import rmesh_nlp as rm
 x, y, low, high = (ca.SX.sym(name) for name in ("x", "y", "low", "high"))
 upper = (x - 3) ** 2 + (y - 2) ** 2
 stationary = y - x - low + high
-bilevel = rm.MPCC(ca.vertcat(x, y, low, high), upper, stationary, [low, high], [y, 1 - y], lbg=0, ubg=0)
-result = rm.solve_mpcc(bilevel, 0.5)
+program = rm.MPCC(ca.vertcat(x, y, low, high), upper, stationary, [low, high], [y, 1 - y], lbg=0, ubg=0)
+result = rm.solve_mpcc(program, 0.5)
 print(result)
 
 # %%
@@ -30,5 +30,13 @@ print("x, y:", result.x[:2], "stationarity:", result.stationarity, "B:", result.
 # %%
 # A local solver depends on its start; several starts tell how much.
 
-many = rm.mpcc.multistart(bilevel, 0.5, n=5, seed=0)
+many = rm.mpcc.multistart(program, 0.5, n=5, seed=0)
 print("best", many.best.f, "spread", many.spread)
+
+# %%
+# ``rm.mpcc.bilevel`` writes the KKT conditions itself. Its results say whether the follower is at a
+# minimum, which KKT conditions alone do not.
+
+program = rm.mpcc.bilevel({"x": x, "f": upper}, {"f": (y - x) ** 2 / 2, "lbx": 0, "ubx": 1}, variables=y)
+result = rm.solve_mpcc(program, 0.5)
+print(result.x, result.lower_level)

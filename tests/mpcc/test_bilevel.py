@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
-from rmesh_nlp.mpcc import MPCC, bilevel, classify, solve
+from rmesh_nlp.mpcc import MPCC, bilevel, classify, solve, solver
 from rmesh_nlp.optimize.status import Status
 
 INF = np.inf
@@ -207,6 +207,32 @@ def test_obstacle_control_is_that_of_hand_written_conditions():
     assert ours.lower_level.verdict == "global minimum"
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_end_is_the_answer_of_the_lower_level(seed):
+    """Random strictly convex quadratic programs with bounds of all kinds: Ipopt finds the same y there.
+
+    Where a constraint is weakly active, Ipopt stops at the square root of its tolerance of 1e-9.
+    """
+    random, n = np.random.default_rng([27, seed]), 6
+    x, y, half = ca.SX.sym("x", 3), ca.SX.sym("y", n), random.normal(size=(n, n))
+    coupling, A, B = (random.normal(size=shape) for shape in ((n, 3), (4, n), (4, 3)))
+    f = ca.bilin(ca.DM(half @ half.T + np.eye(n)), y, y) / 2 - ca.dot(ca.DM(coupling) @ x, y)
+    lower = {
+        "f": f, "g": ca.DM(A) @ y + ca.DM(B) @ x, "lbg": [-1, -INF, -0.5, 0], "ubg": [INF, 1, 0.5, 0],
+        "lbx": [-0.3] * 4 + [-INF] * 2, "ubx": [INF, INF, 0.2, 0.2, 0.2, INF],
+    }  # fmt: skip
+    goal = random.normal(size=n)
+    mpcc = bilevel({"x": x, "f": ca.sumsqr(y - goal) + 0.1 * ca.sumsqr(x)}, lower, variables=y)
+    result = solve(mpcc, 0.1)
+    assert result.success
+    at, answer = result.x[:3], result.x[3 : 3 + n]
+    again = mpcc.lower_level.solve(at)
+    assert again.converged
+    assert again.x == pytest.approx(answer, abs=2e-4)
+    assert result.lower_level.f == pytest.approx(again.f, abs=1e-6)
+    assert result.lower_level.verdict == "global minimum"
+
+
 def test_start_for_the_upper_level_alone_is_completed():
     mpcc = projection()
     assert mpcc.n_own == 1
@@ -316,6 +342,14 @@ def test_local_minimum_that_is_not_global_is_found_out():
     assert lowest.x == pytest.approx([1], abs=1e-6)
     again = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
     assert again.f == lowest.f
+
+
+def test_large_lower_level_is_checked_on_request_only(monkeypatch):
+    monkeypatch.setattr(solver, "DENSE", 0)
+    mpcc = projection()
+    result = solve(mpcc, 0.5)
+    assert (result.success, result.lower_level) == (True, None)
+    assert mpcc.lower_level.check(result.x).verdict == "global minimum"
 
 
 def test_result_without_a_lower_level_has_no_check():
