@@ -22,8 +22,6 @@ press on the foundation prevent every motion: two solutions differ by a rigid mo
    semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
 .. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale
    strictly monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596.
-.. [3] K. Kunisch, G. Stadler, Generalized Newton methods for the 2D-Signorini contact problem with friction
-   in function space, ESAIM M2AN 39 (2005) 827-854.
 """
 
 from __future__ import annotations
@@ -36,7 +34,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.optimize import linprog
 
+from rmesh_nlp.contact.coulomb import newton
 from rmesh_nlp.contact.factorisation import factorised
+from rmesh_nlp.contact.next_set import holding, next_set, rank, single_change
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
@@ -72,9 +72,6 @@ of a cold solve; the factors have 7 % more entries."""
 LEAST_PART = 1 / 16
 """Least part of a change of the bounds of friction that is taken."""
 
-RANK = 1e-9
-"""Singular values below this part of the largest are zero."""
-
 
 def solve(
     system: ContactSystem, start: ActiveSet | None = None, max_iterations: int = MAX_ITERATIONS
@@ -82,13 +79,14 @@ def solve(
     """Solve the contact system for its active set, from ``start`` or by default from :func:`first_set`.
 
     Gaps of touching nodes and slips of sticking nodes are zero up to rounding of the change of coordinates.
-    If the status is not CONVERGED the last iterate is returned. With Coulomb friction the iteration is the
-    semismooth Newton method of [3]_; where it fails, bounds that follow the contact forces are tried.
+    If the status is not CONVERGED the last iterate is returned. Coulomb friction is solved by
+    :mod:`rmesh_nlp.contact.coulomb`; where that fails, bounds that follow the contact forces are tried.
     """
-    found = _solved(system, start or first_set(system), max_iterations)
-    if found.status is Status.CONVERGED or system.coulomb is None:
-        return found
-    return _by_bounds(system, found, max_iterations)
+    active = start or first_set(system)
+    if system.coulomb is None:
+        return _solved(system, active, max_iterations)
+    found = newton(system, active, max_iterations)
+    return found if found.status is Status.CONVERGED else _by_bounds(system, found, max_iterations)
 
 
 def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) -> Equilibrium:
@@ -101,7 +99,7 @@ def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) ->
         if state.status is not Status.CONVERGED:
             break
         last = system.equilibrium(state.active)
-        if _next_set(system, last, state.active)[1] == 0:
+        if next_set(system, last, state.active)[1] == 0:
             return replace(last, iterations=spent)
         change = system.bound(state.normal_force) - bound
         size = float(np.max(np.abs(change)))
@@ -115,7 +113,7 @@ def _solved(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Eq
     seen: set[bytes] = set()
     for iteration in range(1, max_iterations + 1):
         state = system.equilibrium(active)
-        proposal, violations = _next_set(system, state, active)
+        proposal, violations = next_set(system, state, active)
         if violations == 0:
             return replace(state, iterations=iteration)
         proposal = holding(system, active, state, proposal)
@@ -127,46 +125,12 @@ def _solved(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Eq
         elif patience > 0:
             patience -= 1
         else:
-            proposal = _single_change(active, proposal)
+            proposal = single_change(active, proposal)
             if proposal.key() in seen:
                 return replace(state, status=Status.CYCLED, iterations=iteration)
             seen.add(proposal.key())
         active = proposal
     return replace(state, status=Status.ITERATION_LIMIT, iterations=max_iterations)
-
-
-def _next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
-    """The active set that the signs of gaps and forces ask for, and how many signs are wrong."""
-    # rounding of the linear solve must not make a node that just touches flicker
-    small_force = 1e-13 * max(system.force_scale, float(np.max(np.abs(state.normal_force), initial=0.0)))
-    small_gap = 1e-13 * max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
-    gap = system.normals @ state.u + system.offset
-    touching = np.where(active.touching, state.normal_force >= -small_force, gap < -small_gap)
-    sliding = active.sliding
-    if system.slip_bound.size:
-        slip, force = system.tangents @ state.u, state.tangential_force
-        onset = np.where(np.abs(force) > system.bound(state.normal_force) + small_force, -np.sign(force), 0)
-        stays = active.sliding * slip >= -small_gap
-        sliding = np.where(active.sliding == 0, onset, np.where(stays, active.sliding, 0)).astype(np.int8)
-        if system.coulomb is not None:  # nothing holds an open node, whichever way it slides
-            loose = ~touching & (system.slip_bound == 0)
-            sliding = np.where(loose, np.where(slip < 0, -1, 1), sliding).astype(np.int8)
-            counts = ~(loose & ~active.touching & (active.sliding != 0))
-            wrong = np.sum(touching != active.touching) + np.sum((sliding != active.sliding) & counts)
-            return ActiveSet(touching, sliding), int(wrong)
-    wrong = np.sum(touching != active.touching) + np.sum(sliding != active.sliding)
-    return ActiveSet(touching, sliding), int(wrong)
-
-
-def _single_change(active: ActiveSet, proposal: ActiveSet) -> ActiveSet:
-    """Only the change of least index (normal directions first)."""
-    touching, sliding = active.touching.copy(), active.sliding.copy()
-    for now, then in ((touching, proposal.touching), (sliding, proposal.sliding)):
-        different = np.flatnonzero(now != then)
-        if different.size:
-            now[different[0]] = then[different[0]]
-            break
-    return ActiveSet(touching, sliding)
 
 
 def first_set(system: ContactSystem) -> ActiveSet:
@@ -312,30 +276,9 @@ def check_unique(system: ContactSystem, state: Equilibrium) -> None:
     length = np.max(np.abs(system.offset), initial=0.0) + np.max(np.abs(state.u), initial=0.0)
     rounding = 1e-12 * length * np.max(system.stiffness.diagonal(), initial=0.0)
     pressing = state.normal_force > max(1e-9 * np.max(state.normal_force, initial=0.0), rounding)
-    if _rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:
+    if rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:
         raise ProblemError(
             "dirichlet",
             "contact leaves a rigid-body mode unconstrained: the body can slide or turn on the nodes that "
             "press on the foundation; give one more displacement",
         )
-
-
-def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, proposal: ActiveSet) -> ActiveSet:
-    """The proposal, with as many nodes of the last set, by force, kept in touch as hold the body."""
-    if system.rigid is None:
-        return proposal
-    gaps = system.normals @ system.rigid
-    touching = proposal.touching.copy()
-    leaving = np.flatnonzero(before.touching & ~touching)
-    for node in leaving[np.argsort(-state.normal_force[leaving], kind="stable")]:
-        rank = _rank(gaps, touching)
-        if rank == system.rigid.shape[1]:
-            break
-        touching[node] = True
-        if _rank(gaps, touching) == rank:
-            touching[node] = False
-    return ActiveSet(touching, proposal.sliding)
-
-
-def _rank(gaps: Array, rows: NDArray[np.bool_]) -> int:
-    return int(np.linalg.matrix_rank(gaps[rows], tol=RANK)) if np.any(rows) else 0
