@@ -3,7 +3,7 @@
 A problem without move limits is solved over a cascade of coarser meshes (:mod:`formulations.cascade`), with a
 quadrature rule that is raised until the assessment confirms the gain. Where move limits, a least angle or
 another objective are asked for, ``joint`` or ``nested`` is run, the latter where many nodes have move
-limits.
+limits. With constraints on a design ``mpcc`` is.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 from formulations.cascade import Cascade
 from formulations.confirmed import Confirmed, first_rule
 from formulations.joint import Joint
+from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
 from formulations.schedule import Schedule
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
@@ -65,7 +66,7 @@ class Auto(Chooser):
         return super().having(own)
 
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
-        along = with_edge_gaps(problem)
+        along = problem if problem.design else with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)
         if isinstance(formulation, Cascade) or along.motion.min_angle > 0:
             along = replace(along, quadrature=first_rule(along))
@@ -77,6 +78,8 @@ class Auto(Chooser):
         self, problem: ContactProblem, objective: Objective, is_started: bool
     ) -> tuple[Formulation, str]:
         motion, n = problem.motion, MeshMap.of(problem).n
+        if problem.constraints:
+            return AllAtOnce(), "mpcc: quantities of the contact are constrained"
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:

@@ -217,7 +217,7 @@ class AllAtOnce(Formulation):
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
         relaxation = Relaxation(self.relaxation)
-        if result.status in LIMITS:
+        if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         end = _equilibrium(outer, program, result)
         if is_energy and not near and is_above(end.energy, begin.value):

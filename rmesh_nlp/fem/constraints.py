@@ -20,14 +20,10 @@ from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional, as_row
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.pressure import contact_on
+from rmesh_nlp.fem.pressure import LARGEST, contact_on
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design
-
-LARGEST_PRESSURE = "max-pressure"
-"""The word of the constraint that has a row per node."""
-
 
 MARGIN = 1e-6
 """Least gap where the displacement is given, so that a tolerance of as much leaves it admissible."""
@@ -136,7 +132,7 @@ def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], int, fl
 def boundary_of(constraint: Constraint) -> str | None:
     """The boundary of a constraint on the largest pressure; None for every other."""
     word, bracket, rest = str(constraint.value).partition("(")
-    if word.strip() != LARGEST_PRESSURE or not bracket:
+    if word.strip() != LARGEST or not bracket:
         return None
     if constraint.bounds[0] > -np.inf:
         raise ValueError(f"{constraint.value}: the largest pressure may be bounded from above alone")

@@ -109,6 +109,8 @@ class Term:
         Whether it is a sum over elements that depends on the positions alone.
     barrier : bool
         Whether it is infinite at the boundary of the valid meshes, and NaN beyond.
+    level_of : str, optional
+        The boundary whose largest pressure it is, see :mod:`rmesh_nlp.solving.epigraph`.
     minimised_only : bool
         Whether nobody wants it to be large: its weight must be positive.
     """
@@ -119,6 +121,7 @@ class Term:
     of_positions: bool = False
     barrier: bool = False
     minimised_only: bool = False
+    level_of: str | None = None
 
     def on(self, fields: Fields) -> Functional:
         """Its value on these fields."""

@@ -12,6 +12,8 @@ Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest
 ``resultant(NAME)``             integral of the contact pressure
 ``shear(NAME)``                 integral of the tangential stress of friction
 ``contact-length(NAME, P)``     integral of ``p^2 / (p^2 + P^2)``, the length of contact as P tends to 0
+``max-pressure(NAME)``          largest pressure at a node of a contact boundary
+``design(EXPR)``                an expression of design variables alone
 ``square(SUM - VALUE)``         square of what a sum of weighted terms lacks to a value
 
 EXPR is an expression of ``x``, ``y``, the displacement (``u`` of a scalar problem, else ``ux``, ``uy``), its
@@ -21,6 +23,7 @@ derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -28,7 +31,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.expressions import value_of
+from rmesh_nlp.expressions import FUNCTIONS, value_of
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.quantities import (
@@ -36,12 +39,15 @@ from rmesh_nlp.fem.quantities import (
     body_integral,
     boundary_integral,
     contact_length,
+    largest_pressure,
     level_pressure,
+    of_design,
     peak_pressure,
     resultant,
     shear,
     square,
 )
+from rmesh_nlp.problem.design import symbol
 
 DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
 SLOPES = {1: ("u_x", "u_y"), 2: ("ux_x", "ux_y", "uy_x", "uy_y")}
@@ -145,6 +151,11 @@ def _contact_length(text: str, arguments: list[str]) -> Objective:
     return contact_length(name, _number(text, reference), name=text)
 
 
+def _largest(text: str, arguments: list[str]) -> Objective:
+    (boundary,) = _take(text, arguments, "max-pressure(NAME)")
+    return largest_pressure(boundary, name=text)
+
+
 def _square(text: str, arguments: list[str]) -> Objective:
     inside = ", ".join(arguments)
     for place in _places(inside, "+-"):
@@ -154,6 +165,20 @@ def _square(text: str, arguments: list[str]) -> Objective:
             continue
         return square(parse_objective(inside[:place].strip()), -value, name=text)
     return square(parse_objective(inside), name=text)
+
+
+def _design(text: str, arguments: list[str]) -> Objective:
+    (expression,) = _take(text, arguments, "design(EXPR)")
+    try:
+        tree = ast.walk(ast.parse(expression, mode="eval"))
+    except (SyntaxError, ValueError):
+        tree = iter(())
+    used = {node.id for node in tree if isinstance(node, ast.Name)} - {*FUNCTIONS, "pi"}
+    try:
+        value = ca.SX(value_of(expression, {name: symbol(name) for name in used}))
+    except ValueError as error:
+        raise ValueError(f"{text}: {error}") from error
+    return of_design(value, name=text)
 
 
 QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
@@ -167,6 +192,8 @@ QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "shear": partial(_on_boundary, shear, "shear"),
     "contact-length": _contact_length,
     "square": _square,
+    "max-pressure": _largest,
+    "design": _design,
 }
 """Quantities of interest by the word before their bracket."""
 

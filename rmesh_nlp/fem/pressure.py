@@ -9,6 +9,7 @@ pressure and no part in the boundary.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -23,9 +24,10 @@ from rmesh_nlp.fem.objective import Fields, Forces, Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.design import symbol
 from rmesh_nlp.problem.obstacle import NO_NORMAL
 
-__all__ = ["contact_length", "level_pressure", "peak_pressure", "resultant", "shear"]
+__all__ = ["contact_length", "largest_pressure", "level_pressure", "peak_pressure", "resultant", "shear"]
 
 
 def level_pressure(boundary: str, *, name: str = "level pressure") -> Objective:
@@ -66,6 +68,33 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
         return [element_group(function, on.positions, tuple(local))]
 
     return Objective(((1.0, Term(name, quantity)),))
+
+
+LARGEST = "max-pressure"
+"""The word of the largest pressure, as an objective and as a constraint."""
+
+
+def level_name(boundary: str) -> str:
+    """The design variable that stands for the largest pressure of a boundary."""
+    return f"largest_pressure_on_{boundary}"
+
+
+def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Objective:
+    """The largest pressure at a contact node; minimised by the level that it stays below.
+
+    On a problem without that level it is the largest value itself.
+    """
+
+    def quantity(on: Fields) -> Functional:
+        level, design = level_name(boundary), on.positions.design
+        if design is not None and level in design.names:
+            function = ca.Function("level", [symbol(level)], [symbol(level), NO_ROWS])
+            return Functional([element_group(function, on.positions, (design.of((level,), 1),))])
+        groups = _groups(on, boundary, lambda share, force: force / share)
+        each = [[group.some(np.array([k]))] for group in groups for k in range(group.size)]
+        return Functional([], tuple(each), lambda s: reduce(ca.fmax, ca.vertsplit(s)))
+
+    return Objective(((1.0, Term(name, quantity, minimised_only=True, level_of=boundary)),))
 
 
 def contact_length(boundary: str, reference: float, *, name: str = "contact length") -> Objective:

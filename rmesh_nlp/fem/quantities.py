@@ -19,21 +19,31 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.element import corners
-from rmesh_nlp.fem.fields import ElementGroup
+from rmesh_nlp.fem.element import NO_ROWS, corners
+from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
-from rmesh_nlp.fem.pressure import contact_length, level_pressure, peak_pressure, resultant, shear
+from rmesh_nlp.fem.pressure import (
+    contact_length,
+    largest_pressure,
+    level_pressure,
+    peak_pressure,
+    resultant,
+    shear,
+)
 from rmesh_nlp.fem.space import Index, outward_edges
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.design import names_in, substituted, symbol
 
 __all__ = [
     "at_point",
     "body_integral",
     "boundary_integral",
     "contact_length",
+    "largest_pressure",
     "level_pressure",
     "nodal",
+    "of_design",
     "peak_pressure",
     "resultant",
     "shear",
@@ -184,6 +194,25 @@ def at_point(
             raise ValueError(f"{name}: no node at {tuple(point)}; the nearest is node {node} at {near}")
         one = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
         return one.on(on)
+
+    return quantity
+
+
+def of_design(value: ca.SX, *, name: str = "design") -> Objective:
+    """An expression of the symbols of design variables alone."""
+
+    @_quantity(name)
+    def quantity(on: Fields) -> list[ElementGroup]:
+        known = on.positions.design
+        rest = substituted(value, on.problem.numbers if known is None else {})
+        names = names_in(rest)
+        for one in names:
+            if known is None or one not in known.names:
+                raise ValueError(f"{name}: {one!r} is no design variable")
+        local = constant_field(np.zeros((1, 1))) if known is None else known.of(names, 1)
+        symbols = ca.vertcat(*map(symbol, names)) if names else ca.SX.sym("none")
+        function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
+        return [element_group(function, on.positions, (local,))]
 
     return quantity
 

@@ -77,6 +77,8 @@ class ContactProblem(ProblemData):
         What the optimised mesh and design must keep; none by default.
     units : Units
         Names of the units, written in texts and figures only; none by default.
+    numbers : mapping of str to float
+        What :meth:`at_design` has put in the place of design variables.
     reference : (2, 3, elements) array, optional
         Vertices of the triangles that distortions compare the elements with, in units of length; by default
         those of the mesh.
@@ -121,6 +123,13 @@ class ContactProblem(ProblemData):
             if used := names_in(support):
                 said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
                 raise ProblemError("dirichlet", said, support.boundary)
+        for obstacle in self.obstacles:
+            along = obstacle.gap == "edge" or obstacle.boundary in self.motion.curves
+            if along and (used := names_in(obstacle)):
+                said = f"gaps hold along the edges of {obstacle.boundary!r}, where no foundation"
+                raise ProblemError(
+                    "design", f"{said} can depend on a design variable yet, as {used[0]!r} does"
+                )
         known = self.mesh.boundaries or {}
         for shape in self.shapes:
             if shape.boundary not in known:
@@ -159,6 +168,7 @@ class ContactProblem(ProblemData):
             reference=self.mesh.p[:, self.triangles] if self.reference is None else self.reference,
             design=(),
             constraints=(),
+            numbers=at,
         )
 
     def with_rule(self, rule: str | int) -> ContactProblem:

@@ -61,6 +61,7 @@ class ProblemData:
     design: tuple[DesignVariable | Shape, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     units: Units = NO_UNITS
+    numbers: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     reference: Array | None = field(default=None, compare=False, repr=False)
 
     @property

@@ -57,6 +57,11 @@ class DesignVariable:
 
 
 @dataclass(frozen=True)
+class Level(DesignVariable):
+    """A bound that is minimised in the place of what stays below it; no figure of a design."""
+
+
+@dataclass(frozen=True)
 class Shape:
     """A motion of the nodes of a boundary times an amplitude, which is optimised.
 
@@ -100,13 +105,16 @@ class Constraint:
     value : str or Objective
         The quantity: any text of an objective, such as "area", "resultant(bottom)" or "design(a + 2*b)".
     bounds : tuple of float
-        Least and largest value; either may be infinite, and both the same.
+        Least and largest value; either may be infinite, and both the same. That of the largest pressure may
+        be an expression of design variables.
     """
 
     value: Any
-    bounds: tuple[float, float]
+    bounds: tuple[float, Any]
 
     def __post_init__(self) -> None:
+        if isinstance(self.bounds[1], ca.SX):
+            return
         lower, upper = (float(bound) for bound in self.bounds)
         if not (lower <= upper and lower < np.inf and upper > -np.inf and np.isfinite([lower, upper]).any()):
             said = "must increase, one of them finite"
@@ -182,17 +190,20 @@ def _names_in_function(function: Coefficient) -> tuple[str, ...]:
 
 def at_design(part: Any, values: Mapping[str, float]) -> Any:
     """A coefficient, a law, a load or an obstacle with numbers in the place of design variables."""
-    names = names_in(part)
-    if not names:
-        return part
     if isinstance(part, ca.SX):
         return float(substituted(part, values))
     if isinstance(part, tuple):
-        return tuple(at_design(one, values) for one in part)
+        found = tuple(at_design(one, values) for one in part)
+        return found if any(a is not b for a, b in zip(found, part, strict=True)) else part
     if callable(part):
-        return AtDesign(part, tuple((name, values[name]) for name in names if name in values))
-    parts = {field.name: at_design(getattr(part, field.name), values) for field in fields(part)}
-    return replace(part, **parts)
+        used = tuple((name, values[name]) for name in names_in(part) if name in values)
+        return AtDesign(part, used) if used else part
+    if not is_dataclass(part):
+        return part
+    old = {field.name: getattr(part, field.name) for field in fields(part)}
+    new = {name: at_design(value, values) for name, value in old.items()}
+    same = all(new[name] is value for name, value in old.items())
+    return part if same or isinstance(part, type) else replace(part, **new)
 
 
 def motions(shapes: tuple[Shape, ...], points: Array, on: list[NDArray[np.int64]]) -> Array:

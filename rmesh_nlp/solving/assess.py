@@ -107,7 +107,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         "initial_nodes": given,
         "initial_areas": areas,
         "details": outcome.details,
-        "design": designed.design(outcome.q),
+        "design": designed.figures(outcome.q),
     }
     if not ratio > 0:  # the contact problem cannot be solved
         unknown = np.full((problem.components, outer.discretisation.space.n_nodes), np.nan)

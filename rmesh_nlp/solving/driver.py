@@ -17,6 +17,7 @@ from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.clock import TOLERANCE, Limits
+from rmesh_nlp.solving.epigraph import with_levels
 from rmesh_nlp.solving.exploited import (
     SAFE_DEGREE,
     End,
@@ -95,6 +96,7 @@ def solve(
         return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
     monitor, outer_objective = Monitor(limits, on_step), parse_objective(objective)
+    problem = with_levels(problem, outer_objective)
     asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
     choice = _chosen(asked, problem, outer_objective, start is not None or seed is not None)
     chosen = choice.formulation

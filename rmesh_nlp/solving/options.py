@@ -55,7 +55,7 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         found = monitor.run(first, outer, outer.variables(seed=seed))
         return Beginning(outer.near(), found.q, start)
     if isinstance(start, Solution):
-        q = outer.variables(positions(outer, start.mesh.p))
+        q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         return Beginning(outer.near(), q, f"solution of {start.formulation}")
     return Beginning(outer, outer.variables(positions(outer, start)), "positions")
 

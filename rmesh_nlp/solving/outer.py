@@ -31,6 +31,7 @@ from rmesh_nlp.models.reduced_model import (
 )
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.design import Level
 from rmesh_nlp.solving.clock import TOLERANCE, timed
 from rmesh_nlp.solving.parts import Work
 
@@ -187,6 +188,11 @@ class Outer:
     def spent(self) -> Work:
         """Contact solves so far."""
         return Work(self.energy.contact_solves, self.energy.cold_solves, self.energy.factorisations)
+
+    def figures(self, q: Array) -> dict[str, float]:
+        """Those of the design variables that are of a design, and no levels of an epigraph."""
+        own = {variable.name for variable in self.problem.design if not isinstance(variable, Level)}
+        return {name: value for name, value in self.design(q).items() if name in own}
 
     def at_design(self, q: Array) -> tuple[Outer, Array]:
         """The outer problem with numbers in the place of design variables, and its outer variables.

@@ -1,0 +1,122 @@
+"""Solves of design problems: closed forms, constraints, levels, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.meshes import shapes
+from rmesh_nlp.optimize.status import Status
+from support.designs import BOW, H0, E, F, block
+
+FORMULATIONS = ("nested", "mpcc")
+WIDTH, HEIGHT, YOUNG = 2.0, 0.5, 300.0
+
+
+def column(*design: rm.DesignVariable, constraints: tuple[rm.Constraint, ...] = ()) -> rm.ContactProblem:
+    """A block that a foundation lifts by d against its held top, free to widen: the pressure is E d / H."""
+    names = {variable.name: variable.symbol for variable in design}
+    lift, young = names.get("lift", 0.01), YOUNG * names.get("E", 1.0)
+    return rm.ContactProblem(
+        mesh=shapes.rectangle(4, 2, x=(0, WIDTH), y=(0, HEIGHT)),
+        law=rm.PlaneStress.from_young(young, 0.0),
+        dirichlet=(rm.Dirichlet("top", (None, 0.0)), rm.Dirichlet("left", (0.0, None))),
+        obstacle=rm.Obstacle("bottom", (0, 1), -lift),
+        motion=rm.Motion(0),
+        design=design,
+        constraints=constraints,
+    )
+
+
+LIFT = rm.DesignVariable("lift", 0.01, (0.0, 0.1))
+STIFF = rm.DesignVariable("E", 1.0, (0.2, 5.0))
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_prescribed_resultant(formulation: str) -> None:
+    found = rm.solve(column(LIFT), formulation, objective="square(resultant(bottom) - 30)")
+    assert found.status is Status.CONVERGED
+    assert found.design["lift"] == pytest.approx(30 * HEIGHT / (YOUNG * WIDTH), rel=1e-5)
+    record = found.record()
+    assert record["design"] == {"lift": found.design["lift"]}
+    assert record["resultant"] == pytest.approx(30, rel=1e-5)
+    assert not found.problem.design
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_constraint_of_two_variables(formulation: str) -> None:
+    """The least stiffness that carries the load: at the largest lift, by the constraint on it."""
+    carries = rm.Constraint("resultant(bottom)", (60.0, np.inf))
+    lifts = rm.Constraint("design(2*lift)", (-np.inf, 0.08))
+    problem = column(LIFT, STIFF, constraints=(carries, lifts))
+    found = rm.solve(problem, formulation, objective="design(E**2)")
+    assert found.status is Status.CONVERGED
+    assert found.design["lift"] == pytest.approx(0.04, rel=1e-4)
+    assert found.design["E"] == pytest.approx(60 * HEIGHT / (YOUNG * WIDTH * 0.04), rel=1e-4)
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
+    constraint = rm.Constraint("resultant(bottom)", (100.0, np.inf))
+    problem = replace(block(H0, BOW, n=(8, 3), constraints=(constraint,)), motion=rm.Motion(0))
+    found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
+    record = found.record()
+    assert found.status is Status.CONVERGED
+    assert record["objective_value"] == pytest.approx(record["peak_pressure"], rel=1e-6)
+    assert record["objective_initial"] == pytest.approx(record["peak_pressure_initial"], rel=1e-9)
+    assert record["peak_pressure"] < 0.9 * record["peak_pressure_initial"]
+    assert set(record["design"]) == {"h0", "bow"}
+    assert record["resultant"] >= 100 * (1 - 1e-6)
+
+
+def test_both_formulations_find_the_same_design() -> None:
+    pressed = rm.Constraint("resultant(bottom)", (100.0, np.inf))
+    problem = replace(block(H0, BOW, n=(8, 3), constraints=(pressed,)), motion=rm.Motion(0))
+    nested, mpcc = (rm.solve(problem, name, objective="level-pressure(bottom)") for name in FORMULATIONS)
+    assert nested.status is mpcc.status is Status.CONVERGED
+    for name, value in nested.design.items():
+        assert mpcc.design[name] == pytest.approx(value, abs=1e-6)
+
+
+def test_infeasible_constraints_are_no_success() -> None:
+    beyond = rm.Constraint("resultant(bottom)", (1000.0, np.inf))
+    found = rm.solve(column(LIFT, constraints=(beyond,)), "mpcc", objective="design(lift)")
+    assert found.status is Status.VIOLATED
+    assert not found.success
+
+
+def test_a_solve_goes_on_from_a_design() -> None:
+    objective = "square(resultant(bottom) - 30)"
+    first = rm.solve(column(LIFT), "nested", objective=objective)
+    again = rm.solve(column(LIFT), "nested", objective=objective, start=first)
+    assert again.iterations < first.iterations
+    assert again.design["lift"] == pytest.approx(first.design["lift"], rel=1e-6)
+
+
+def test_seeds_draw_designs_within_their_bounds() -> None:
+    outer = rm.Outer(block(E, F, H0), "design(E)")
+    drawn = [outer.design(outer.variables(seed=seed)) for seed in range(5)]
+    for variable in (E, F, H0):
+        values = [design[variable.name] for design in drawn]
+        assert variable.bounds[0] <= min(values) < max(values) <= variable.bounds[1]
+
+
+@pytest.mark.parametrize("formulation", ["joint", "nested", "auto"])
+def test_energies_of_designs_do_not_compare(formulation: str) -> None:
+    with pytest.raises(BadInputError, match="do not compare"):
+        rm.solve(column(LIFT), formulation)
+
+
+def test_largest_pressure_needs_contact_at_the_start() -> None:
+    problem = replace(column(LIFT), obstacle=rm.Obstacle("bottom", (0, 1), 0.5 - LIFT.symbol))
+    with pytest.raises(BadInputError, match="nothing presses on 'bottom'"):
+        rm.solve(problem, "mpcc", objective="max-pressure(bottom)")
+
+
+def test_unknown_names_in_a_quantity() -> None:
+    with pytest.raises(ValueError, match="'lfit' is no design variable"):
+        rm.solve(column(LIFT), "nested", objective="design(lfit)")
