@@ -46,22 +46,30 @@ class MultiStart(Wrapper):
             if monitor.is_over():
                 break
         energies = [energy for energy, _ in ends]
-        values = energies if outer.objective.collapses else [_value(found) for _, found in ends]
+        collapses = outer.objective.collapses
+        merits = [(0.0, e) for e in energies] if collapses else [_merit(found) for _, found in ends]
+        values = energies if collapses else [value for _, value in merits]
         known = [energy for energy in energies if np.isfinite(energy)]
-        best = ends[int(np.nanargmin(values))][1] if known else ends[0][1]
+        best = min(zip(map(_known_first, merits), range(len(ends)), strict=True))[1]
         starts = Starts(
             start_seeds=tuple(seeds[: len(ends)]),
             start_energies=_finite(energies),
             start_spread=max(known) - min(known) if known else None,
             start_values=None if values is energies else _finite(values),
         )
-        return best.having(starts)
+        return ends[best][1].having(starts)
 
 
 def _finite(values: list[float]) -> tuple[float | None, ...]:
     return tuple(value if np.isfinite(value) else None for value in values)
 
 
-def _value(found: Outcome) -> float:
-    """The objective at the end of a run; NaN of an invalid mesh."""
-    return float(found.outer.function(found.q).value) if found.outer.is_valid(found.q) else float("nan")
+def _merit(found: Outcome) -> tuple[float, float]:
+    """Violation and objective at the end of a run; NaN of an invalid mesh."""
+    outer, q = found.outer, found.q
+    return outer.merit(outer.function(q)) if outer.is_valid(q) else (0.0, float("nan"))
+
+
+def _known_first(merit: tuple[float, float]) -> tuple[bool, tuple[float, float]]:
+    """Ends with a value before those without."""
+    return not np.isfinite(merit[1]), merit

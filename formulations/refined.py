@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import Count
@@ -38,6 +40,12 @@ class Refined(Wrapper):
     """
 
     levels: Count = 1
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        super().accepts(problem, objective)
+        if problem.design:
+            said = "levels carry node positions to finer meshes, and no design variables"
+            raise BadInputError(f"{said}: solve on the finer mesh from the design that was found")
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         found = monitor.run(self.inner, outer, q)

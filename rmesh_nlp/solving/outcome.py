@@ -71,5 +71,6 @@ def continuous_energy(found: Outcome) -> float:
     outer, q = found.outer, found.q
     if not outer.is_valid(q):
         return float("nan")
+    outer, q = outer.at_design(q)
     there = outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
     return there.energy if there.status is Status.CONVERGED else float("nan")
