@@ -157,10 +157,10 @@ class _Descent:
 
     def _is_stationary(self, q: Array) -> bool:
         """To the tolerance of the solve, over the branches of the contact where there are several."""
-        point = self._outer.function(q)
-        if np.any(point.weak):
-            return bool(self._outer.branches(point).b_stationary)
-        return self._outer.residual(point) <= self._outer.tolerance
+        outer, point = self._outer, self._outer.function(q)
+        if not np.any(point.weak) and outer.residual(point) <= outer.tolerance:
+            return True
+        return bool(outer.branches(point).b_stationary)
 
 
 class _Decrease:

@@ -6,6 +6,7 @@ every end that is called stationary all branches of its biactive pairs are searc
 (:mod:`branches`), with none of the code that gave the label.
 
     python scripts/benchmark_branches.py --out rows.jsonl
+    python scripts/benchmark_branches.py --only seal
     python scripts/benchmark_branches.py --read rows.jsonl
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,9 +23,11 @@ from typing import Any
 import numpy as np
 
 import rmesh_nlp as rm
+from branches import steepest
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import named
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.outer import Outer
 
 SAG = "mean(top, -uy)"
 
@@ -90,7 +93,7 @@ def cases() -> Iterator[Case]:
     """The forty problems, the same ones every time."""
     for k, coulomb in enumerate(COEFFICIENTS):
         n, objective = [(6, 4), (12, 6), (8, 4)][k % 3], QUANTITIES[0 if k % 2 == 0 else k % len(QUANTITIES)]
-        if k == 6:
+        if k == 6:  # where outer solvers zigzagged for 500 iterations
             n, objective = (12, 6), SAG
         objective = objective.replace("bottom", "contact")
         yield Case(f"slab-{k}-F{coulomb:g}", slab(coulomb, n), objective)
@@ -111,49 +114,83 @@ def cases() -> Iterator[Case]:
         yield Case(f"random-{seed}-F{coulomb:g}", problem, objective)
 
 
+NAMES = (
+    *("status", "solver_status", "stationarity", "label", "b_stationary", "biactive_nodes", "descent_rate"),
+    *("stationarity_residual", "objective_initial", "objective_value", "outer_method"),
+    *("iterations", "contact_solves", "kkt_factorisations"),
+)
+"""Entries of the record that rows have."""
+
+
 def row(case: Case, formulation: str, seconds: float) -> dict[str, Any]:
-    """One solve: how it ended, what it cost."""
-    began, clock = time.process_time(), time.perf_counter()
+    """One solve: how it ended, what it cost, and the steepest descent of all branches there.
+
+    ``processor_s`` is the time of the whole solve, assessment and label included, ``search_s`` that of the
+    search, which is no part of it.
+    """
     found: dict[str, Any] = {"case": case.name, "objective": case.objective, "formulation": formulation}
+    began = time.process_time()
     try:
         limits = rm.Limits(seconds=seconds)
         solution = rm.solve(case.problem, formulation, objective=case.objective, limits=limits)
     except Exception as error:  # whatever happens leaves a row
         return {**found, "status": type(error).__name__, "message": str(error)}
     record = solution.record()
-    names = ("status", "solver_status", "success", "stationarity", "stationarity_residual", "iterations")
-    names += ("contact_solves", "kkt_factorisations", "objective_initial", "objective_value", "outer_method")
-    names += ("label", "b_stationary", "biactive_nodes", "biactive", "descent_rate", "solve_time_s")
-    names += ("audit_time_s", "build_time_s")
-    found |= {name: record.get(name) for name in names}
-    return {**found, "cpu_s": time.process_time() - began, "wall_s": time.perf_counter() - clock}
+    found |= {name: record.get(name) for name in NAMES}
+    found["processor_s"] = time.process_time() - began
+    outer = Outer(case.problem, case.objective)
+    steep = steepest(outer, outer.variables(np.asarray(solution.mesh.p)))
+    found["search_s"] = time.process_time() - began - found["processor_s"]
+    if steep is not None:
+        found |= {"searched": steep.branches, "steepest": steep.rate}
+    return found
 
 
-def main() -> None:
-    """Solve what is not in the file yet, or show it."""
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Both formulations of each problem side by side, in Markdown."""
+    lines = [
+        "| problem | formulation | status | label, biactive nodes | objective | steepest of all branches "
+        "| iterations | contact solves | KKT factorisations | processor time [s] |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for one in rows:
+        if "objective_value" not in one:
+            lines.append(f"| {one['case']} | {one['formulation']} | {one['status']}" + " |" * 8)
+            continue
+        cells = (
+            *(one["case"], one["formulation"], one["status"]),
+            f"{one['stationarity'] or 'none'}, {len(one['biactive_nodes'] or [])}",
+            f"{one['objective_value']:.8g}",
+            f"{one['steepest']:.0e} of {one['searched']}" if "steepest" in one else "not searched",
+            *(one["iterations"], one["contact_solves"], one["kkt_factorisations"] or 0),
+            f"{one['processor_s']:.1f}",
+        )
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return "\n".join(lines)
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    """Solve, or show what was solved."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, default=Path("branches.jsonl"))
+    parser.add_argument("--out", type=Path, help="rows as JSON lines")
+    parser.add_argument("--read", type=Path, help="show the rows of a file, and solve nothing")
     parser.add_argument("--only", default="", help="part of the names of the problems")
     parser.add_argument("--formulations", default="nested,mpcc")
-    parser.add_argument("--seconds", type=float, default=60.0)
-    given = parser.parse_args()
+    parser.add_argument("--seconds", type=float, default=60.0, help="limit of each solve")
+    asked = parser.parse_args(given)
+    if asked.read is not None:
+        print(table([json.loads(line) for line in asked.read.read_text().splitlines()]))
+        return 0
+    rows = []
     for case in cases():
-        for formulation in given.formulations.split(","):
-            if given.only not in case.name:
-                continue
-            found = row(case, formulation, given.seconds)
-            with given.out.open("a") as file:
-                file.write(json.dumps(found) + "\n")
-            value = found.get("objective_value")
-            print(
-                f"{case.name:16s} {formulation:7s} {found['status']:15s} {found.get('stationarity')!s:4s}"
-                f" {found.get('stationarity_residual') or 0:.1e} {value if value is None else f'{value:.9g}'}"
-                f" it {found.get('iterations')} cs {found.get('contact_solves')}"
-                f" kkt {found.get('kkt_factorisations')} cpu {found.get('cpu_s', 0):.1f}"
-                f" {found.get('biactive_nodes')} {found.get('message') or ''}",
-                flush=True,
-            )
+        for formulation in asked.formulations.split(",") if asked.only in case.name else ():
+            rows.append(row(case, formulation, asked.seconds))
+            if asked.out is not None:
+                with asked.out.open("a") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+    print(table(rows))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -148,7 +148,7 @@ class _Reduced:
 
     slope: Array  # (n + k,) of the objective
     second: Array  # (k, n + k): b
-    rows: Array  # (r, n + k): active constraints, >= 0, or = 0 where ``equal``
+    rows: sp.csr_array  # (r, n + k): active constraints, >= 0, or = 0 where ``equal``
     equal: NDArray[np.bool_]
     lower: NDArray[np.bool_]  # (n,) outer variables at bounds
     upper: NDArray[np.bool_]
@@ -163,17 +163,19 @@ class _Reduced:
         second = own + np.abs(self.second[:, n:]) @ first
         second[second == 0] = 1.0
         scale = np.append(np.ones(n), first)
-        x = ca.SX.sym("x", n + 2 * k)
-        d_and_a, b = x[: n + k], x[n + k :]
-        of_rows = np.max(np.abs(self.rows * scale), axis=1, initial=0.0)
-        rows = self.rows * scale / np.where(of_rows > 0, of_rows, 1.0)[:, None]
-        pairs = ca.DM(self.second * scale / second[:, None]) @ d_and_a - b
-        free = np.full(2 * k, np.inf)
+        rows = sp.csr_array(self.rows @ sp.diags_array(scale))
+        largest = abs(rows).max(axis=1).toarray().ravel() if rows.nnz else np.ones(rows.shape[0])
+        rows = sp.diags_array(1 / np.where(largest > 0, largest, 1.0)) @ rows
+        of_b = sp.eye_array(k, k)
+        equations = sp.hstack([sp.csr_array(self.second * scale / second[:, None]), -of_b])
+        every = sp.vstack([equations, sp.hstack([rows, sp.csr_array((rows.shape[0], k))])])
+        x, free = ca.MX.sym("x", n + 2 * k), np.full(2 * k, np.inf)
+        _, a, b = ca.vertsplit(x, [0, n, n + k, n + 2 * k])
         return MPCC(
             x=x,
-            f=ca.dot(ca.DM(self.slope * scale / unit), d_and_a),
-            g=ca.vertcat(pairs, ca.DM(rows) @ d_and_a if rows.size else ca.SX(0, 1)),
-            G=x[n : n + k],
+            f=ca.dot(ca.DM(np.append(self.slope * scale / unit, np.zeros(k))), x),
+            g=_casadi(sp.csc_array(every)) @ x,
+            G=a,
             H=b,
             lbx=np.append(np.where(self.lower, 0.0, -np.inf), -free),
             ubx=np.append(np.where(self.upper, 0.0, np.inf), free),
@@ -211,15 +213,23 @@ def _reduced(
         w = factors.solve(of[n:], "T")
         return np.concatenate([of[:n] - of_q.T @ w, w[inner + pairs]])
 
-    def dense(number: int) -> Array:
-        return jacobian[[number]].toarray().ravel()
+    def whole(numbers: IntArray) -> Array:
+        found = [total(jacobian[[number]].toarray().ravel()) for number in numbers]
+        return np.array(found).reshape(-1, n + pairs.size)
 
-    width = n + pairs.size
-    second = np.array([total(dense(n_g + n_pairs + pair)) for pair in pairs]).reshape(-1, width)
-    constraints = np.array([total(dense(inner + row)) for row in rows]).reshape(-1, width)
-    sign = np.where(low[rows], 1.0, -1.0)
+    # those of elements are functions of the outer variables alone
+    own = rows[rows < program.constraints.size]
+    areas = jacobian[inner + rows[own.size :]][:, :n]
+    areas = sp.hstack([areas, sp.csr_array((areas.shape[0], pairs.size))])
+    constraints = sp.vstack([sp.csr_array(whole(inner + own)), areas])
     bounds = x[:n] - np.asarray(mpcc.lbx)[:n] <= tolerance, np.asarray(mpcc.ubx)[:n] - x[:n] <= tolerance
-    found = total(slope), second, sign[:, None] * constraints
-    if not all(np.all(np.isfinite(part)) for part in found):
+    found = total(slope), whole(n_g + n_pairs + pairs)
+    if not all(np.all(np.isfinite(part)) for part in (*found, constraints.data)):
         return None
-    return _Reduced(*found, (low & high)[rows], *bounds, pairs)
+    signed = sp.csr_array(sp.diags_array(np.where(low[rows], 1.0, -1.0)) @ constraints)
+    return _Reduced(*found, signed, (low & high)[rows], *bounds, pairs)
+
+
+def _casadi(matrix: sp.csc_array) -> ca.DM:
+    pattern = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+    return ca.DM(pattern, matrix.data.tolist())

@@ -9,7 +9,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import Audit, equilibrium_residual, law_residual, quantities
-from rmesh_nlp.assessment.conclusion import Measured, conclusion
+from rmesh_nlp.assessment.conclusion import MET, Measured, conclusion
 from rmesh_nlp.assessment.coulomb import coulomb_residual, growth
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.system import Equilibrium
@@ -129,7 +129,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         comparable=comparable,
     )
     residual = designed.residual(ends.point)
-    over_branches = _over_branches(ends, residual) if relocates else None
+    over_branches = _over_branches(ends, residual, outcome.status in MET) if relocates else None
     if over_branches is None:
         label, words = outcome.label, None
         proved = label in PROVED and bool(np.any(ends.point.weak))
@@ -164,16 +164,18 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
     )
 
 
-def _over_branches(ends: _Ends, residual: float) -> tuple[str, Label] | None:
+def _over_branches(ends: _Ends, residual: float, claimed: bool) -> tuple[str, Label] | None:
     """Stationarity label over the branches of the contact; None for the energy, which is smooth across them.
 
-    Where no pair is biactive the first-order residual is the proof.
+    Where no pair is biactive a small first-order residual is the proof. A large one is none against it if the
+    solver ``claimed`` to have met its test: its multipliers are fitted without a look at the signs of those
+    of limits, and linear programs tell.
     """
     outer, point = ends.designed, ends.point
     if not isinstance(outer.function, ReducedObjective):
         return None
-    if not np.any(point.weak):
-        stationary = residual <= outer.tolerance
+    stationary = residual <= outer.tolerance
+    if not np.any(point.weak) and (stationary or not claimed):
         label = "S" if stationary else ""
         return label, Label(in_words(label, stationary, 0), stationary, 0, [])
     found = outer.branches(point)

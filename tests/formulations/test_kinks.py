@@ -12,8 +12,11 @@ from formulations import nested as module
 from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
 from formulations.nested import Nested
 from rmesh_nlp.meshes import named
+from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.outer import Outer
+from support.endings import ended
 from support.solved import example
 
 LEAK = "boundary(seal, 1.2*(y + uy) - y)"
@@ -91,6 +94,25 @@ def test_for_the_energy_there_is_no_kink(monkeypatch: pytest.MonkeyPatch) -> Non
     assert row["stationarity"] == "KKT"
     assert "descent_rate" not in row
     assert "label" not in row
+
+
+@pytest.mark.parametrize("claimed", [True, False])
+def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(
+    claimed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem, objective = example("6.1", 3, 6), "error-l2"
+    solution = rm.solve(problem, "nested", objective=objective)
+    assert solution.status is Status.CONVERGED
+    outer = Outer(problem, objective)
+    q = outer.variables(np.asarray(solution.mesh.p))
+    monkeypatch.setattr(OuterResidual, "__call__", lambda *_: 1.0)
+    found = ended(outer, q, Status.CONVERGED if claimed else Status.STALLED)
+    assert found.status is (Status.CONVERGED if claimed else Status.STALLED)
+    assert found.label is not None
+    assert found.label.b_stationary == claimed
+    if claimed:  # what is claimed is looked at
+        given = ended(outer, np.zeros(outer.n))
+        assert (given.status, given.stationarity) == (Status.NOT_STATIONARY, "none")
 
 
 def _point(contact: int) -> SimpleNamespace:
