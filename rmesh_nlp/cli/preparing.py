@@ -20,7 +20,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure, rich_table
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_file import build, read_table, with_order
@@ -178,6 +178,7 @@ def solve_options(
     if "objective" not in given:
         with located(f"{path}: solve.objective"):
             parse_objective(plan.objective)
+        plan = plan.model_copy(update={"objective": beside(plan.objective, path.parent)})
     wanted = {**plan.model_dump(exclude={"formulation", "certify"}), **given}
     # the defaults need not be known to every formulation, what was asked for must be
     default = {"objective": "energy", "starts": 0, "levels": 0, "remesh": False}

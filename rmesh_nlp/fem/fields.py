@@ -152,6 +152,11 @@ class Field:
             result = self.bends.applied(result)
         return result if self.modes is None else result + self.modes.values(w)
 
+    def at_rest(self, w: Array) -> Field:
+        """The same field fixed at its values for ``w``; a design beside it goes on to vary."""
+        along = self.along and constant_field(self.along.values(w))
+        return replace(constant_field(self.values(w)), along=along, design=self.design, space=self.space)
+
     def slopes(self, w: Array) -> Array:
         """Derivative (components, nodes) of each value by its own unknown, zero where it has none."""
         slope = np.where(self.index != CONSTANT, self.scale, 0.0)

@@ -15,6 +15,7 @@ Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest
 ``max-pressure(NAME)``          largest pressure at a node of a contact boundary
 ``design(EXPR)``                an expression of design variables alone
 ``square(SUM - VALUE)``         square of what a sum of weighted terms lacks to a value
+``fit(FILE)``                   least squares to measured displacements, see :mod:`rmesh_nlp.fem.fit`
 
 EXPR is an expression of ``x``, ``y``, the displacement (``u`` of a scalar problem, else ``ux``, ``uy``), its
 derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the body, and the outward normal
@@ -24,8 +25,10 @@ derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Callable, Mapping
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -39,6 +42,7 @@ from rmesh_nlp.fem.quantities import (
     body_integral,
     boundary_integral,
     contact_length,
+    fit_file,
     largest_pressure,
     level_pressure,
     of_design,
@@ -181,6 +185,16 @@ def _design(text: str, arguments: list[str]) -> Objective:
     return of_design(value, name=text)
 
 
+def _fit(text: str, arguments: list[str]) -> Objective:
+    (path,) = _take(text, arguments, "fit(FILE)")
+    return fit_file(path, name=text)
+
+
+def beside(text: str, folder: Path) -> str:
+    """The text with relative files of measurements taken to be in a folder, that of the file it stands in."""
+    return re.sub(r"\bfit\(\s*([^()]*?)\s*\)", lambda found: f"fit({folder / found[1]})", text)
+
+
 QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "body": _body,
     "boundary": _boundary,
@@ -194,6 +208,7 @@ QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
     "square": _square,
     "max-pressure": _largest,
     "design": _design,
+    "fit": _fit,
 }
 """Quantities of interest by the word before their bracket."""
 

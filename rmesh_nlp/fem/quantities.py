@@ -21,6 +21,7 @@ import numpy as np
 
 from rmesh_nlp.fem.element import NO_ROWS, corners
 from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group
+from rmesh_nlp.fem.fit import fit, fit_file
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
 from rmesh_nlp.fem.pressure import (
@@ -40,6 +41,8 @@ __all__ = [
     "body_integral",
     "boundary_integral",
     "contact_length",
+    "fit",
+    "fit_file",
     "largest_pressure",
     "level_pressure",
     "nodal",

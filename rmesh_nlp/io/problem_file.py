@@ -19,6 +19,7 @@ from skfem import MeshTri
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.expressions import value_of
 from rmesh_nlp.fem.constraints import checked
+from rmesh_nlp.fem.objective_text import beside
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_messages import ProblemFileError, nearest, one_line
 from rmesh_nlp.io.problem_schema import (
@@ -246,7 +247,7 @@ class _Builder:
         found = []
         for number, one in enumerate(self.table.constraints, 1):
             with self.at(f"constraints[{number}]", one):
-                found.append(checked(Constraint(one.value, one.bounds)))
+                found.append(checked(Constraint(beside(one.value, self.path.parent), one.bounds)))
         return tuple(found)
 
     def fault(self, error: ProblemError) -> tuple[str, Any]:

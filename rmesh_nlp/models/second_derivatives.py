@@ -61,9 +61,9 @@ SKIPPED = 1e-8
 """Cosine of the angle between r and s below which a secant is skipped, as in [1]_, (6.26)."""
 
 
-def _scaling(matrix: sp.sparray) -> Array:
+def _scaling(diagonal: Array) -> Array:
     """Size of the diagonal, kept away from zero."""
-    diagonal = np.abs(matrix.diagonal())
+    diagonal = np.abs(diagonal)
     return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
 
@@ -116,7 +116,7 @@ class Hessian:
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
-        return _scaling(self.qq)
+        return _scaling(self.qq.diagonal())
 
     def lifted(self) -> Lifted:
         """The sparse matrix in q and displacements whose Schur complement is L''."""
@@ -187,6 +187,7 @@ class ObjectiveCurvature:
         assert kept is not None
         assert kept.hess_lag is not None
         self._n_g, self._n_pairs = mpcc.n_g, mpcc.n_pairs
+        self._n_positions = energy.relocation.mesh_map.n_positions
         n = self._program.n_equations
         self._equations = np.arange(n)
         self._rows = slice(n, n + self._program.constraints.size)
@@ -217,7 +218,11 @@ class ObjectiveCurvature:
         multipliers[held] = nu
         (curvature,) = self._hessian(x, [], factor, multipliers)
         return ObjectiveHessian(
-            slope[:n_q] + of_q.T @ nu, sp.csr_matrix(self._symmetric(curvature)), of_q, factors
+            slope[:n_q] + of_q.T @ nu,
+            sp.csr_matrix(self._symmetric(curvature)),
+            of_q,
+            factors,
+            self._n_positions,
         )
 
 
@@ -225,9 +230,14 @@ class ObjectiveHessian:
     """F'' at one point, and F' by the same adjoint."""
 
     def __init__(
-        self, gradient: Array, lagrangian: sp.csr_matrix, of_q: sp.csr_matrix, factors: splu
+        self,
+        gradient: Array,
+        lagrangian: sp.csr_matrix,
+        of_q: sp.csr_matrix,
+        factors: splu,
+        n_positions: int,
     ) -> None:
-        self.gradient = gradient
+        self.gradient, self._n_positions = gradient, n_positions
         n_q = gradient.size
         self.qq = lagrangian[:n_q, :n_q]
         self._qy, self._yy = lagrangian[:n_q, n_q:], lagrangian[n_q:, n_q:]
@@ -235,8 +245,15 @@ class ObjectiveHessian:
         self._of_q, self._of_q_t, self._factors = of_q, of_q.T.tocsr(), factors
 
     def diagonal(self) -> Array:
-        """Size of the diagonal of Lambda_qq, kept away from zero."""
-        return _scaling(self.qq)
+        """Size of the diagonal of Lambda_qq, of F'' for design variables, kept away from zero.
+
+        Lambda may be linear in a modulus or a load.
+        """
+        diagonal, designs = self.qq.diagonal(), np.arange(self._n_positions, self.gradient.size)
+        if designs.size:
+            units = np.eye(self.gradient.size)[:, designs]
+            diagonal[designs] = self(units)[designs, np.arange(designs.size)]
+        return _scaling(diagonal)
 
     def __call__(self, d: Array) -> Array:
         """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""

@@ -205,8 +205,10 @@ def is_comparable(first: Outer, last: Outer) -> bool:
 def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
     """An objective at outer variables (n,) and a contact solution, by the assessment's rule."""
     rel = energy.relocation
-    fields = rel.discretisation.fields()._replace(problem=rel.problem.with_rule(ACCURATE))
-    x = kkt_unknowns(q, state, energy.model.system(rel.nodes(q)), rel.friction_rows)
+    fields, accurate = rel.discretisation.fields(), rel.problem.with_rule(ACCURATE)
+    fields = fields._replace(problem=accurate, positions=fields.positions.at_rest(q))
+    system = energy.model.system(rel.nodes(q), rel.mesh_map.design(q))
+    x = kkt_unknowns(q, state, system, rel.friction_rows)
     return objective.on(fields).evaluate()(x)
 
 

@@ -18,7 +18,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import RULES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.examples.reference import with_reference
-from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
@@ -201,7 +201,8 @@ def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[st
             except TypeError:
                 said = "dates and times are no options"
                 raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
-        for objective, seed in product(study.objectives, study.seeds):
+        objectives = (beside(text, path.parent) for text in study.objectives)
+        for objective, seed in product(objectives, study.seeds):
             common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
             common = {name: value for name, value in common.items() if value is not None}
             yield variant, formulation, options_of(formulation, table.keywords, common)

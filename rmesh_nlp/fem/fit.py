@@ -1,0 +1,210 @@
+"""Least squares of the displacement to measured values, an outer objective for identification.
+
+    sum_k w_k |u(x_k) - m_k|^2
+
+over the components that are measured. A point x_k is one in space: where nodes move its barycentric
+coordinates change, and the sum has derivatives as long as it stays in its triangle. So it must stay there for
+all positions within the move limits, which is tested on the corners of these, since the area of a triangle is
+affine in each coordinate by itself.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.bernstein import SIDES
+from rmesh_nlp.fem.element import NO_ROWS, affine, corners
+from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, Field, constant_field, element_group
+from rmesh_nlp.fem.objective import Fields, Objective, Term
+from rmesh_nlp.fem.space import Index
+from rmesh_nlp.problem import ContactProblem
+
+__all__ = ["fit", "fit_file"]
+
+WITHIN = 1e-6
+"""Barycentric coordinates above minus this are in a triangle: files have a few digits."""
+
+DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Points (2, n), values (components, n), not a number where not measured, and weights (n,)."""
+
+    points: Array
+    values: Array
+    weights: Array
+
+    def __post_init__(self) -> None:
+        n = self.points.shape[-1]
+        if self.points.shape != (2, n) or self.values.shape[1:] != (n,) or self.weights.shape != (n,):
+            shapes = f"{self.points.shape}, {self.values.shape} and {self.weights.shape}"
+            raise ValueError(f"expected points (2, n), values (components, n) and weights (n,), got {shapes}")
+        if not np.all(np.isfinite(self.points)) or np.any(np.isinf(self.values)):
+            raise ValueError("points and measured values must be finite")
+        if not np.all((self.weights > 0) & np.isfinite(self.weights)):
+            raise ValueError("weights must be positive and finite")
+        if np.all(np.isnan(self.values)):
+            raise ValueError("nothing is measured")
+
+
+def fit(
+    points: ArrayLike, values: ArrayLike, weights: ArrayLike | None = None, *, name: str = "fit"
+) -> Objective:
+    """Weighted least squares of the displacement to measured values at points in space.
+
+    Parameters
+    ----------
+    points : (2, n) array
+        In the body of the mesh as given. If nodes near a point may carry it into another triangle the
+        problem is refused.
+    values : (components, n) array
+        Measured displacements, NaN where a component is not measured.
+    weights : (n,) array, optional
+        Of the squares; 1 by default.
+    name : str
+    """
+    places, found = np.asarray(points, dtype=float), np.atleast_2d(np.asarray(values, dtype=float))
+    sizes = np.ones(places.shape[-1]) if weights is None else np.asarray(weights, dtype=float)
+    measured = Measurements(places, found, sizes)
+    return _objective(lambda: measured, name)
+
+
+def fit_file(path: str | Path, *, name: str | None = None) -> Objective:
+    """The same of a CSV file with a header and the columns x, y, and u or ux and uy; weight is optional.
+
+    Empty cells are not measured. The file is read when the objective meets a problem.
+    """
+    return _objective(cache(lambda: read_measurements(Path(path))), name or f"fit({path})")
+
+
+def read_measurements(path: Path) -> Measurements:
+    """Read a file of measurements; a ValueError names the line and the cell that is wrong."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            reader = csv.reader(file)
+            lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    names = [cell.strip() for cell in lines[0][1]] if lines else []
+    own = ("u",) if "u" in names else ("ux", "uy")
+    if set(names) - {"weight"} != {"x", "y", *own} or len(set(names)) < len(names):
+        raise ValueError(f"{path}: expected the columns x, y, u or ux, uy, and perhaps weight, got {names}")
+    table = {one: np.full(len(lines) - 1, np.nan) for one in names}
+    for k, (line, row) in enumerate(lines[1:]):
+        if len(row) != len(names):
+            raise ValueError(f"{path}: line {line} has {len(row)} cells, expected {len(names)}")
+        for one, cell in zip(names, row, strict=True):
+            try:
+                table[one][k] = float(cell) if cell.strip() or one not in own else np.nan
+            except ValueError:
+                what = f"line {line}: {one} = {cell.strip()!r}"
+                raise ValueError(f"{path}: {what} is not a number") from None
+    weights = table.get("weight", np.ones(len(lines) - 1))
+    try:
+        points = np.stack([table["x"], table["y"]])
+        return Measurements(points, np.stack([table[one] for one in own]), weights)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
+    def quantity(on: Fields) -> list[ElementGroup]:
+        found, components = measured(), on.problem.components
+        if len(found.values) != components:
+            wanted = " and ".join(DISPLACEMENTS[components])
+            raise ValueError(f"{name}: the displacement of {on.problem.name!r} is {wanted}")
+        triangles = _located(on, found.points, name)
+        is_measured = ~np.isnan(found.values)
+        data = np.vstack(
+            [found.points, np.where(is_measured, found.values, 0.0), is_measured * found.weights]
+        )
+        local = on.positions.at(triangles), on.displacement.at(on.space.nodes_of(triangles))
+        function = _misfit(components, on.space.order)
+        return [element_group(function, on.positions, (*local, constant_field(data)))]
+
+    return Objective(((1.0, Term(name, quantity, minimised_only=True)),))
+
+
+def _misfit(components: int, order: int) -> ca.Function:
+    """``(X_e, u_e, (x, y, values, weights)) ->`` the weighted square at one point."""
+    X, u = corners(3, components, order=order)
+    point, value, weight = ca.SX.sym("x", 2), ca.SX.sym("m", components), ca.SX.sym("w", components)
+    # the coordinates 1 and 2 are those of the linear functions with the values (0, 1, 0) and (0, 0, 1)
+    det, slopes = affine(X, ca.DM([[0, 1, 0], [0, 0, 1]]))
+    second = slopes @ (point - X[:, 0]) / det
+    shares = [1 - ca.sum1(second), *ca.vertsplit(second)]
+    if order == 2:
+        shares = [*(one**2 for one in shares), *(2 * shares[a] * shares[b] for a, b in SIDES[3])]
+    error = u @ ca.vertcat(*shares) - value
+    columns = [ca.vec(X), ca.vec(u), ca.vertcat(point, value, weight)]
+    return ca.Function("misfit", columns, [ca.dot(weight, error**2), NO_ROWS])
+
+
+def _located(on: Fields, points: Array, name: str) -> Index:
+    """(3, points) vertices of the triangles that the points are in, whatever the outer variables are."""
+    positions, triangles = on.positions, on.problem.triangles
+    here = positions.values(np.zeros(max(int(positions.index.max(initial=0)) + 1, _last(positions))))
+    moved = _corners(positions, here, on.problem)
+    found = []
+    for x in points.T:
+        shares = _areas(here[:, None], triangles, x)
+        shares /= shares.sum(axis=0)
+        least = shares.min(axis=0)
+        inside = np.flatnonzero(least >= -WITHIN)
+        at = f"{name}: the point ({x[0]:.6g}, {x[1]:.6g})"
+        if inside.size == 0:
+            raise ValueError(f"{at} lies outside of the mesh")
+        kept = [number for number in inside if _stays(moved, triangles[:, number], x)]
+        if not kept:
+            raise ValueError(
+                f"{at} may pass into another triangle: pin the nodes beside it, or lower their move limits"
+            )
+        found.append(triangles[:, kept[0]])
+    return np.array(found).T
+
+
+def _areas(corners: Array, triangles: Index, x: Array) -> Array:
+    """(3, triangles) twice the areas of the parts into which a point cuts triangles, opposite each vertex."""
+    a, b, c = (corners[:, 0, vertices] - x[:, None] for vertices in triangles)
+    return np.stack([one[0] * two[1] - one[1] * two[0] for one, two in ((b, c), (c, a), (a, b))])
+
+
+def _stays(moved: Array, vertices: Index, x: Array) -> bool:
+    """Whether a point stays in a triangle for all corners of the limits of its vertices."""
+    a, b, c = (moved[:, :, vertex] - x[:, None] for vertex in vertices)
+    size = max(float(np.max(np.abs(one))) for one in (a, b, c)) ** 2
+    with np.errstate(invalid="ignore"):  # infinite corners are not a number, and do not stay
+        crossed = [np.outer(p[0], q[1]) - np.outer(p[1], q[0]) for p, q in ((a, b), (b, c), (c, a))]
+        return all(bool(np.all(part >= -WITHIN * size)) for part in crossed)
+
+
+def _corners(positions: Field, here: Array, problem: ContactProblem) -> Array:
+    """(2, 4, nodes) the corners of the limits of each node, infinite where there are none."""
+    reach = np.where(positions.index == CONSTANT, 0.0, positions.scale)
+    if problem.motion.delta is None:
+        reach = np.where(reach != 0, np.inf, 0.0)
+    if positions.bends is not None:
+        reach = np.where((positions.bends.which != STRAIGHT) & (reach != 0), np.inf, reach)
+    if positions.modes is not None:
+        reach = np.where(np.any(positions.modes.motions != 0, axis=0), np.inf, reach)
+    alike = positions.index[0] == positions.index[1]  # one outer variable moves both coordinates
+    found = []
+    for one, two in product((-1.0, 1.0), repeat=2):
+        found.append(here + reach * np.array([np.full(alike.shape, one), np.where(alike, one, two)]))
+    return np.stack(found, axis=1)
+
+
+def _last(positions: Field) -> int:
+    """Length of the outer variables that design variables need."""
+    return 0 if positions.design is None else int(positions.design.values.index.max(initial=-1)) + 1
