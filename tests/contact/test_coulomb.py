@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
 
@@ -15,7 +16,7 @@ from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.contact.uniqueness import contraction
+from rmesh_nlp.contact.uniqueness import contraction, spectral_radius
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -39,6 +40,13 @@ def slab(coulomb=0.5, n=(12, 6), order: int = 1, **changes) -> ContactProblem:
 def is_solution(system: ContactSystem, state: Equilibrium) -> bool:
     forces = state.u, state.normal_force, state.tangential_force
     return equilibrium_residual(system, *forces) < 1e-9 and law_residual(system, *forces) < 1e-9
+
+
+def all_branches(system: ContactSystem) -> Iterator[Equilibrium]:
+    """Nodes that are open, stick, or slide either way, in every combination."""
+    for states in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=system.offset.size):
+        touching, sliding = (np.array(part) for part in zip(*states, strict=True))
+        yield system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
 
 
 class TestSolver:
@@ -81,12 +89,7 @@ class TestSolver:
         model = ContactSolver(problem)
         system = model.system(problem.mesh.p)
         assert system.offset.size == 4
-        found = []
-        for states in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=4):
-            touching, sliding = (np.array(part) for part in zip(*states, strict=True))
-            state = system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
-            if is_solution(system, state):
-                found.append(state.u)
+        found = [state.u for state in all_branches(system) if is_solution(system, state)]
         assert found
         for u in found:
             np.testing.assert_allclose(u, model.given.u, atol=1e-12)
@@ -171,8 +174,36 @@ class TestSolver:
         small = 1e-3 * bound.max()
         jacobian = [(after(small * unit) - bound) / small for unit in np.eye(bound.size)]
         expected = np.max(np.abs(np.linalg.eigvals(np.stack(jacobian, axis=1))))
-        assert 0.1 < contraction(system, state) == pytest.approx(expected, rel=1e-6)
+        assert 0.1 < spectral_radius(system, state.active) == pytest.approx(expected, rel=1e-6)
+        assert contraction(system, state) >= spectral_radius(system, state.active)
         assert contraction(replace(system, coulomb=None), state) == 0.0
+
+    def test_contraction_of_many_nodes_is_that_of_the_matrix(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        problem = slab(0.8, (24, 4))
+        system = ContactSolver(problem).system(problem.mesh.p)
+        state = solve(system)
+        dense = contraction(system, state)
+        monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
+        assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
+
+    @pytest.mark.parametrize(("seed", "draw"), [(21, 9), (21, 41), (27, 7), (38, 7), (23, 41)])
+    def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(
+        self, seed: int, draw: int
+    ) -> None:
+        """All branches of three contact nodes under random loads there."""
+        rough, rng = random_problem(seed, kind="rough"), np.random.default_rng(draw)
+        problem = replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=8.0))
+        system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
+        assert system.offset.size == 3
+        push = system.tangents.T @ rng.uniform(-3, 3, 3) + system.normals.T @ rng.uniform(-3, 1, 3)
+        loaded = replace(system, load=system.load + system.force_scale * push)
+        states = [state for state in all_branches(loaded) if is_solution(loaded, state)]
+        size = np.max(np.abs(states[0].u))
+        assert max(np.max(np.abs(state.u - states[0].u)) for state in states) > 1e-6 * size
+        found = solve(loaded)
+        assert is_solution(loaded, found)
+        assert spectral_radius(loaded, found.active) < 1
+        assert contraction(loaded, found) >= 1
 
 
 class TestGradients:
