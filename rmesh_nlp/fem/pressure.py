@@ -188,7 +188,8 @@ def _patches(
 def _may_slip(space: DisplacementSpace, part: ContactSet) -> NDArray[np.bool_]:
     """(nodes,) Whether some displacement along the tangent is free."""
     given, _ = space.given()
-    normals = part.obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
+    obstacle = space.problem.first_obstacles[part.number]
+    normals = obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
     return np.asarray(np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > NO_NORMAL), axis=0))
 
 

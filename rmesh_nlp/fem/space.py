@@ -152,7 +152,7 @@ class DisplacementSpace:
         for part in self.problem.contact_sets:
             nodes = self.number[part.nodes]
             if self.order == 2:
-                nodes = np.append(nodes, self._met_at_edges(part.obstacle))
+                nodes = np.append(nodes, self._met_at_edges(self.problem.first_obstacles[part.number]))
             sets.append(ContactSet(part.number, part.obstacle, nodes, first + np.arange(nodes.size)))
             first += nodes.size
         return tuple(sets)

@@ -105,6 +105,11 @@ class ProblemData:
         """All obstacles; none for ``NO_CONTACT``."""
         return tuple(o for o in as_tuple(self.obstacle) if o.boundary is not Place.NOWHERE)
 
+    @cached_property
+    def first_obstacles(self) -> tuple[Obstacle, ...]:
+        """All obstacles at the first design."""
+        return tuple(at_design(obstacle, self.start) for obstacle in self.obstacles)
+
     @property
     def frictional(self) -> bool:
         """Whether contact is with friction anywhere."""
@@ -189,7 +194,7 @@ class ProblemData:
         sets, first = [], 0
         for number, obstacle in enumerate(self.obstacles):
             nodes = self.nodes_of(obstacle)
-            normals = at_design(obstacle, self.start).normals(self.mesh.p[:, nodes])
+            normals = self.first_obstacles[number].normals(self.mesh.p[:, nodes])
             seen = np.abs(normals) > NO_NORMAL
             nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
             sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))

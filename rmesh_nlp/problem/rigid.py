@@ -53,6 +53,6 @@ def seen_by_contact(problem: ProblemData, motions: Array) -> Array:
     """Change of every gap (gaps, motions) by each motion."""
     rows = [np.zeros((0, len(motions)))]
     for part in problem.contact_sets:
-        normals = part.obstacle.normals(problem.mesh.p[:, part.nodes])
+        normals = problem.first_obstacles[part.number].normals(problem.mesh.p[:, part.nodes])
         rows.append(np.einsum("cn,mcn->nm", normals, motions[:, :, part.nodes]))
     return np.vstack(rows)

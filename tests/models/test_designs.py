@@ -12,6 +12,7 @@ from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
 from support.designs import BOW, DESIGNS, LIMITED, E, F, block
+from support.more_designs import MORE
 from support.orders import ORDERS
 from support.taylor import difference_order, taylor_order
 
@@ -34,6 +35,21 @@ def test_gradients_by_designs_and_positions(name: str, order: int) -> None:
         if of_design:
             d[: outer.discretisation.mesh_map.n_positions] = 0.0
         assert taylor_order(outer.function, q, d) == pytest.approx(2, abs=0.02)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("name", MORE)
+def test_derivatives_by_foundations_and_point_loads(name: str, order: int) -> None:
+    problem = MORE[name](order)
+    displacement = "u" if problem.components == 1 else "uy"
+    outer, q = at_random(problem, f"body(exp(20*{displacement}))")
+    d = np.random.default_rng(4).uniform(-1, 1, q.size)
+    assert taylor_order(outer.function, q, d, 1e-2) == pytest.approx(2, abs=0.02)
+    product = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q))(d)
+    order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d)
+    assert order_of == pytest.approx(2, abs=0.05)
+    there, same = outer.at_design(q)
+    assert there.function(same).value == pytest.approx(outer.function(q).value, rel=1e-9)
 
 
 @pytest.mark.parametrize("order", ORDERS)
