@@ -42,11 +42,11 @@ def test_gradients_by_designs_and_positions(name: str, order: int) -> None:
 def test_derivatives_by_foundations_and_point_loads(name: str, order: int) -> None:
     problem = MORE[name](order)
     displacement = "u" if problem.components == 1 else "uy"
-    outer, q = at_random(problem, f"body(exp(20*{displacement}))")
-    d = np.random.default_rng(4).uniform(-1, 1, q.size)
-    assert taylor_order(outer.function, q, d, 1e-2) == pytest.approx(2, abs=0.02)
+    outer, q = at_random(problem, f"body(exp(200*{displacement}))")
+    d = np.random.default_rng(5).uniform(-1, 1, q.size)
+    assert taylor_order(outer.function, q, d, 2e-3) == pytest.approx(2, abs=0.02)
     product = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q))(d)
-    order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d)
+    order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d, 4e-3)
     assert order_of == pytest.approx(2, abs=0.05)
     there, same = outer.at_design(q)
     assert there.function(same).value == pytest.approx(outer.function(q).value, rel=1e-9)
