@@ -1,0 +1,124 @@
+"""What every design case does: ``nested`` and ``mpcc`` from five starts, and the gain on finer meshes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import rmesh_nlp as rm
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.problem import ContactProblem
+
+FORMULATIONS = ("nested", "mpcc")
+SEEDS = (None, 1, 2, 3, 4)
+"""The given start, and four that are drawn from the bounds."""
+
+FINER = (1, 2, 4)
+"""Over how many times as fine meshes the gain is measured again."""
+
+
+@dataclass(frozen=True)
+class Starts:
+    """One problem solved by each formulation from each start.
+
+    Attributes
+    ----------
+    solutions : mapping from (formulation, seed) to Solution
+    seconds : mapping from the same to float
+        Processor time of each whole solve, its assessment included.
+    """
+
+    solutions: Mapping[tuple[str, int | None], rm.Solution]
+    seconds: Mapping[tuple[str, int | None], float]
+
+    @property
+    def best(self) -> rm.Solution:
+        """The successful end with the least objective."""
+        ends = [end for end in self.solutions.values() if end.success]
+        return min(ends, key=lambda end: float(end.extra["objective_value"]))
+
+    @property
+    def table(self) -> str:
+        """A row for each solve in Markdown."""
+        rows = [
+            "| formulation | start | status | objective | stationarity | biactive pairs | contact solves |"
+            " KKT factorisations | seconds |",
+            "|---|---|---|---|---|---|---|---|---|",
+        ]
+        for (formulation, seed), end in self.solutions.items():
+            extra = end.extra
+            cells = [
+                f"`{formulation}`",
+                "given" if seed is None else f"drawn {seed}",
+                end.status.value,
+                f"{extra['objective_value']:.6g}",
+                _proved(end),
+                f"{extra.get('biactive', 0)}",
+                f"{end.contact_solves}",
+                f"{extra.get('kkt_factorisations', 0)}",
+                f"{self.seconds[formulation, seed]:.1f}",
+            ]
+            rows.append(f"| {' | '.join(cells)} |")
+        return "\n".join(rows)
+
+
+def _proved(end: rm.Solution) -> str:
+    """Labels that the assessment proved."""
+    labels = [end.stationarity] if end.stationarity else []
+    return ", ".join([*labels, *(["B"] if end.extra.get("b_stationary") else [])]) or "none"
+
+
+def five_starts(
+    problem: ContactProblem,
+    objective: str | Objective,
+    seeds: Sequence[int | None] = SEEDS,
+    limits: rm.Limits | None = None,
+) -> Starts:
+    """Solve by both formulations from each start; the first seed is None, the start as given."""
+    solutions, seconds = {}, {}
+    for formulation, seed in product(FORMULATIONS, seeds):
+        begin = process_time()
+        solved = rm.solve(problem, formulation, objective=objective, seed=seed, limits=limits)
+        solutions[formulation, seed], seconds[formulation, seed] = solved, process_time() - begin
+    return Starts(solutions, seconds)
+
+
+def on_finer_meshes(
+    problems: Sequence[ContactProblem],
+    objective: str | Objective,
+    design: Mapping[str, float],
+    start: Mapping[str, float] | None = None,
+) -> list[tuple[rm.Solution, rm.Solution]]:
+    """Contact solutions at the first design and at another one, on several meshes of one problem.
+
+    The meshes are made anew and moved by the shapes, so that a face is as smooth as its formula.
+    """
+    return [
+        (
+            rm.solve(problem.at_design(start), "fixed", objective=objective),
+            rm.solve(problem.at_design(design), "fixed", objective=objective),
+        )
+        for problem in problems
+    ]
+
+
+def surviving(pairs: Sequence[tuple[rm.Solution, rm.Solution]]) -> float:
+    """The gain on the last mesh in parts of that on the first one."""
+    gains = [float(a.extra["objective_value"] - b.extra["objective_value"]) for a, b in pairs]
+    return gains[-1] / gains[0]
+
+
+def command_line(main: Callable[[int], Any], n: int, draw: Callable[[Any, Path], None]) -> None:
+    """Run a case from the command line, print its table and draw what it found."""
+    parser = argparse.ArgumentParser(description=(main.__doc__ or "").splitlines()[0])
+    parser.add_argument("--n", type=int, default=n, help=f"size of the grid (default {n})")
+    parser.add_argument("--picture", type=Path, help="file to draw to")
+    options = parser.parse_args()
+    found = main(options.n)
+    if options.picture is not None:
+        draw(found, options.picture)
