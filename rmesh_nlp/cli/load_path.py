@@ -17,7 +17,8 @@ from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, located, writable
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import safe_name, write_text, write_whole
-from rmesh_nlp.io.problem_file import build, read_table, with_order
+from rmesh_nlp.io.problem_builder import build
+from rmesh_nlp.io.problem_file import read_table, with_order
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.style import Page, look, new_figure, save

@@ -23,7 +23,8 @@ from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.files import safe_name, write_new, write_whole
-from rmesh_nlp.io.problem_file import build, read_table, with_order
+from rmesh_nlp.io.problem_builder import build
+from rmesh_nlp.io.problem_file import read_table, with_order
 from rmesh_nlp.io.problem_file import template as problem_template
 from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import to_json

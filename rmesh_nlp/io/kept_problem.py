@@ -13,7 +13,8 @@ from skfem import MeshTri
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.files import write_whole
-from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_builder import build
+from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.vtu import Fields, read_vtu

@@ -12,7 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import schema_errors
-from rmesh_nlp.io.problem_schema import Count, Positive, Quadrature, Seed, Table, Text
+from rmesh_nlp.io.problem_schema import Table
+from rmesh_nlp.io.problem_values import Count, Positive, Quadrature, Seed, Text
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""

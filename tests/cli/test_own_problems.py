@@ -13,7 +13,8 @@ import pytest
 from matplotlib import image
 
 from rmesh_nlp.io.export import write_mesh
-from rmesh_nlp.io.problem_file import build, read_table
+from rmesh_nlp.io.problem_builder import build
+from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
