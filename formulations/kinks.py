@@ -26,8 +26,9 @@ from rmesh_nlp.solving.parts import Work
 EXACT_FINISH = "exact finish of the KKT model"
 
 WINDOW, CREEPING = 10, 1e-2
-"""A descent has met a kink if its last so many iterates had several contact sets, and the lowest of them is
-below those before by less than this part of the decrease so far."""
+"""A descent has met a kink if its last so many iterates had several contact sets, and the best of them is
+below those before by less than this part of the decrease so far: of the violation of constraints, and once
+they hold of the objective."""
 
 BARRIER = 1e-4
 """Ipopt's first barrier in units of the objective: the point is near, but its multipliers are not known. From
@@ -42,7 +43,7 @@ class Zigzag:
     """Tells that a descent goes to and fro over kinks, and does not get on."""
 
     def __init__(self) -> None:
-        self._lowest: list[float] = []
+        self._best: list[tuple[float, float]] = []
         self._contact: deque[bytes] = deque(maxlen=WINDOW)
 
     def __call__(self, point: ReducedPoint, violation: float, value: float) -> bool:
@@ -50,13 +51,14 @@ class Zigzag:
 
         ``violation`` is that of constraints, ``value`` that of the objective.
         """
-        if violation > 0:
-            return False
-        self._lowest.append(min([value, *self._lowest[-1:]]))
+        self._best.append(min([(violation, value), *self._best[-1:]]))
         self._contact.append(point.equilibrium.active.key())
-        if len(self._lowest) <= WINDOW or len(set(self._contact)) == 1:
+        if len(self._best) <= WINDOW or len(set(self._contact)) == 1:
             return False
-        first, before, now = (self._lowest[k] for k in (0, -1 - WINDOW, -1))
+        # what counts before constraints hold is their violation, then the objective
+        which = 0 if self._best[-1 - WINDOW][0] > 0 else 1
+        first = next(best[1] for best in self._best if best[0] == 0) if which else self._best[0][0]
+        before, now = self._best[-1 - WINDOW][which], self._best[-1][which]
         return before - now <= CREEPING * (first - now)
 
 

@@ -5,7 +5,7 @@ stick or slide. Every combination is a branch: its displacement and forces are t
 held, without a look at signs, and smooth functions of the outer variables q. On each branch the objective, by
 the adjoint of the contact solver, is minimised to first order,
 
-    min  g . d    subject to    |d|_1 <= 1,   active move limits and element areas,
+    min  g . d    subject to    |d|_1 <= 1,   active move limits, element areas and constraints,
 
 and the gaps, forces, slips and reserves of friction of the weakly active nodes, whose derivatives are
 differences of contact solves, keep the signs of the branch. Nothing here uses the KKT model or an LPEC.
@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,16 +50,16 @@ class Steepest:
     branches: int
 
 
-def steepest(outer: Outer, q: Array) -> Steepest | None:
-    """Search all branches at ``q``; None if they are too many."""
+def steepest(outer: Outer, q: Array, most: int = MOST) -> Steepest | None:
+    """Search all branches at ``q``; None if they are more than ``most``."""
     point = outer.function(q)
     nodes = _Nodes(point.system, point.equilibrium)
-    every = list(nodes.combinations())
-    if len(every) > MOST:
+    every = list(islice(nodes.combinations(), MOST + 1))
+    if len(every) > min(most, MOST):
         return None
-    found = Steepest(0.0, np.zeros(q.size), len(every))
+    found, systems = Steepest(0.0, np.zeros(q.size), len(every)), _Systems(outer)
     for active in every:
-        rate, direction = _on_branch(outer, point, nodes, active)
+        rate, direction = _on_branch(outer, point, nodes, active, systems)
         if rate < found.rate:
             found = replace(found, rate=rate, direction=direction)
     return found
@@ -131,22 +131,41 @@ class _Nodes:
         return np.concatenate(rows)
 
 
-def _on_branch(outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet) -> tuple[float, Array]:
+class _Systems(dict[bytes, ContactSystem]):
+    """Contact systems by outer variables: those of the differences are the same on every branch."""
+
+    def __init__(self, outer: Outer) -> None:
+        self._outer = outer
+
+    def __call__(self, q: Array) -> ContactSystem:
+        """The system at outer variables."""
+        key = q.tobytes()
+        if key not in self:
+            self[key] = self._outer.system(q)
+        return self[key]
+
+
+def _on_branch(
+    outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet, systems: _Systems
+) -> tuple[float, Array]:
     function, energy, q, free = outer.function, outer.energy, point.q, outer.discretisation.mesh_map
     assert isinstance(function, ReducedObjective)
 
     def at(there: Array) -> tuple[ContactSystem, Equilibrium]:
-        system = outer.contact.system(outer.nodes(there), free.design(there))
+        system = systems(there)
         return system, system.equilibrium(active)
 
-    gradient = function.of(energy.at(q, *at(q))).gradient / outer.residual.unit
+    here = function.of(energy.at(q, *at(q)))
+    gradient = here.gradient / outer.residual.unit
     slopes = _differences(lambda there: nodes.signs(*at(there)), q)
-    size = np.max(np.abs(slopes), axis=1, initial=0.0)
-    slopes = slopes[size > 0] / size[size > 0, None]
-    rows = [-slopes]
+    rows = [-_unit_rows(slopes)]
     if outer.relocation.n_valid:
         areas = energy.validity.at(q)
         rows.append(-areas.jacobian[areas.slack <= outer.tolerance].toarray())
+    if outer.constraints is not None:
+        bounds = outer.constraints.linearised(here)
+        active = bounds.slack <= outer.tolerance
+        rows.append(-_unit_rows(bounds.jacobian[active].toarray()))
     stacked = np.vstack(rows)
     n = q.size
     # d = up - down
@@ -164,6 +183,12 @@ def _on_branch(outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveS
     if answer.status != 0:
         raise RuntimeError(answer.message)
     return float(answer.fun), answer.x[:n] - answer.x[n:]
+
+
+def _unit_rows(rows: Array) -> Array:
+    """The rows that are not zero, each divided by its largest component."""
+    size = np.max(np.abs(rows), axis=1, initial=0.0)
+    return np.asarray(rows[size > 0] / size[size > 0, None])
 
 
 def _differences(function: Callable[[Array], Array], q: Array) -> Array:

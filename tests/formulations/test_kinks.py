@@ -130,3 +130,12 @@ def test_a_descent_zigzags_if_contact_changes_and_hardly_anything_is_gained(
     said += [tell(_point(k % 2 if changes else 0), 0.0, -part * k / WINDOW) for k in range(1, 2 * WINDOW)]
     assert not any(said[: WINDOW + 1])
     assert any(said) == (changes and part < CREEPING)
+
+
+@pytest.mark.parametrize("falls", [True, False])
+def test_a_descent_that_does_not_reach_the_constraints_zigzags_too(falls: bool) -> None:
+    tell = Zigzag()
+    violations = [1.0 / (1 + k) if falls else 1.0 + k % 2 for k in range(2 * WINDOW)]
+    # the objective falls all the while: that is no progress
+    said = [tell(_point(k % 2), violation, -float(k)) for k, violation in enumerate(violations)]
+    assert any(said) == (not falls)
