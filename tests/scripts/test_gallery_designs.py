@@ -9,6 +9,7 @@ from types import ModuleType
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.fem.fit import read_measurements
 from rmesh_nlp.io.problem_file import load_problem
 
 FOLDER = Path(__file__).parents[2] / "scripts" / "gallery"
@@ -62,3 +63,24 @@ def test_the_face_of_the_punch_levels_its_pressure(load, tmp_path: Path) -> None
     module.draw(punch, tmp_path / "it.png")
     assert (tmp_path / "it.png").stat().st_size > 10_000
     assert is_same_at_start("level_punch.toml", module.problem(8), module.OBJECTIVE)
+
+
+@pytest.mark.slow
+def test_modulus_friction_and_gap_are_identified(load, tmp_path: Path) -> None:
+    module = load("identification")
+    found = module.main(2, seeds=(None, 2))
+    check_ends(found.starts)
+    assert values(found.starts, "nested") == pytest.approx(values(found.starts, "mpcc"), rel=1e-5)
+    best = found.starts.best.design
+    for name, value in module.TRUTH.items():
+        assert best[name] == pytest.approx(value, rel=0.05)
+    first, last = (end.extra["objective_value"] for end in found.finer[0])
+    assert last < 0.01 * first
+    assert module.surviving(found.finer) > 0.95
+    module.draw(found, tmp_path / "it.png")
+    assert (tmp_path / "it.png").stat().st_size > 10_000
+    path = FOLDER / "identification.csv"
+    module.write(found.data, tmp_path / "data.csv")
+    one, two = (read_measurements(each) for each in (path, tmp_path / "data.csv"))
+    assert one.values == pytest.approx(two.values, abs=3e-4)  # of a coarser mesh, with the same noise
+    assert is_same_at_start("identification.toml", module.problem(8), f"fit({path})")
