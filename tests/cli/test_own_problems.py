@@ -13,6 +13,7 @@ import pytest
 from matplotlib import image
 
 from rmesh_nlp.io.export import write_mesh
+from rmesh_nlp.io.kept_problem import read_kept
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.meshes import read_mesh
@@ -232,3 +233,49 @@ def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) ->
 def test_a_number_of_nodes_needs_a_new_mesh(rmesh, block: Path) -> None:
     said = rmesh("solve block.toml --nodes 60")
     assert (said.code, "--nodes 60 is for --remesh" in said.err) == (2, True)
+
+
+FITTED = """
+[mesh]
+shape = "rectangle"
+nx = 6
+ny = 3
+[material]
+law = "plane-strain"
+young = "1000*E"
+poisson = 0.3
+[dirichlet]
+top = [0, -0.01]
+[contact]
+boundary = "bottom"
+[tractions]
+right = [30, 0]
+[design]
+E = { start = 1.0, bounds = [0.5, 2.0] }
+[solve]
+formulation = "FORMULATION"
+objective = "1e6*fit(measured.csv)"
+[[constraints]]
+value = "fit(measured.csv)"
+bounds = [-inf, 1.0]
+"""
+
+
+@pytest.mark.parametrize("formulation", ["nested", pytest.param("mpcc", marks=pytest.mark.slow)])
+def test_measurements_are_beside_the_problem_file(rmesh, formulation: str) -> None:
+    folder = Path("data")
+    folder.mkdir()
+    path = folder / "fitted.toml"
+    path.write_text(FITTED.replace("FORMULATION", formulation))
+    problem = build(read_table(path), path)
+    true = driver.solve(problem.at_design({"E": 1.3}), "fixed")
+    nodes = np.flatnonzero(problem.mesh.p[0] == 1)
+    columns = np.vstack([problem.mesh.p[:, nodes], true.displacement[:, nodes]]).T
+    np.savetxt(folder / "measured.csv", columns, delimiter=",", header="x,y,ux,uy", comments="")
+    assert rmesh(f"solve {path} --out one --no-figures").code == 0
+    assert record()["design"]["E"] == pytest.approx(1.3, rel=1e-5)
+    assert read_kept(Path("one"), record()) is not None  # without the measurements
+    (folder / "measured.csv").unlink()
+    said = rmesh(f"solve {path} --out one")
+    assert said.code == 2
+    assert "data/measured.csv: cannot be read" in said.err

@@ -12,6 +12,7 @@ import rmesh_nlp as rm
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_along_a_circle
+from support.designs import BOW, H0, LOAD, E, block
 from support.orders import ORDERS
 from support.problems import sloped_block
 from support.solved import example
@@ -150,3 +151,13 @@ def test_quantities_that_a_problem_does_not_have() -> None:
     membrane = replace(example("6.1", 3), obstacle=rm.Obstacle.interior(-0.1))
     with pytest.raises(ValueError, match="'contact' is not a contact boundary: choose from none"):
         value(membrane, "resultant(contact)")
+
+
+def test_nested_and_mpcc_find_the_same_design() -> None:
+    design = replace(block(E, LOAD, H0, BOW), motion=rm.Motion(delta=0.0))
+    objective = "level-pressure(bottom) + 0.1*square(resultant(bottom) - 250)"
+    ends = [rm.solve(design, name, objective=objective) for name in ("nested", "mpcc")]
+    values = [end.record()["objective_value"] for end in ends]
+    assert values[0] == pytest.approx(values[1], rel=1e-7)
+    assert values[0] < 0.25 * ends[0].record()["objective_initial"]
+    assert [end.stationarity for end in ends] == ["S", "S"]

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Fields, Objective, Term
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -145,3 +147,21 @@ def test_the_area_is_added_to_the_energy() -> None:
     assert energy.of_positions(q) == pytest.approx(
         30 * signed_areas(energy.relocation.nodes(q), problem.triangles).sum()
     )
+
+
+@pytest.mark.parametrize("text", TERMS)
+@pytest.mark.parametrize("name", ["6.3", pytest.param("Coulomb, varying", marks=pytest.mark.slow)])
+def test_the_kkt_model_has_the_value_and_the_sums(name: str, text: str) -> None:
+    energy, wanted = reduced(PROBLEMS[name]()), parse_objective(text.format("contact"))
+    rel, given = energy.relocation, energy(np.zeros(energy.relocation.n_q))
+    start = kkt_unknowns(given.q, given.equilibrium, given.system, rel.friction_rows)
+    program = bilevel(rel.discretisation, wanted, length=1e-3, force=7.0, value=3.0, start=start)
+    point = ReducedObjective(energy, wanted)(0.2 * np.random.default_rng(6).uniform(-1, 1, rel.n_q))
+    x = program.point(point.q, point.equilibrium, point.system)
+    derivatives = program.mpcc.derivatives
+    assert derivatives is not None
+    assert 3 * Evaluator(derivatives.grad_f)(x, [])[0][0] == pytest.approx(point.value, rel=1e-9)
+    rows = Evaluator(derivatives.jac_g)(x, [])[0][: program.n_equations]
+    np.testing.assert_allclose(rows, 0, atol=1e-9)
+    if program.sums.size:
+        assert 0.01 < np.max(np.abs(x[-program.sums.size :])) < 100
