@@ -17,6 +17,7 @@ from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, DesignVariable
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.outer import Outer
 from support.designs import block
 from support.reduced import reduced
@@ -159,3 +160,13 @@ def test_moduli_and_friction_are_identified(formulation: str) -> None:
     assert found.record()["iterations"] < 100
     assert found.design["E"] == pytest.approx(1.4, rel=1e-4)
     assert found.design["F"] == pytest.approx(0.2, rel=1e-3)
+
+
+def test_the_gain_is_measured_on_refined_meshes_whose_triangles_a_point_could_leave() -> None:
+    problem = replace(example("6.3", (6, 4)), motion=rm.Motion(delta=0.02))
+    objective = 1e6 * rm.quantities.fit([[0.99], [0.3]], [[np.nan], [-2e-3]])
+    with pytest.raises(ValueError, match="may pass into another triangle"):
+        at_zero(refined(problem), objective)
+    solution = rm.solve(problem, "nested", objective=objective)
+    assert solution.success
+    assert np.isfinite(solution.record()["gain_surviving"])

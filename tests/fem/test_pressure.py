@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_along_a_circle
@@ -161,3 +162,14 @@ def test_nested_and_mpcc_find_the_same_design() -> None:
     assert values[0] == pytest.approx(values[1], rel=1e-7)
     assert values[0] < 0.25 * ends[0].record()["objective_initial"]
     assert [end.stationarity for end in ends] == ["S", "S"]
+
+
+def test_supports_have_no_part_in_the_shear() -> None:
+    """The node in the corner is held along the foundation: what is tangential there is no friction."""
+    block = sliding_block()
+    held = replace(block, dirichlet=(rm.Dirichlet("top", (None, -0.02)), rm.Dirichlet("left", (0.0, None))))
+    sizes = [
+        sum(group.size for group in rm.objective("shear(bottom)").on(discretise(problem).fields()).groups)
+        for problem in (block, held)
+    ]
+    assert sizes == [6, 5]
