@@ -35,8 +35,23 @@ BARRIER = 1e-4
 eight stalled descents 1e-4 took 199 iterations in all, 1e-12 233, 1e-2 892, and all ended stationary."""
 
 FINISH: Mapping[str, Any] = {
-    "ipopt_exact": {**COMMON, "mu_init": BARRIER, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS},
+    **COMMON,
+    "mu_init": BARRIER,
+    "tol": TIGHT_OTHERS,
+    "acceptable_tol": 1e3 * TIGHT_OTHERS,
 }
+POLISH: Mapping[str, Any] = {
+    **COMMON,
+    "mu_init": 1e-10,
+    "tol": 0.1 * TIGHT_OTHERS,
+    "acceptable_tol": 100 * TIGHT_OTHERS,
+    "bound_push": 1e-10,
+    "bound_frac": 1e-10,
+}
+"""Ipopt's options of the finish, and of a second one from its end where that is not yet stationary.
+
+Bounds and areas with small multipliers are met to the root of the tolerance: on a slab of 36 x 18 squares
+with Coulomb friction the first one left a rate of descent of 1e-5; the second, 23 iterations, left none."""
 
 
 class Zigzag:
@@ -62,15 +77,36 @@ class Zigzag:
         return before - now <= CREEPING * (first - now)
 
 
+def is_stationary(outer: Outer, point: ReducedPoint) -> bool:
+    """To the tolerance of the solve, over the branches of the contact where there are several."""
+    if not np.any(point.weak) and outer.residual(point) <= outer.tolerance:
+        return True
+    return bool(outer.branches(point).b_stationary)
+
+
 def finished(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[ReducedPoint | None, int]:
     """The contact solution where the exact finish from ``point`` ends, and its Ipopt iterations.
 
     None if it ends at invalid outer variables, or the objective has risen by the contact solve there.
     """
+    end, iterations = _finished(outer, point, monitor, FINISH)
+    if end is None or is_stationary(outer, end):
+        return end, iterations
+    monitor.check()
+    closer, more = _finished(outer, end, monitor, POLISH)
+    return closer or end, iterations + more
+
+
+def _finished(
+    outer: Outer, point: ReducedPoint, monitor: Monitor, ipopt: Mapping[str, Any]
+) -> tuple[ReducedPoint | None, int]:
     program = outer.kkt
-    limits = {"time_limit_s": max(monitor.remaining, 1e-3), "max_iterations": monitor.iterations_left}
+    limits: dict[str, Any] = {
+        "time_limit_s": max(monitor.remaining, 1e-3),
+        "max_iterations": monitor.iterations_left,
+    }
     with monitor.clock.during("build"):
-        solver = MPCCSolver(program.mpcc, **{**FINISH, **limits})
+        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt, **limits)
     result = solver.finish(program.point(point.q, point.equilibrium, point.system))
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)

@@ -10,9 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from formulations.kinks import EXACT_FINISH, Zigzag, finished
+from formulations.kinks import EXACT_FINISH, Zigzag, finished, is_stationary
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterResult
@@ -121,7 +119,7 @@ class _Descent:
             found = self._solved(program, q, Zigzag() if attempt < ROUNDS - 1 else None)
             methods.append(found.method or self._settings.outer)
             method = ", then ".join(methods) if attempt else found.method
-            if self._is_stationary(found.q):
+            if is_stationary(outer, outer.function(found.q)):
                 stopped = found.status is Status.INTERRUPTED
                 return replace(found, status=Status.CONVERGED if stopped else found.status, method=method)
             if attempt == ROUNDS - 1:
@@ -136,7 +134,7 @@ class _Descent:
             q = end.q
             self.note(0, q)
             monitor.check()
-            if self._is_stationary(q):
+            if is_stationary(outer, end):
                 return OuterResult(q, Status.CONVERGED, self._before, ", then ".join(methods))
         return replace(found, method=method)
 
@@ -154,13 +152,6 @@ class _Descent:
         self._monitor.check()
         self._before += found.iterations
         return found
-
-    def _is_stationary(self, q: Array) -> bool:
-        """To the tolerance of the solve, over the branches of the contact where there are several."""
-        outer, point = self._outer, self._outer.function(q)
-        if not np.any(point.weak) and outer.residual(point) <= outer.tolerance:
-            return True
-        return bool(outer.branches(point).b_stationary)
 
 
 class _Decrease:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from formulations import kinks
 from formulations import nested as module
 from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
 from formulations.nested import Nested
@@ -73,6 +75,21 @@ def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.Mon
     assert solution.success
     assert solution.status is not Status.CONVERGED
     assert EXACT_FINISH not in solution.extra["outer_method"]
+
+
+def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    said, used = iter([False]), []
+
+    class Noted(kinks.MPCCSolver):  # type: ignore[misc]
+        def __init__(self, mpcc: Any, **options: Any) -> None:
+            used.append(options["ipopt_exact"])
+            super().__init__(mpcc, **options)
+
+    monkeypatch.setattr(kinks, "MPCCSolver", Noted)
+    monkeypatch.setattr(kinks, "is_stationary", lambda *_: next(said, True))
+    solution = rm.solve(seal(), "nested", objective=LEAK)
+    assert used == [kinks.FINISH, kinks.POLISH]
+    assert solution.status is Status.CONVERGED
 
 
 @pytest.mark.parametrize("formulation", [Nested(max_iterations=3), Nested(enough=0.1)])
