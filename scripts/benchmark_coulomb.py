@@ -1,0 +1,325 @@
+"""Coulomb friction against closed forms, published figures, and a fixed point of the bounds.
+
+python scripts/benchmark_coulomb.py partial       partial slip of Cattaneo and Mindlin
+python scripts/benchmark_coulomb.py plate         a plate that is pressed and pushed, five published figures
+python scripts/benchmark_coulomb.py iterations    active sets, ours and those of a fixed point
+python scripts/benchmark_coulomb.py hard          all coefficients, orders and meshes: is each solved?
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import brentq
+from skfem import MeshTri
+
+import rmesh_nlp as rm
+from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.report.markup import markdown_table
+
+Table = tuple[list[str], Iterator[list[str]]]
+
+COEFFICIENT, RADIUS, PRESS = 0.3, 10.0, 0.19
+"""Of partial slip, Young's modulus one: F, the radius of the cylinder, and the approach at which the
+half-width is about one."""
+
+
+def graded(first: float, fine: float, size: float, growth: float) -> Array:
+    """Places from 0 to ``size``, ``first`` apart up to ``fine`` and then farther by the factor ``growth``."""
+    places, step = list(np.arange(0, fine + first / 2, first)), first
+    while places[-1] < size:
+        step *= growth
+        places.append(places[-1] + step)
+    x, start = np.array(places), places[np.searchsorted(places, fine)]
+    x[x > start] = start + (x[x > start] - start) * (size - start) / (x[-1] - start)
+    return x
+
+
+def pressed_block(n: int, shear: float, poisson: float = 0.49, order: int = 2) -> ContactProblem:
+    """A block on a rigid cylinder, its top moved down and sideways; ``n`` edges over the half-width.
+
+    The block is 24 half-widths high and 48 wide. In one of half that size pressing alone makes the ends of
+    the contact slip, along 5 % of it.
+    """
+    x, y = graded(1 / n, 1.25, 24.0, 1.5), graded(1 / n, 0.0, 24.0, 1.5)
+    mesh = MeshTri.init_tensor(np.concatenate([-x[:0:-1], x]), y)
+    mesh = mesh.with_boundaries({"bottom": lambda z: z[1] == 0, "top": lambda z: z[1] == y[-1]})
+    return ContactProblem(
+        mesh,
+        rm.PlaneStrain.from_young(1.0, poisson),
+        rm.Dirichlet("top", (shear, -PRESS)),
+        rm.Obstacle("bottom", offset=lambda x, y: x**2 / (2 * RADIUS), coulomb=COEFFICIENT),
+        rm.Motion(None),
+        order=order,
+    )
+
+
+@dataclass(frozen=True)
+class StickZone:
+    """Tangential over largest tangential force, half-widths of stick and contact, a bracket of the first.
+
+    Stresses are means over edges. In the closed form the square of the pressure over the contact, and that of
+    what the friction leaves of its bound over the part that sticks, are parabolas in x: the half-widths are
+    those between the zeros of the parabolas fitted there.
+    """
+
+    load: float
+    stick: float
+    contact: float
+    bracket: tuple[float, float]
+    sets: int
+
+    @staticmethod
+    def of(model: ContactSolver) -> StickZone:
+        """That of the contact solution on the mesh as given."""
+        state, nodes = model.given, np.asarray(model.problem.mesh.p)
+        places = model.discretisation.space.points(nodes)[0, model.contact_nodes]
+        along = np.argsort(places)
+        x, normal, tangential = (v[along] for v in (places, state.normal_force, state.tangential_force))
+        sticks = (state.active.touching & (state.active.sliding == 0))[along]
+        per_edge = model.problem.order
+        ends, inner = slice(0, None, per_edge), slice(1, None, 2)
+
+        def means(force: Array) -> Array:
+            """Of stresses on edges, by the forces at their nodes."""
+            total = (force[ends][:-1] + force[ends][1:]) / 2
+            return np.asarray((total + (force[inner] if per_edge == 2 else 0.0)) / np.diff(x[ends]))
+
+        middle, pressure, friction = (x[ends][:-1] + x[ends][1:]) / 2, means(normal), means(tangential)
+        held = sticks[ends][:-1] & sticks[ends][1:] & (sticks[inner] if per_edge == 2 else True)
+        pressed = (normal[ends][:-1] > 0) & (normal[ends][1:] > 0)
+        left = COEFFICIENT * pressure - np.abs(friction)
+        first, last = np.flatnonzero(sticks)[[0, -1]]
+        return StickZone(
+            tangential_load(state),
+            half_width(middle[held], left[held]),
+            half_width(middle[pressed], pressure[pressed]),
+            ((x[last] - x[first]) / 2, (x[last + 1] - x[first - 1]) / 2),
+            state.iterations,
+        )
+
+    @property
+    def error(self) -> float:
+        """Relative error of stick over contact, which is ``sqrt(1 - Q/(F P))``."""
+        return float(self.stick / self.contact / np.sqrt(1 - self.load) - 1)
+
+
+def tangential_load(state: Equilibrium) -> float:
+    """Q/(F P)."""
+    return float(abs(state.tangential_force.sum()) / (COEFFICIENT * state.normal_force.sum()))
+
+
+def half_width(x: Array, stress: Array) -> float:
+    """Half the distance of the zeros of the parabola through the squares of a stress."""
+    zeros = np.roots(np.polyfit(x, stress**2, 2))
+    return float(abs(zeros[0] - zeros[1]) / 2)
+
+
+def partial_slip(
+    n: int = 16, loads: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+) -> Table:
+    """c/a against ``sqrt(1 - Q/(F P))`` for several Q/(F P)."""
+
+    def excess(shear: float, load: float) -> float:
+        state = ContactSolver(pressed_block(n, shear)).given
+        return tangential_load(state) - load
+
+    def rows() -> Iterator[list[str]]:
+        for load in loads:
+            shear = brentq(excess, 1e-4, 0.15, args=(load,), rtol=1e-3)
+            found = StickZone.of(ContactSolver(pressed_block(n, shear)))
+            exact = np.sqrt(1 - found.load)
+            low, high = (f"{value / found.contact:.3f}" for value in found.bracket)
+            cells = [f"{found.load:.3f}", f"{exact:.4f}", f"{found.stick / found.contact:.4f}"]
+            yield [*cells, f"{100 * found.error:+.2f} %", f"{low} to {high}", str(found.sets)]
+
+    return ["Q/(F P)", "c/a exact", "computed", "error", "last node that sticks, next", "active sets"], rows()
+
+
+PLATE = {0.0: 2.86e-5, 0.00125: 2.72e-5, 0.005: 2.28e-5, 0.0075: 1.98e-5, 0.01125: 1.50e-5}
+"""Slip in m at places of the lower edge in m: code_aster's test SSNV128 (V6.04.128, to 5 %), a mean of codes
+after R. A. Feijoo, H. J. C. Barbosa, N. Zouain, Numerical formulations for contact problems with friction,
+Journal of Theoretical and Applied Mechanics."""
+
+
+def plate(n: int, order: int) -> ContactProblem:
+    """Half of a square plate of 80 mm, F = 1, pressed from above by 50 and from the side by 150 MPa."""
+    return ContactProblem(
+        rectangle(n, n, x=(0, 0.04), y=(0, 0.04)),
+        rm.PlaneStrain.from_young(1.3e11, 0.2),
+        rm.Dirichlet("right", (0.0, None)),
+        rm.Obstacle("bottom", coulomb=1.0),
+        rm.Motion(None),
+        (rm.Traction("top", (0.0, -5e7)), rm.Traction("left", (15e7, 0.0))),
+        order=order,
+    )
+
+
+def plate_slips(problem: ContactProblem) -> Array:
+    """Computed slips over published ones, at the places of ``PLATE``."""
+    model = ContactSolver(problem)
+    space, nodes = model.discretisation.space, np.asarray(problem.mesh.p)
+    u = space.at_vertices(space.values(model.displacement.values(model.given.u)))[0]
+    bottom = np.flatnonzero(nodes[1] == 0)
+    along = bottom[np.argsort(nodes[0, bottom])]
+    return np.interp(list(PLATE), nodes[0, along], u[along]) / np.array(list(PLATE.values()))
+
+
+def plates() -> Table:
+    """On 32 x 32 squares as in the test, and on finer ones."""
+    sizes = [(32, 1), (32, 2), (64, 1), (64, 2), (128, 1)]
+    rows = ([f"{n} x {n}", str(k), *(f"{r:.3f}" for r in plate_slips(plate(n, k)))] for n, k in sizes)
+    return ["squares", "order", *(f"x = {1e3 * x:g} mm" for x in PLATE)], rows
+
+
+def fixed_point(system: ContactSystem, tolerance: float = 1e-8) -> tuple[int, int]:
+    """Steps of ``b -> F lambda(b)`` until the bounds change by less, relatively, and active sets in all.
+
+    Each step solves a contact problem with given bounds from the last active set. Zero steps: 100 did not do.
+    """
+    bound, active, sets = system.slip_bound, None, 0
+    for step in range(1, 101):
+        state = solve(replace(system, slip_bound=bound, coulomb=None), active)
+        following = system.bound(state.normal_force)
+        active, sets = state.active, sets + state.iterations
+        if np.max(np.abs(following - bound)) <= tolerance * np.max(following):
+            return step, sets
+        bound = following
+    return 0, sets
+
+
+def with_coefficient(system: ContactSystem, coefficient: float) -> ContactSystem:
+    """The same with one coefficient everywhere."""
+    return replace(system, coulomb=np.full(system.offset.size, coefficient))
+
+
+def system_of(problem: ContactProblem) -> ContactSystem:
+    """The contact system on the mesh as given."""
+    return ContactSolver(problem).system(np.asarray(problem.mesh.p))
+
+
+def slab(n: tuple[int, int], order: int = 1) -> ContactProblem:
+    """Example 6.3 with a coefficient of Coulomb."""
+    problem = rm.EXAMPLES["6.3"](n=n)
+    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=0.5), order=order)
+
+
+def arch(n: int) -> ContactProblem:
+    """A 3 x 1 block on ``3 n`` x ``n`` squares, pressed on a foundation that is highest in the middle."""
+    return ContactProblem(
+        rectangle(3 * n, n, x=(0, 3)),
+        rm.PlaneStrain.from_young(1e4, 0.45),
+        rm.Dirichlet("top", (0.0, -0.003)),
+        rm.Obstacle("bottom", offset=lambda x, y: 0.001 + 0.003 * (x - 1.5) ** 2, coulomb=0.5),
+        rm.Motion(None),
+        (rm.Traction("right", (-3.0, 0.0)),),
+    )
+
+
+def iterations() -> Table:
+    """Active sets, each a factorisation, by mesh and F."""
+    problems = [(f"slab {12 * k} x {6 * k}", slab((12 * k, 6 * k))) for k in (1, 2, 4, 8)]
+    problems += [(f"arch {3 * n} x {n}", arch(n)) for n in (10, 20, 40)]
+
+    def rows() -> Iterator[list[str]]:
+        for name, problem in problems:
+            system, cells = system_of(problem), []
+            for coefficient in (0.1, 0.5, 1.0, 2.0, 5.0):
+                here = with_coefficient(system, coefficient)
+                steps, sets = fixed_point(here)
+                cells.append(f"{solve(here).iterations} ({sets} in {steps or 'over 100'} steps)")
+            yield [name, *cells]
+
+    return ["", *(f"F = {value}" for value in (0.1, 0.5, 1, 2, 5))], rows()
+
+
+def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
+    """Whether the laws hold, whatever the solver says."""
+    forces = state.u, state.normal_force, state.tangential_force
+    exact = equilibrium_residual(system, *forces) < 1e-9 and law_residual(system, *forces) < 1e-9
+    return state.status is Status.CONVERGED and exact
+
+
+def families() -> Iterator[tuple[str, Iterator[ContactSystem]]]:
+    """Contact systems of Example 6.3, of 30 random bodies and of the pressed block, by order."""
+    for order in (1, 2):
+        sizes = [(12 * k, 6 * k) for k in ((1, 2, 4, 8) if order == 1 else (1, 2, 4))]
+        yield f"Example 6.3, to {sizes[-1][0]} x {sizes[-1][1]}", (system_of(slab(n, order)) for n in sizes)
+        yield (
+            "random, refined up to twice",
+            (system_of(problem) for seed in range(30) for problem in refinements(seed, order)),
+        )
+        yield (
+            "pressed block, nu = 0.3 to 0.499",
+            (
+                system_of(pressed_block(n, shear, poisson, order))
+                for poisson in (0.3, 0.45, 0.49, 0.499)
+                for n in (8, 16)
+                for shear in (0.0, 0.006, 0.024, 0.06, 0.1)
+            ),
+        )
+
+
+def refinements(seed: int, order: int) -> Iterator[ContactProblem]:
+    """A random body, and the same on its uniform refinements."""
+    rough = random_problem(seed, kind="rough", order=order)
+    problem = replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=0.5))
+    for _ in range(3):
+        yield problem
+        problem = refined(problem)
+
+
+def hard() -> Table:
+    """How many are solved, in how many active sets."""
+    coefficients = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
+
+    def rows() -> Iterator[list[str]]:
+        for number, (name, systems) in enumerate(families()):
+            solved, counts = 0, []
+            for system in systems:
+                for value in coefficients:
+                    here = with_coefficient(system, value)  # it keeps its factors: one at a time
+                    state = solve(here)
+                    solved += is_solved(here, state)
+                    counts.append(state.iterations)
+            sets = np.array(counts)
+            cells = [
+                f"{solved} of {sets.size}",
+                f"{np.median(sets):g}",
+                f"{np.quantile(sets, 0.99):.0f}",
+                str(sets.max()),
+            ]
+            yield [name, str(1 + number // 3), *cells]
+
+    return ["", "order", "solved", "median of sets", "99 %", "most"], rows()
+
+
+TABLES = {"partial": partial_slip, "plate": plates, "iterations": iterations, "hard": hard}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print tables."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help="all by default")
+    for name in parser.parse_args(arguments).tables or TABLES:
+        head, rows = TABLES[name]()
+        print(markdown_table(head, list(rows)))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
