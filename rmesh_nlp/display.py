@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from html import escape
 from numbers import Real
 from typing import Any
@@ -58,6 +59,17 @@ def for_markdown(text: str) -> str:
 def figure(value: float) -> str:
     """A number with six digits."""
     return f"{value:.6g}"
+
+
+def bounds_in_words(lower: Any, upper: Any) -> str:
+    """Bounds as text, numbers or expressions; one that is infinite, or None, is none."""
+    low, high = (
+        None if bound is None or (isinstance(bound, Real) and math.isinf(bound)) else describe(bound)
+        for bound in (lower, upper)
+    )
+    if low == high:
+        return f"equal to {low}"
+    return f"at most {high}" if low is None else f"at least {low}" if high is None else f"{low} to {high}"
 
 
 def describe(coefficient: Any) -> str:

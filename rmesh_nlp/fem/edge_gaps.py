@@ -35,7 +35,9 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.problem.design import at_design
 
 SAMPLES = 16
 """Parts of an edge; heights are taken between them."""
@@ -65,10 +67,11 @@ STRAIGHT = 1e-9
 
 def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
     """The problem with gaps that hold along edges where a foundation rises between nodes; itself if none."""
-    body = Body(problem, problem.mesh.p)
+    first = problem.at_design()  # foundations that depend on a design: as they are at the start
+    body = Body(first, problem.mesh.p)
     chosen = tuple(
-        replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, obstacle) else obstacle
-        for obstacle in problem.obstacles
+        replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, at_start) else obstacle
+        for obstacle, at_start in zip(problem.obstacles, first.obstacles, strict=True)
     )
     return problem if chosen == problem.obstacles else replace(problem, obstacle=chosen)
 
@@ -101,13 +104,14 @@ def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
 def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[ElementTerm]:
     """Gaps of one of the space's contact sets that hold along edges, of positions and displacement."""
     problem = space.problem
+    at_start = at_design(part.obstacle, problem.start)
     where = space.points(problem.mesh.p)[:, part.nodes]
-    unit = float(np.max(np.abs(part.obstacle.distances(where)), initial=0.0)) or 1.0
-    highest, _ = _largest(Body(problem, problem.mesh.p), part.obstacle)
+    unit = float(np.max(np.abs(at_start.distances(where)), initial=0.0)) or 1.0
+    highest, _ = _largest(Body(problem.at_design(), problem.mesh.p), at_start)
     tiny = max(TINY, SMOOTH[space.order] * highest / unit)
     free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
-    given = _given_along(space, part.obstacle)
+    given = _given_along(space, at_start)
     inside = space.order == 2 and part.obstacle.boundary is Place.INTERIOR
     for at_edge, cells, sides, rows, patch in _fans(space, part) if inside else _patches(space, part):
         number = max(sides)
@@ -260,7 +264,7 @@ class _Beside:
         gap = ca.dot(self.obstacle.direction(x, y), u) + own - off
         columns = [*([] if self.curve is None else [t]), ca.vec(X), u, constants]
         at_points = point_values(columns, ca.horzcat(*points), self.obstacle.distance)
-        return ca.Function("edge_gap", [*columns, distance], [0, gap]), at_points
+        return ca.Function("edge_gap", [*columns, distance], [0, gap], OPEN), at_points
 
 
 def _samples(corners: int, interior: bool) -> Array:

@@ -28,6 +28,22 @@ OLD_NAMES = {
 """Entries of records of 0.1 by the names that they have now."""
 
 
+def objective_of(record: Record) -> str:
+    """What was asked for: the energy also where a distortion was minimised with it."""
+    objective = str(record.get("objective", "energy"))
+    return "energy" if record.get("regularisation") and objective.startswith("energy") else objective
+
+
+def has_energy(record: Record) -> bool:
+    """Whether energies before and after say something.
+
+    Those of different designs do not compare, and with Coulomb friction another objective stands in the place
+    of the energy.
+    """
+    of_another = record.get("coulomb_residual") is not None and objective_of(record) != "energy"
+    return not (record.get("design") or of_another)
+
+
 class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 
@@ -109,6 +125,10 @@ class RecordModel(BaseModel):
     objective_initial: Number = None
     objective_value: Number = None
     gain_surviving: Number = None
+    design: dict[str, Number] | None = None
+    design_initial: dict[str, Number] | None = None
+    design_bounds: dict[str, list[Number]] | None = None
+    constraints: dict[str, dict[str, Number]] | None = None
     coulomb_residual: Number = None
     coulomb_residual_initial: Number = None
     energy_lower_bound: Number = None

@@ -9,11 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array, Block
-from rmesh_nlp.fem.constraints import constraint_rows
+from rmesh_nlp.fem.constraints import boundary_of, constraint_rows
 from rmesh_nlp.fem.functional import Functional
+from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.models.kkt_model import kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.optimize.constraints import Linearised
+from rmesh_nlp.problem.coefficients import is_number
+from rmesh_nlp.problem.design import at_design
 
 
 @dataclass(frozen=True)
@@ -55,6 +58,28 @@ class ReducedConstraints:
         found = ConstraintPoint(value + more, jacobian.reshape(self.rows.size, point.q.size))
         self._last = point, found
         return found
+
+    def values(self, point: ReducedPoint) -> list[tuple[str, float, float, float]]:
+        """Text, value, lower and upper bound of each constraint of the problem, in its own units."""
+        rel, found, names = self._function.energy.relocation, self.at(point).value, np.array(self.rows.names)
+        design = rel.discretisation.mesh_map.design(point.q).tolist()
+        named = dict(zip(rel.problem.start, design, strict=True))
+        values, known = [], dict.fromkeys(self.rows.names, 0)
+        for constraint in rel.problem.constraints:
+            text, lower, upper = str(constraint.value), constraint.bounds[0], constraint.bounds[1]
+            upper = float(upper if is_number(upper) else at_design(upper, named))
+            boundary, rows = boundary_of(constraint), np.flatnonzero(names == text)[known[text] :]
+            if boundary is None:
+                value = (found * self.rows.unit)[rows[0]]
+                known[text] += 1
+            else:  # rows are forces less the level times the weights
+                space = rel.discretisation.space
+                part = contact_on(space, boundary)
+                weights, rows = space.weights(rel.nodes(point.q))[part.rows], rows[: part.rows.size]
+                value = upper + np.max((found * self.rows.unit)[rows] / weights)
+                known[text] += rows.size
+            values.append((text, float(value), lower, upper))
+        return values
 
     def violation(self, point: ReducedPoint) -> float:
         """Largest violation, in units of the bounds."""

@@ -14,7 +14,7 @@ from rich.table import Table
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.display import Rows, describe, figure, html_table, plain_table, rich_table
+from rmesh_nlp.display import Rows, bounds_in_words, describe, figure, html_table, plain_table, rich_table
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
@@ -195,6 +195,7 @@ class ContactProblem(ProblemData):
             low, high = variable.bounds
             what = f"from {figure(variable.start)}, {figure(low)} to {figure(high)}"
             rows.append((f"design variable {variable.name}", what))
+        rows += [(f"constraint {one.value}", bounds_in_words(*one.bounds)) for one in self.constraints]
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
         for label, conditions in (("given", self.supports), ("traction", self.tractions)):
             for one in conditions:

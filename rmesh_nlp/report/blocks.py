@@ -8,7 +8,7 @@ from statistics import median
 from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 
 DEFAULT_RELAXATION = "scholtes"
 LINEAR = "order 1"  # what is only said beside another one
@@ -120,12 +120,6 @@ def audited(record: Record) -> float:
     """The energy by which formulations are compared; that of the own rule where no other is known."""
     value = record.get("energy_audited")
     return float(record["energy"] if value is None else value)
-
-
-def objective_of(record: Record) -> str:
-    """What was asked for: the energy also where a distortion was minimised with it."""
-    objective = str(record["objective"])
-    return "energy" if record.get("regularisation") and objective.startswith("energy") else objective
 
 
 def label(record: Record) -> str:

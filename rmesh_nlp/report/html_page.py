@@ -28,14 +28,13 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.paper import MISPRINT_61
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.io.results import ROWS, Result, Results
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     Block,
     blocks,
-    objective_of,
     order_of,
     variant,
     variants_of,

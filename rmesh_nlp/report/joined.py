@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     audited,
@@ -14,7 +14,6 @@ from rmesh_nlp.report.blocks import (
     contact_units,
     grouped,
     label,
-    objective_of,
     seedless,
     with_order,
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import units_of
 from rmesh_nlp.report.blocks import (
@@ -17,7 +17,6 @@ from rmesh_nlp.report.blocks import (
     blocks,
     grouped,
     label,
-    objective_of,
 )
 
 TIED = 1e-8  # energies that differ by less than this part are one: two solvers' ends of the same minimum

@@ -18,13 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
     grouped,
-    objective_of,
     seconds_of_work,
     variant,
     variants_of,

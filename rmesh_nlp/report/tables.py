@@ -9,7 +9,7 @@ import pandas as pd
 
 from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.files import write_text
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import (
     Block,
@@ -17,7 +17,6 @@ from rmesh_nlp.report.blocks import (
     contact_units,
     grouped,
     names_of_solves,
-    objective_of,
     order_of,
 )
 from rmesh_nlp.report.columns import (

@@ -23,9 +23,10 @@ from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem.design import names_in
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import ContactQuantities, Findings, Label
+from rmesh_nlp.solving.parts import Constrained, ContactQuantities, Findings, Label
 from rmesh_nlp.solving.solution import Assessment
 
 ACCURATE = 20
@@ -108,6 +109,7 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         "initial_areas": areas,
         "details": outcome.details,
         "design": designed.figures(outcome.q),
+        "designed": designed.problem if designed.figures(outcome.q) else None,
     }
     if not ratio > 0:  # the contact problem cannot be solved
         unknown = np.full((problem.components, outer.discretisation.space.n_nodes), np.nan)
@@ -161,7 +163,21 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         findings=_findings(ends, outcome.own or ends.found, first.problem, measured.exploits or None),
         quantities=_quantities(ends),
         label=words,
+        constraints=_constrained(ends),
     )
+
+
+def _constrained(ends: _Ends) -> dict[str, Constrained]:
+    """What the problem constrains, where it ended, without levels; what is bounded twice is there once."""
+    rows, found = ends.designed.constraints, dict[str, Constrained]()
+    own = ends.designed.problem.constraints
+    for one, (text, *figures) in zip(own, [] if rows is None else rows.values(ends.point), strict=False):
+        if not set(names_in(one.bounds[1])) <= ends.designed.figures(ends.q).keys():
+            continue
+        value, lower, upper = figures
+        known = found.get(text, Constrained(value, lower, upper))
+        found[text] = Constrained(value, max(lower, known.lower), min(upper, known.upper))
+    return found
 
 
 def _over_branches(ends: _Ends, residual: float, claimed: bool) -> tuple[str, Label] | None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.assessor import Quantities
 from rmesh_nlp.assessment.error_reduction import by_certificate
-from rmesh_nlp.display import figure
+from rmesh_nlp.display import bounds_in_words, figure
 from rmesh_nlp.evaluation import Array
 
 
@@ -133,6 +133,23 @@ class Label(Part):
     biactive: int
     biactive_nodes: list[int]
     descent_rate: float | None = None
+
+
+@dataclass(frozen=True)
+class Constrained:
+    """A constrained quantity: its value at the end, and its bounds, which may be infinite."""
+
+    value: float
+    lower: float
+    upper: float
+
+    def record(self) -> dict[str, float | None]:
+        """The three as JSON, where an infinite bound is null."""
+        return {name: plain(value) for name, value in vars(self).items()}
+
+    def in_words(self) -> str:
+        """For people."""
+        return f"{figure(self.value)}, {bounds_in_words(self.lower, self.upper)}"
 
 
 @dataclass(frozen=True)

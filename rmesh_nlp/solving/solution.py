@@ -17,7 +17,7 @@ from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
-from rmesh_nlp.display import Rows, figure, html_table, plain_table, rich_table
+from rmesh_nlp.display import Rows, bounds_in_words, figure, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
@@ -28,6 +28,7 @@ from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
+    Constrained,
     ContactQuantities,
     Findings,
     Label,
@@ -97,6 +98,10 @@ class Assessment:
         What the formulation adds to the record.
     design : mapping of str to float
         Design variables by their names; ``problem`` has these numbers in their place.
+    designed : ContactProblem or None
+        The problem with its design variables, where it has any.
+    constraints : mapping of str to Constrained
+        What the problem constrains, by the texts.
     """
 
     problem: ContactProblem
@@ -127,6 +132,8 @@ class Assessment:
     label: Label | None = None
     details: tuple[Part, ...] = ()
     design: Mapping[str, float] = field(default_factory=dict)
+    designed: ContactProblem | None = field(default=None, repr=False)
+    constraints: Mapping[str, Constrained] = field(default_factory=dict)
 
     @property
     def message(self) -> str:
@@ -247,10 +254,21 @@ class Solution(Assessment):
             "units": asdict(problem.units),
             "versions": versions(),
             **self._own("start", "settings", "seed"),
-            **({"design": dict(self.design)} if self.design else {}),
+            **self._design_record(),
             **self.extra,
         }
         return {key: plain(value) for key, value in row.items()}
+
+    def _design_record(self) -> dict[str, Any]:
+        """Design variables at the end and at the start, their bounds, and what is constrained."""
+        entries: dict[str, Any] = {}
+        if self.designed is not None:
+            own = [one for one in self.designed.design if one.name in self.design]
+            entries = {"design": dict(self.design), "design_initial": {one.name: one.start for one in own}}
+            entries["design_bounds"] = {one.name: list(one.bounds) for one in own}
+        if self.constraints:
+            entries["constraints"] = {text: one.record() for text, one in self.constraints.items()}
+        return entries
 
     def _own(self, *names: str) -> dict[str, Any]:
         return {name: getattr(self, name) for name in names}
@@ -280,10 +298,8 @@ class Solution(Assessment):
         rows = [
             ("status", f"{self.status.value}: {self.message}"),
             ("success", success_in_words(self.success, self.status)),
-            ("audited energy on the given mesh", figure(self.energy_initial_audited)),
-            ("audited energy", figure(audit.energy_audited)),
-            ("audited gain", _gain(self.gain_audited, self.energy_initial_audited)),
-            ("energies by the rule of the problem", f"{figure(self.energy_initial)}, {figure(self.energy)}"),
+            *self._objective_rows(),
+            *self._energy_rows(),
             ("first-order residual", f"{self.stationarity_residual:.1e}"),
             ("least area ratio", figure(audit.min_area_ratio)),
             ("largest motion", figure(float(motion.max()))),
@@ -304,13 +320,44 @@ class Solution(Assessment):
             best, share = extra["attainable_factor"], extra["share_of_attainable"]
             said = f"{best:.2g} times less error: {share:.0%} of that is reached"
             rows.append(("best mesh of as many triangles", said))
-        if "gain_surviving" in extra:
-            rows.append(("gain left on refined meshes", f"{extra['gain_surviving']:.0%} of the objective's"))
-        if self.multipliers is not None:
+        if self.multipliers is not None and not self.problem.motion.is_fixed:
             found = self.multipliers
             for by, what, rate in (("move limits", "nodes", found.limit), ("areas", "elements", found.area)):
                 rows.append((f"limited by {by}", f"{np.sum(rate > 0)} {what}, largest {figure(rate.max())}"))
         return rows
+
+    def _objective_rows(self) -> list[tuple[str, str]]:
+        """Another objective than the energy, the design, and what is constrained."""
+        rows: list[tuple[str, str]] = []
+        found = self.findings
+        if found is not None and not self.objective.startswith("energy"):
+            rows.append(("objective", self.objective))
+            first, last = found.objective_initial, found.objective_value
+            if first is not None:
+                rows.append(("objective at the start", figure(first)))
+            rows.append(("objective at the end", figure(last)))
+            if first is not None:
+                rows.append(("gain", _gain(first - last, first)))
+        if found is not None and found.gain_surviving is not None:
+            rows.append(("gain left on refined meshes", f"{found.gain_surviving:.0%} of the objective's"))
+        for one in () if self.designed is None else self.designed.design:
+            if one.name not in self.design:
+                continue
+            there, bounds = figure(self.design[one.name]), bounds_in_words(*one.bounds)
+            rows.append((f"design variable {one.name}", f"{there} from {figure(one.start)}, bounds {bounds}"))
+        return rows + [(f"constraint {text}", one.in_words()) for text, one in self.constraints.items()]
+
+    def _energy_rows(self) -> list[tuple[str, str]]:
+        """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
+        of_another = self.problem.has_coulomb and not self.objective.startswith("energy")
+        if self.designed is not None or of_another:
+            return []
+        return [
+            ("audited energy on the given mesh", figure(self.energy_initial_audited)),
+            ("audited energy", figure(self.audit.energy_audited)),
+            ("audited gain", _gain(self.gain_audited, self.energy_initial_audited)),
+            ("energies by the rule of the problem", f"{figure(self.energy_initial)}, {figure(self.energy)}"),
+        ]
 
     def __rich__(self) -> Table:
         return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())

@@ -32,6 +32,7 @@ from rmesh_nlp.study.plan import (
     PlannedSolve,
     build_example,
     check_objective,
+    objective_of_file,
     options_of,
     planned,
 )
@@ -64,26 +65,29 @@ def plan_comparison(
 
     An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
     lists. A formulation may have options of its own, see :func:`formulation_options`. The problem of a file,
-    whose name ends with ``.toml``, is solved on uniform refinements of its mesh as well, without motion;
-    ``order`` takes the place of its own.
+    whose name ends with ``.toml``, has the objective of its ``[solve]`` unless one is given; ``order`` takes
+    the place of its own. Where energies compare it is solved on uniform refinements of its mesh as well,
+    without motion.
     """
     options = dict(options or {})
     _check_options(options)
-    own = _file_problems(examples, order)
+    own = _file_problems(examples, order)  # with their objectives
     if own and (n is not None or delta is not None or quadrature is not None):
         raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
     given: dict[str, Any] = {"n": n, "delta": delta, "order": order, "quadrature": quadrature}
     given = {key: value for key, value in given.items() if value is not None}
-    problems: list[tuple[dict[str, Any], ContactProblem]] = [({}, problem) for problem in own]
+    problems: list[tuple[dict[str, Any], ContactProblem, dict[str, Any]]] = [
+        ({}, problem, {} if text == "energy" else {"objective": text}) for problem, text in own
+    ]
     for name in (name for name in examples if not name.endswith(SUFFIX)):
-        problems.append(({"kind": "example", "example": name, **given}, build_example(name, **given)))
+        problems.append(({"kind": "example", "example": name, **given}, build_example(name, **given), {}))
     errors = [text for text in _listed(options.get("objective", [])) if parse_objective(text).needs_exact]
     if errors and own:
         raise BadInputError(
-            f"--objective {errors[0]}: needs an exact or reference solution, and {own[0].name!r} has none"
+            f"--objective {errors[0]}: needs an exact or reference solution, and {own[0][0].name!r} has none"
         )
     if errors:
-        problems = [(stated, with_reference(problem)) for stated, problem in problems]
+        problems = [(stated, with_reference(problem), {}) for stated, problem, _ in problems]
     chosen = [formulation_options(text) for text in formulations]
     for option in options:
         if option not in HARMLESS and not any(accepted(name, [option]) for name, _ in chosen):
@@ -92,14 +96,14 @@ def plan_comparison(
     several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
     commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
     solves = []
-    for (stated, problem), common, (name, own_options) in product(problems, commons, chosen):
-        taken = options_of(name, own_options, common)
+    for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
+        taken = options_of(name, own_options, {**default, **common})
         limit = taken.get("time_limit_s", UNLIMITED["time_s"])
         about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
         solves.append(planned(problem, name, taken, **about))
     if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
         solves = list({solve.key: solve for solve in solves}.values())
-    finer = (fine for problem in own for fine in _refinements(problem))
+    finer = (fine for problem, _ in own for fine in _refinements(problem))
     return solves + [planned(fine, "fixed", certify=certify) for fine in finer]
 
 
@@ -132,12 +136,16 @@ def _check_options(options: Mapping[str, Any]) -> None:
             raise unknown("outer solver" if option == "outer" else option, options[option], known)
 
 
-def _file_problems(names: Sequence[str], order: int | None) -> list[ContactProblem]:
-    """The problems of those names that are files."""
-    problems = [load_problem(Path(name), order) for name in names if name.endswith(SUFFIX)]
-    if name := _twice([problem.name for problem in problems]):
+def _file_problems(names: Sequence[str], order: int | None) -> list[tuple[ContactProblem, str]]:
+    """The problems of those names that are files, and the objectives of their ``[solve]``."""
+    found = [
+        (load_problem(Path(name), order), objective_of_file(Path(name)))
+        for name in names
+        if name.endswith(SUFFIX)
+    ]
+    if name := _twice([problem.name for problem, _ in found]):
         raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
-    return problems
+    return found
 
 
 def _twice(names: Sequence[str]) -> str:
@@ -147,8 +155,8 @@ def _twice(names: Sequence[str]) -> str:
 
 
 def _refinements(problem: ContactProblem) -> Iterator[ContactProblem]:
-    """The problem on uniformly refined meshes, coarsest first."""
-    for _ in range(REFINEMENTS):
+    """The problem on uniformly refined meshes, coarsest first; none where there is no energy to compare."""
+    for _ in range(0 if problem.design or problem.has_coulomb else REFINEMENTS):
         if problem.mesh.p.shape[1] + problem.mesh.facets.shape[1] > LARGEST:
             return
         problem = refined(problem)

@@ -160,30 +160,50 @@ def check_objective(text: str) -> None:
         raise BadInputError(str(error)) from error
 
 
+def objective_of_file(path: Path) -> str:
+    """The objective that ``[solve]`` of a problem file states."""
+    text = beside(read_table(path).solve.objective, path.parent)
+    try:
+        check_objective(text)
+    except BadInputError as error:
+        raise BadInputError(f"{path}: solve.objective: {error}") from error
+    return text
+
+
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """All solves of a study, in the order: problem, variant, objective, seed, repetition.
 
-    A formulation that takes no seed or no objective is solved once, not once for each. A BadInputError names
-    what is unknown or broken, or the option that a formulation does not take.
+    A study without ``objectives`` has those of its problem files. A formulation that takes no seed or no
+    objective is solved once, not once for each. A BadInputError names what is unknown or broken, or the
+    option that a formulation does not take.
     """
     for text in study.objectives:
         try:
             check_objective(text)
         except BadInputError as error:
             raise BadInputError(f"{path}: objectives: {error}") from error
-    variants = list(_variants(study, path))
+    stated = tuple(beside(text, path.parent) for text in study.objectives)
+    variants = {stated: list(_variants(study, path, stated))}
     common: dict[str, Any] = {"time_s": study.limits.time, "memory_mb": study.limits.memory}
     common |= {"fields": study.fields, "certify": study.certify}
-    solves = [
-        PlannedSolve(*problem, variant, formulation, options, repeat, **common)
-        for problem in _problems(study, path)
-        for variant, formulation, options in variants
-        for repeat in range(study.repeats)
-    ]
+    solves = []
+    for problem in _problems(study, path):
+        objectives = stated
+        if problem[0]["kind"] == "file" and "objectives" not in study.model_fields_set:
+            objectives = (objective_of_file(Path(problem[0]["path"])),)
+        if objectives not in variants:
+            variants[objectives] = list(_variants(study, path, objectives))
+        solves += [
+            PlannedSolve(*problem, variant, formulation, options, repeat, **common)
+            for variant, formulation, options in variants[objectives]
+            for repeat in range(study.repeats)
+        ]
     return list({solve.key: solve for solve in solves}.values())
 
 
-def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _variants(
+    study: StudyTable, path: Path, objectives: Sequence[str]
+) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name, formulation and options of each for each objective and seed, also those that it does not take."""
     limits = {"time_limit_s": study.limits.time, "max_iterations": study.limits.iterations}
     for variant, table in study.formulations.items():
@@ -201,7 +221,6 @@ def _variants(study: StudyTable, path: Path) -> Iterator[tuple[str, str, dict[st
             except TypeError:
                 said = "dates and times are no options"
                 raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
-        objectives = (beside(text, path.parent) for text in study.objectives)
         for objective, seed in product(objectives, study.seeds):
             common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
             common = {name: value for name, value in common.items() if value is not None}

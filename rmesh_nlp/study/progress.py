@@ -17,13 +17,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, has_energy, objective_of
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.clock import TOLERANCE, Falling, Limits
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study.plan import PlannedSolve
 
 EVERY_S = 10.0  # seconds between lines about a solve that goes on, where there is no terminal
+NAMED = 6  # design variables of a line about a row
 EVERY = 100  # solves between lines about a study, where there is no terminal
 
 
@@ -62,7 +63,9 @@ class SolvesProgress:
         """A solve begins."""
         self._name = f"{solve.name} {solve.formulation}"
         limit = None if solve.options.keys() & {"starts", "levels"} else solve.options.get("time_limit_s")
-        self._pace, self._said = Pace(limit or Limits.seconds), time.monotonic()
+        of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
+        self._pace = Pace(limit or Limits.seconds, of_energy=of_energy)
+        self._said = time.monotonic()
         self._bar.update(self._task, description=self._name)
 
     def step(self, step: Step) -> None:
@@ -94,11 +97,13 @@ class SolvesProgress:
 def summary(row: Record) -> str:
     """One line about a row."""
     line = f"{row['example']} {row.get('variant') or row['formulation']}: {row['status']}"
-    after, before = row.get("energy_audited"), row.get("energy_initial_audited")
-    if after is not None:
-        line += ", audited J = " + (f"{before:.6f} -> " if before is not None else "") + f"{after:.6f}"
-        if before:
-            line += f" (gain {before - after:.4g}, {100 * (before - after) / abs(before):.3g} %)"
+    if objective_of(row) != "energy":
+        line += _change("objective", row.get("objective_initial"), row.get("objective_value"), ".5g")
+    elif has_energy(row):
+        line += _change("audited J", row.get("energy_initial_audited"), row.get("energy_audited"), ".6f")
+    design = [f"{name} = {value:.4g}" for name, value in (row.get("design") or {}).items()]
+    line += "".join(f", {text}" for text in design[:NAMED])
+    line += f" and {len(design) - NAMED} more" if len(design) > NAMED else ""
     if row.get("iterations") is not None:
         line += f", {row['iterations']} iterations"
     line += f", {row['wall_time_s']:.2f} s"
@@ -109,15 +114,26 @@ def summary(row: Record) -> str:
     return line
 
 
+def _change(what: str, before: float | None, after: float | None, form: str) -> str:
+    """A value before and after with the gain; empty if it is not known after."""
+    if after is None:
+        return ""
+    text = f", {what} = " + (f"{before:{form}} -> " if before is not None else "") + f"{after:{form}}"
+    if before:
+        text += f" (gain {before - after:.4g}, {100 * (before - after) / abs(before):.3g} %)"
+    return text
+
+
 class Pace:
     """Follows the steps of one solve: its gain, its residual, and about how long it will take.
 
+    Of another objective than the energy it follows the objective.
     The time left is an estimate: that of the formulation, if it has one, else the residual falls on in time
     as it did over the last steps, on a logarithmic scale. Where neither is known the time limit is shown.
     """
 
-    def __init__(self, limit: float = math.inf) -> None:
-        self._limit = limit
+    def __init__(self, limit: float = math.inf, *, of_energy: bool = True) -> None:
+        self._limit, self._of_energy = limit, of_energy
         self._step: Step | None = None
         self._given = math.nan
         self._falling = Falling(TOLERANCE)
@@ -125,7 +141,10 @@ class Pace:
     def __call__(self, step: Step) -> None:
         """Note a step."""
         self._step = step
-        if math.isfinite(step.energy_given):  # on the mesh of this step, before any node moved
+        if not self._of_energy:
+            if math.isnan(self._given) and math.isfinite(step.objective):
+                self._given = step.objective
+        elif math.isfinite(step.energy_given):  # on the mesh of this step, before any node moved
             self._given = step.energy_given
         elif math.isnan(self._given) and math.isfinite(step.energy):
             self._given = step.energy
@@ -137,7 +156,9 @@ class Pace:
         if step is None:
             return ""
         parts = [f"iteration {step.iteration}"]
-        if math.isfinite(step.energy):
+        if not self._of_energy and math.isfinite(step.objective):
+            parts.append(f"objective {self._given:.6g} -> {step.objective:.6g}")
+        elif self._of_energy and math.isfinite(step.energy):
             parts += [f"J = {step.energy:.6g}", f"gain {self._given - step.energy:.3g}"]
         if not math.isnan(_residual(step)):
             parts.append(f"residual {_residual(step):.1e}")

@@ -10,14 +10,16 @@ import pytest
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
+from rmesh_nlp.problem import Constraint, Motion
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
 from rmesh_nlp.solving.solution import Solution, _gain
 from rmesh_nlp.study.progress import summary as one_line
+from support.designs import BOW, LIMITED, E, block
 from support.endings import Own
-from support.formulations import fixed, joint
+from support.formulations import fixed, joint, nested
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +67,31 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     assert dict(fell.summary())["error reduction"] == fell.error_reduction.text()
     assert fell.record()["error_reduction"] == fell.error_reduction.record()
     assert replace(made, certificate_remark="no").record()["certificate_remark"] == "no"
+
+
+def test_a_design_is_recorded_with_its_start_its_bounds_and_what_is_constrained() -> None:
+    twice = (*LIMITED, Constraint("body(ux**2)", (1e-9, np.inf)))
+    problem = replace(block(E, BOW, constraints=twice), motion=Motion(0))
+    made = nested.solve(problem, objective="mean(right, uy**2)")
+    record = made.record()
+    assert record["design"] == made.design
+    assert record["design_initial"] == {"E": 1.0, "bow": 0.0}
+    assert record["design_bounds"] == {"E": [0.5, 2.0], "bow": [-0.05, 0.05]}
+    found = record["constraints"]
+    assert set(found) == {str(one.value) for one in LIMITED}
+    strain = found["body(ux**2)"]
+    assert (strain["lower"], strain["upper"]) == (1e-9, 1e-4)
+    peak = found["max-pressure(bottom)"]
+    assert (peak["lower"], peak["upper"]) == (None, 200.0)
+    assert peak["value"] == pytest.approx(made.pressure.max(), rel=1e-9)
+    there = Outer(made.problem, "body(ux**2)")
+    assert strain["value"] == pytest.approx(there.function(np.zeros(there.n)).value, rel=1e-6)
+    rows = dict(made.summary())
+    assert rows["objective"] == "mean(right, uy**2)"
+    assert rows["objective at the start"] == f"{record['objective_initial']:.6g}"
+    assert rows["design variable E"] == f"{made.design['E']:.6g} from 1, bounds 0.5 to 2"
+    assert rows["constraint max-pressure(bottom)"] == f"{peak['value']:.6g}, at most 200"
+    assert "audited energy" not in rows  # energies of different designs do not compare
 
 
 def test_success_says_what_it_lacks(solution: Solution) -> None:

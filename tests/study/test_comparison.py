@@ -48,6 +48,21 @@ def test_a_file_is_solved_on_uniform_refinements_too(file, monkeypatch):
         assert len(plan_comparison([file], ["nested"])) == 1 + refined
 
 
+DESIGN = "[design]\nE = { start = 1.0, bounds = [0.5, 2.0] }\n\n[materials.hard]"
+
+
+def test_a_file_is_compared_by_its_own_objective(file):
+    text = VALID.replace("[materials.hard]", DESIGN)
+    Path(file).write_text(text + 'objective = "area"\n')
+    plan = plan_comparison([file, "6.2"], ["fixed", "nested"])
+    assert [one.options.get("objective") for one in plan] == ["area", "area", None, None]  # no refinements
+    plan = plan_comparison([file], ["nested"], options={"objective": ["quality"]})
+    assert [one.options for one in plan] == [{"objective": "quality"}]
+    Path(file).write_text(VALID + 'objective = "nonsense"\n')
+    with pytest.raises(BadInputError, match=r"own\.toml: solve\.objective: .*nonsense"):
+        plan_comparison([file], ["nested"])
+
+
 def test_keys_are_file_names():
     options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
     (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)

@@ -14,7 +14,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
 from rmesh_nlp.study.study_file import read_study, template
-from support.problem_files import SCALAR
+from support.problem_files import SCALAR, VALID
 
 JOINT = "formulations = ['joint']\n"
 
@@ -154,6 +154,14 @@ def test_what_is_wrong_is_one_line(path, text, named):
     assert named in str(caught.value)
     assert "\n" not in str(caught.value)
     assert str(path.parent) in str(caught.value)
+
+
+@pytest.mark.parametrize(("stated", "objective"), [("", "area"), ("objectives = ['energy']\n", None)])
+def test_a_study_without_objectives_has_those_of_its_files(path, stated, objective):
+    (path.parent / "own.toml").write_text(VALID + 'objective = "area"\n')
+    plan = plan_of(path, "formulations = ['nested']\nfiles = ['own.toml']\nexamples = ['6.1']\n" + stated)
+    found = {solve.name: solve.options.get("objective") for solve in plan}
+    assert found == {"6.1": None, "block": objective}
 
 
 def test_a_dry_run_lists_the_keys_and_writes_nothing(path, capsys):

@@ -57,6 +57,36 @@ def test_a_gain_counts_from_the_mesh_that_the_step_is_on():
         assert f"gain {gain}," in pace.text()
 
 
+def test_another_objective_is_shown_in_the_place_of_the_energy():
+    pace = Pace(of_energy=False)
+    for k in range(3):
+        pace(Step(k, 5.0 + k, 0.0, 0.0, float("nan"), 0, 1.0, objective=0.02 - 0.005 * k))
+    assert pace.text() == "iteration 2, objective 0.02 -> 0.01, residual 0.0e+00"
+
+
+DESIGNED: dict[str, Any] = {
+    **{"example": "seal", "formulation": "mpcc", "objective": "resultant(bottom)", "status": "converged"},
+    **{"success": True, "energy_audited": 7.0, "energy_initial_audited": 6.0, "iterations": 12},
+    **{"objective_initial": 4.0, "objective_value": 1.0, "wall_time_s": 0.5},
+    "design": {"E": 1.25, "h0": -0.5},
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "objective = 4 -> 1 (gain 3, 75 %), E = 1.25, h0 = -0.5, 12 iterations"),
+        ({"objective_initial": None, "design": None}, "objective = 1, 12 iterations"),
+        ({"objective_initial": 0.0, "design": {}}, "objective = 0 -> 1, 12 iterations"),
+        ({"design": {f"v{k}": 1.0 for k in range(8)}}, "v4 = 1, v5 = 1 and 2 more, 12 iterations"),
+        ({"objective": "energy"}, "converged, E = 1.25, h0 = -0.5, 12 iterations"),
+        ({"objective": "energy", "design": None}, "J = 6.000000 -> 7.000000 (gain -1, -16.7 %), 12"),
+    ],
+)
+def test_the_line_about_a_design_has_its_objective_and_its_variables(changes, said):
+    assert said in progress.summary(DESIGNED | changes)
+
+
 def test_a_study_has_lines_for_failures_and_for_every_so_many(capsys):
     row: dict[str, Any] = {"example": "6.1", "variant": "a", "status": "converged", "success": True}
     bad = {**row, "success": False, "status": "died", "message": "[gone]", "wall_time_s": 1.0}

@@ -27,6 +27,7 @@ def block(
     constraints: tuple[Constraint, ...] = (),
     order: int = 1,
     n: tuple[int, int] = (6, 3),
+    gaps: str = "node",
 ) -> ContactProblem:
     """A block held at its top that a foundation presses from below; it depends on the given variables."""
     names = {variable.name for variable in design}
@@ -39,7 +40,7 @@ def block(
         mesh=shapes.rectangle(*n, x=(0, 4), y=(0, 1)),
         law=rm.PlaneStrain.from_young(1e4 * value(E), 0.3, (0.0, lambda x, y: -100 * value(LOAD) * x)),
         dirichlet="top",
-        obstacle=rm.Obstacle("bottom", (0, 1), gap, coulomb=value(F) if "F" in names else 0.0),
+        obstacle=rm.Obstacle("bottom", (0, 1), gap, coulomb=value(F) if "F" in names else 0.0, gap=gaps),
         tractions=rm.Traction("right", (20.0, lambda x, y: -60 * value(LOAD) * (1 + y))),
         motion=rm.Motion(delta=0.05),
         order=order,
@@ -51,6 +52,7 @@ def block(
 DESIGNS = {
     "modulus and load": lambda order: block(E, LOAD, order=order),
     "foundation": lambda order: block(H0, order=order),
+    "foundation, gaps along edges": lambda order: block(H0, BOW, order=order, gaps="edge"),
     "Coulomb's coefficient": lambda order: block(F, order=order),
     "shape": lambda order: block(BOW, order=order),
     "all": lambda order: block(E, LOAD, H0, F, BOW, order=order),
