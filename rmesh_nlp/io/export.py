@@ -216,7 +216,7 @@ class Series:
         entries, active = [], None
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
-            system = model.system(nodes)
+            system = model.system(nodes, free.design(np.asarray(step.q)) if self.problem.design else None)
             if active is None and pressure is not None:
                 active = touching_set(system, pressure[model.contact_nodes] > 0)
             state = solve(system, active)

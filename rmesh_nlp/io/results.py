@@ -193,9 +193,10 @@ def write_single(folder: Path, record: Record, save: Callable[[Result], object])
 
 
 def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Write a history as CSV; what is not known is left empty."""
+    """Write a history as CSV, further columns after those of all; what is not known is left empty."""
+    further = dict.fromkeys(name for row in rows for name in row if name not in HISTORY_FIELDS)
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, HISTORY_FIELDS)
+        writer = csv.DictWriter(file, [*HISTORY_FIELDS, *further])
         writer.writeheader()
         writer.writerows(rows)
 

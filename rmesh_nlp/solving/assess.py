@@ -172,7 +172,7 @@ def _constrained(ends: _Ends) -> dict[str, Constrained]:
     rows, found = ends.designed.constraints, dict[str, Constrained]()
     own = ends.designed.problem.constraints
     for one, (text, *figures) in zip(own, [] if rows is None else rows.values(ends.point), strict=False):
-        if not set(names_in(one.bounds[1])) <= ends.designed.figures(ends.q).keys():
+        if not set(names_in(one.bounds[1])) <= ends.designed.figures(ends.point.q).keys():
             continue
         value, lower, upper = figures
         known = found.get(text, Constrained(value, lower, upper))

@@ -284,7 +284,8 @@ class Track:
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
     def _note(self, iteration: int, q: Array, **known: Any) -> bool:
-        step = Step(iteration=self._before + iteration, seconds=self.monitor.clock.elapsed, **known)
+        known |= {"seconds": self.monitor.clock.elapsed, "design": self.outer.figures(q)}
+        step = Step(iteration=self._before + iteration, **known)
         return self.monitor.note(step, q, shown=self._shown)
 
     def with_violations(self, violations: list[float]) -> None:

@@ -183,6 +183,10 @@ class Choices(Part):
     chosen: str | None = None
 
 
+DESIGN = "design."
+"""What stands before the name of a design variable in columns of histories and tables."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One line of a history.
@@ -224,6 +228,8 @@ class Step:
     seconds_left : float
         What the formulation guesses that the rest of the descent takes; NaN where it has no guess. It is
         for progress, like ``energy_given``, and no part of a history.
+    design : mapping of str to float
+        Design variables at the iterate, by their names.
     """
 
     iteration: int
@@ -240,10 +246,12 @@ class Step:
     stationarity: float = float("nan")
     energy_given: float = field(default=float("nan"), repr=False, compare=False)
     seconds_left: float = field(default=float("nan"), repr=False, compare=False)
+    design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self) -> dict[str, Any]:
         """The step as a plain dictionary for CSV or pandas: None where unknown, ``t`` may be ``inf``."""
-        row = {key: plain(value) for key, value in vars(self).items() if key != "q"}
+        row = {key: plain(value) for key, value in vars(self).items() if key not in ("q", "design")}
+        row |= {DESIGN + name: plain(value) for name, value in self.design.items()}
         return {**row, "t": self.t} if np.isinf(self.t) else row
 
 

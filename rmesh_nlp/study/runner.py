@@ -16,6 +16,7 @@ from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.driver import solve_by_options
 from rmesh_nlp.solving.monitor import OnStep
+from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution, versions
 from rmesh_nlp.solving.verification import error_terms
 from rmesh_nlp.study.plan import PlannedSolve, build
@@ -46,7 +47,10 @@ class Done:
             replace(step, stationarity=step.dual_residual) if np.isnan(step.stationarity) else step
             for step in solution.history
         ]
-        rows = [{name: row[name] for name in HISTORY_FIELDS} for row in (step.row() for step in steps)]
+        rows = [
+            {name: row[name] for name in row if name in HISTORY_FIELDS or name.startswith(DESIGN)}
+            for row in (step.row() for step in steps)
+        ]
         write_whole(places.history, lambda path: write_history(path, rows))
 
 

@@ -21,8 +21,10 @@ from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Relative, Traction
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.curved import disc
+from support.designs import LOAD, E, block
 from support.formulations import fixed, joint, nested
 from support.orders import ORDERS
 
@@ -52,6 +54,18 @@ def series_of(problem, points, *settings):
     for number, q in enumerate(points):
         series(Step(number, 0.0, 0.0, 0.0, 0.0, 0, 0.0, q))
     return series
+
+
+def test_frames_of_a_design_have_its_numbers(tmp_path):
+    outer = Outer(block(E, LOAD), "area")
+    q = np.zeros(outer.n)
+    q[-2:] = 0.5, -0.5
+    series_of(outer.problem, [0 * q, q]).write(tmp_path)
+    there, same = outer.at_design(q)
+    expected = there.contact.displacement.values(there.contact.solve(there.nodes(same)).u)
+    frames = [meshio.read(tmp_path / f"iterations-0000{k}.vtu").point_data["displacement"] for k in (0, 1)]
+    np.testing.assert_allclose(frames[1][:, :2].T, expected, atol=1e-12)
+    assert not np.allclose(*frames)
 
 
 def test_file_has_all_fields(solution, tmp_path):

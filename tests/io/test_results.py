@@ -143,6 +143,8 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     write_history(result.history, rows)
     first, second = result.steps()
     assert first == dict.fromkeys(HISTORY_FIELDS, 1.5)
+    write_history(result.history, [{**rows[0], "design.E": 2.5}])
+    assert result.steps() == [dict.fromkeys(HISTORY_FIELDS, 1.5) | {"design.E": 2.5}]
     assert second["t"] == np.inf
     assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
     older = [name for name in HISTORY_FIELDS if name != "stationarity"]

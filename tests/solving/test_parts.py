@@ -70,6 +70,7 @@ def test_histories_are_plain_and_keep_an_infinite_t() -> None:
     unknown = ("objective", "biactive", "stationarity", "energy_given", "seconds_left")
     assert step.row() == row | dict.fromkeys(unknown)
     assert replace(step, t=NAN).row()["t"] is None
+    assert replace(step, design={"E": 2.0}).row() == step.row() | {"design.E": 2.0}
     assert "q=" not in repr(step)  # thousands of numbers
 
 
