@@ -9,20 +9,20 @@ from typing import Any
 import pandas as pd
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper
 from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.plan import planned
 from rmesh_nlp.study.runner import perform
 
 # what is shown first; the whole records are beside them
-COLUMNS = (
-    *("energy_initial_audited", "energy_audited", "gain_audited"),
-    *("iterations", "contact_solves", "wall_time_s", "status", "success"),
-)
+ENERGIES = ("energy_initial_audited", "energy_audited", "gain_audited")
+OBJECTIVE = ("objective_initial", "objective_value", "gain_surviving")  # of another than the energy
+COLUMNS = (*("iterations", "contact_solves", "wall_time_s", "status", "success"),)
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Comparison:
 
     @property
     def best(self) -> Solution:
-        """The successful solution of least audited energy.
+        """The successful solution of least audited energy, or of the least value of another objective.
 
         Raises
         ------
@@ -58,7 +58,7 @@ class Comparison:
         good = [solution for solution in self.solutions.values() if solution.success]
         if not good:
             raise ValueError("no formulation succeeded; see the messages of .records")
-        return min(good, key=lambda solution: solution.audit.energy_audited)
+        return min(good, key=_last)
 
     def frame(self) -> pd.DataFrame:
         """Every scalar of the records, one row per formulation."""
@@ -69,15 +69,24 @@ class Comparison:
         return markdown(self.records)
 
     def summary(self) -> pd.DataFrame:
-        """Audited energies, work and status, one row per formulation."""
+        """Audited energies, or another objective and the design, work and status; a row per formulation."""
         whole = self.frame()
-        return whole[[name for name in COLUMNS if name in whole]]
+        ends = ENERGIES if any(objective_of(record) == "energy" for record in self.records) else OBJECTIVE
+        designs = (name for name in whole if name.startswith(DESIGN))
+        return whole[[name for name in (*ends, *designs, *COLUMNS) if name in whole]]
 
     def __repr__(self) -> str:
         return self.summary().to_string()
 
     def _repr_html_(self) -> str:
         return str(self.summary().to_html())
+
+
+def _last(solution: Solution) -> float:
+    """What was minimised, at the end."""
+    if solution.findings is None or solution.objective.startswith("energy"):
+        return solution.audit.energy_audited
+    return solution.findings.objective_value
 
 
 def compare(

@@ -124,12 +124,9 @@ class ContactProblem(ProblemData):
                 said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
                 raise ProblemError("dirichlet", said, support.boundary)
         for obstacle in self.obstacles:
-            along = obstacle.gap == "edge" or obstacle.boundary in self.motion.curves
-            if along and (used := names_in(obstacle)):
-                said = f"gaps hold along the edges of {obstacle.boundary!r}, where no foundation"
-                raise ProblemError(
-                    "design", f"{said} can depend on a design variable yet, as {used[0]!r} does"
-                )
+            if obstacle.boundary in self.motion.curves and (used := names_in(obstacle)):
+                said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"
+                raise ProblemError("design", f"{said} on a design variable yet, as {used[0]!r} does")
         known = self.mesh.boundaries or {}
         for shape in self.shapes:
             if shape.boundary not in known:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record, has_energy, objective_of
 
 DEFAULT_RELAXATION = "scholtes"
 LINEAR = "order 1"  # what is only said beside another one
@@ -52,7 +53,9 @@ class Block:
         size = f"n = {record['n']}" if self.example in PAPER else str(record["n"])
         rule = record.get("quadrature", "midpoint")
         words = "midpoint rule" if rule == "midpoint" else f"rule of degree {rule}"
-        return size, f"order {order_of(record)}", f"delta = {delta_text(record['delta'])}", words
+        delta = record["delta"]
+        limits = "nodes not relocated" if delta == [0, 0] else f"delta = {delta_text(delta)}"
+        return size, f"order {order_of(record)}", limits, words
 
     @property
     def title(self) -> str:
@@ -70,9 +73,15 @@ class Block:
         return tuple(record for record in self.records if record["success"])
 
     @property
+    def has_energy(self) -> bool:
+        """Whether the energies of its records compare; records that failed have none to say otherwise."""
+        return all(has_energy(record) for record in self.records)
+
+    @property
     def best(self) -> Record | None:
-        """The successful record with the lowest audited energy."""
-        return min(self.succeeded, key=audited, default=None)
+        """The successful record with the lowest audited energy, or value of the only other objective."""
+        of_energy = len(self.objectives) > 1 or objective_of(self.records[0]) == "energy"
+        return min(self.succeeded, key=audited if of_energy else _last_objective, default=None)
 
     @property
     def unit(self) -> float | None:
@@ -120,6 +129,25 @@ def audited(record: Record) -> float:
     """The energy by which formulations are compared; that of the own rule where no other is known."""
     value = record.get("energy_audited")
     return float(record["energy"] if value is None else value)
+
+
+def _last_objective(record: Record) -> float:
+    value = record.get("objective_value")
+    return math.inf if value is None else float(value)
+
+
+def ends_of(record: Record) -> tuple[float | None, float | None]:
+    """What was minimised at the start and at the end: the audited energy, or another objective."""
+    if objective_of(record) != "energy":
+        return record.get("objective_initial"), record.get("objective_value")
+    start = record.get("energy_initial_audited")
+    return record["energy_initial"] if start is None else start, record["energy_audited"]
+
+
+def objective_gain(record: Record) -> float | None:
+    """The fall of the objective in per cent of its size at the start."""
+    before, after = record.get("objective_initial"), record.get("objective_value")
+    return None if after is None or not before else 100 * (before - after) / abs(before)
 
 
 def label(record: Record) -> str:

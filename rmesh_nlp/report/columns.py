@@ -109,6 +109,7 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
 
 
 FORMULATION, STATUS = Column("formulation", label), Column("status", "status")
+TIME = Column("time|[s]", "wall_time_s", lambda seconds: ".2g" if seconds < 10 else ".0f")
 BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
 
 # what a first reader wants to know: audited energies, work and how each solve ended
@@ -119,7 +120,7 @@ MAIN = (
     Column("gain|[%]", gain_in_per_cent, lambda gain: ".2f" if abs(gain) < 1000 else ".3g"),
     Column("iterations", "iterations"),
     Column("contact|solves", "contact_solves"),
-    Column("time|[s]", "wall_time_s", lambda seconds: ".2g" if seconds < 10 else ".0f"),
+    TIME,
     STATUS,
 )
 # by the rule of the problem

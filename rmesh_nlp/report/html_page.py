@@ -28,7 +28,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.paper import MISPRINT_61
 from rmesh_nlp.io.files import write_text
 from rmesh_nlp.io.manifest import Manifest
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record, has_energy, objective_of
 from rmesh_nlp.io.results import ROWS, Result, Results
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.report.blocks import (
@@ -41,12 +41,14 @@ from rmesh_nlp.report.blocks import (
     with_order,
 )
 from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column
+from rmesh_nlp.report.designs import FEW, OUTCOME
 from rmesh_nlp.report.figures import convergence_figure, profile_figure
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.markup import MISSING, markdown_table
-from rmesh_nlp.report.notes import LEGEND, block_notes, stopped_early, units_notes
+from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_rows
 from rmesh_nlp.report.style import SETTINGS
+from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
 
@@ -66,6 +68,8 @@ COUNTED = (
     Column("unknowns", "unknowns"),
 )  # where not all displacements are linear
 MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
+SOLVED = (STATUS, *MAIN[1:4], *OUTCOME[1:6], *MAIN[4:-1])
+OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
 COST = (
     "Cost: time of build and solve over that of one contact solve on the given mesh. Residuals are "
@@ -142,10 +146,10 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves(records, (STATUS, *MAIN[1:-1]), failed),
+        solves=_solves([_without_energies(record) for record in records], SOLVED, failed),
         more=_solves(records, MORE, failed),
         failures=Table(head, failures, texts=5),
-        remarks=[*LEGEND, COST, *units_notes(records), *stopped_early(records), *remarks],
+        remarks=[*legends(records), COST, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),
         shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
     )
@@ -203,9 +207,25 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
     return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
 
 
+def _without_energies(record: Record) -> Record:
+    """Energies only where they compare, objectives only where they are no energies."""
+    unknown = () if has_energy(record) else OF_ENERGY
+    if objective_of(record) == "energy":
+        unknown = (*unknown, "objective_initial", "objective_value")
+    found = {**record, **dict.fromkeys(unknown)}
+    return found | {f"{DESIGN}{name}": value for name, value in (record.get("design") or {}).items()}
+
+
+def _design_columns(records: Sequence[Record]) -> tuple[Column, ...]:
+    """A column for each of a few design variables."""
+    names = dict.fromkeys(name for record in records for name in record.get("design") or {})
+    return tuple(Column(name, DESIGN + name, ".5g") for name in names) if len(names) <= FEW else ()
+
+
 def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[int]) -> Table:
     which = WHICH if all(order_of(record) == 1 for record in records) else (*WHICH, *COUNTED)
-    cells = {column.head: [column.cell(record) for record in records] for column in (*which, *columns)}
+    shown = (*which, *columns, *(_design_columns(records) if columns is SOLVED else ()))
+    cells = {column.head: [column.cell(record) for record in records] for column in shown}
     known = {head: own for head, own in cells.items() if set(own) != {MISSING}}
     return Table(list(known), list(zip(*known.values(), strict=True)), texts=2, failed=failed)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record, has_energy, objective_of
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     audited,
@@ -141,7 +141,7 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
         record
         for record in records
         if record["success"] and record.get("nodes") and record.get("energy_initial_audited") is not None
-        if str(record["objective"]).startswith("energy")
+        if str(record["objective"]).startswith("energy") and has_energy(record)
     ]
     found = grouped(solved, lambda record: with_order(str(record["example"]), record))
     several = {name: own for name, own in found.items() if len({record["nodes"] for record in own}) > 1}

@@ -9,7 +9,7 @@ from rmesh_nlp.examples import PAPER, PaperValues
 from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.problem.units import units_of
+from rmesh_nlp.problem.units import Units, units_of
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     Block,
@@ -26,6 +26,15 @@ ENERGY = (
     "assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated."
 )
 LEGEND = (f"{ENERGY} Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",)
+DESIGN_LEGEND = (
+    "Objective: with mesh and design at the start and at the end of the solve. Gain: in per cent of its size "
+    "at the start. Left on refined meshes: the part of the gain that is there when both meshes are "
+    "refined uniformly. Violation: the largest of a constraint, over its bound. Label: stationarity over the "
+    "branches of the contact; S (KKT) is S-stationarity without a biactive pair, that is, a KKT point. "
+    "Biactive: pairs whose members both vanish. KKT factorisations: at least as many as Ipopt took "
+    "iterations. First-order residual: of the outer problem, over that at the start. Time: build, solve and "
+    "audit."
+)
 DETAILED_LEGEND = (
     "Own rule: the energy with the quadrature of the problem. Least area ratio: the smallest element area "
     "over its value on the given mesh.",
@@ -49,7 +58,14 @@ def main_notes(records: Sequence[Record]) -> list[str]:
         for record in block.records
         if not record["success"]
     ]
-    return [*LEGEND, *units_notes(records), *below, *stopped_early(records), *failures]
+    return [*legends(records), *units_notes(records), *below, *stopped_early(records), *failures]
+
+
+def legends(records: Sequence[Record]) -> list[str]:
+    """What the columns of the main tables mean: of energies, and of what has none that compare."""
+    found = blocks(records)
+    own = [] if all(block.has_energy for block in found) else [DESIGN_LEGEND]
+    return own if own and not any(block.has_energy for block in found) else [*own, *LEGEND]
 
 
 def detailed_notes(records: Sequence[Record]) -> list[str]:
@@ -71,13 +87,20 @@ def stopped_early(records: Sequence[Record]) -> list[str]:
 
 def units_notes(records: Sequence[Record]) -> list[str]:
     """The units of u and J of the problems that name theirs."""
-    named = grouped(blocks(records), lambda block: units_of(block.records[0].get("units")))
+    named = grouped(
+        blocks(records), lambda block: (units_of(block.records[0].get("units")), block.has_energy)
+    )
     return [
-        f"{', '.join(dict.fromkeys(block.name for block in own))}: u in {units.length}, J in {units.force}, "
-        f"the energy per {units.length} of depth."
-        for units, own in named.items()
+        f"{', '.join(dict.fromkeys(block.name for block in own))}: {_units_in_words(units, energy)}"
+        for (units, energy), own in named.items()
         if units.length and units.force
     ]
+
+
+def _units_in_words(units: Units, energy: bool) -> str:
+    if energy:
+        return f"u in {units.length}, J in {units.force}, the energy per {units.length} of depth."
+    return f"lengths in {units.length}, forces in {units.force} per {units.length} of depth."
 
 
 def stick_zone(block: Block) -> Iterator[str]:
@@ -99,7 +122,7 @@ def ranking(block: Block) -> Iterator[str]:
             places.append((audited(record), []))
         places[-1][1].append(label(record))
     order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
-    if len(rows) > 1:
+    if len(rows) > 1 and block.has_energy:
         yield f"{block.name}: by audited energy {order}."
 
 

@@ -23,6 +23,7 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
+    ends_of,
     grouped,
     seconds_of_work,
     variant,
@@ -43,8 +44,8 @@ RANGES = (
     "mesh."
 )
 MEDIANS = (
-    "Medians over successful solves. Gain: fall of the audited energy in per cent of its size on the given "
-    "mesh."
+    "Medians over successful solves. Gain: fall of the audited energy, or of another objective, in per cent "
+    "of its size on the given mesh."
 )
 LEVELS = (0.9, 0.99, 0.999)  # parts of the best gain for data profiles
 SAME = 1e-9  # ratios that agree to this are one: costs of two clocks' ticks are ties
@@ -135,13 +136,12 @@ def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
 
 
 def _start(record: Record) -> float | None:
-    """The audited energy of the given mesh; that of the own rule where no other is known."""
-    value = record.get("energy_initial_audited")
-    return record["energy_initial"] if value is None else float(value)
+    """The audited energy of the given mesh, or another objective."""
+    return ends_of(record)[0]
 
 
 def _gain(record: Record) -> float | None:
-    start, end = _start(record), record["energy_audited"]
+    start, end = ends_of(record)
     return None if start is None or end is None else start - end
 
 
@@ -206,7 +206,7 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     for name, (words, cost) in COSTS.items():
         profiles = performance_profiles(typical(lambda one, cost=cost: cost(one.record)))  # type: ignore[misc]
         made.append(Chart(name, f"Performance profile: {words}", "factor of the cheapest", profiles))
-    energies = typical(lambda one: one.record["energy_audited"])
+    energies = typical(lambda one: ends_of(one.record)[1])
     starts = [next((s for r in own if (s := _start(r)) is not None), INF) for own in instances.values()]
     profiles = quality_profiles(energies, starts)
     made.append(Chart("quality", "Quality: final audited energy", "part of the best gain missed", profiles))
@@ -231,7 +231,8 @@ def _cost_of_level(one: Result, lowest: Mapping[Instance, float], level: float) 
         cost = cost_of_gain(energy, drawn.cost, start, best, level)
         if np.isfinite(cost):
             return cost
-    return cost_of_gain([record["energy_audited"]], [contact_units(record) or INF], start, best, level)
+    end = ends_of(record)[1]
+    return cost_of_gain([INF if end is None else end], [contact_units(record) or INF], start, best, level)
 
 
 def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:

@@ -31,10 +31,12 @@ from rmesh_nlp.report.columns import (
     Column,
     body,
 )
+from rmesh_nlp.report.designs import sheets
 from rmesh_nlp.report.joined import joined_tables
 from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import ENERGY, detailed_notes, main_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import RANGES, is_study, median_rows, study_notes, summary_rows
+from rmesh_nlp.solving.parts import DESIGN
 
 DETAILS = "## Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
@@ -75,12 +77,27 @@ def markdown(records: Sequence[Record]) -> str:
     parts = [short_markdown(records), f"{DETAILS}\n"]
     if is_study(records):
         return for_markdown("\n".join([*parts, f"{markdown_table(*summary_rows(records))}- {RANGES}\n"]))
+    parts += _designs(records, is_long=True)
     for block in blocks(records):
         parts.append(f"### {block.title}\n")
-        for columns in (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS):
+        every = (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS)
+        for columns in every if block.has_energy else (COSTS, RESIDUALS):
             parts += [_block_table(columns, one) for one in _having(columns, block.records)]
     parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
     return for_markdown("\n".join(parts))
+
+
+def _of_energy(records: Sequence[Record], wanted: bool = True) -> list[Record]:
+    """The records of the blocks whose energies compare, or of all others."""
+    return [record for block in blocks(records) if block.has_energy is wanted for record in block.records]
+
+
+def _designs(records: Sequence[Record], *, is_long: bool) -> Iterator[str]:
+    """The tables of the others below their titles: the long ones, or all but those."""
+    for block in blocks(_of_energy(records, wanted=False)):
+        for title, found in sheets(block):
+            tables = [markdown_table(one.head, one.rows) for one in found if one.is_long is is_long]
+            yield from [f"### {title}\n", *tables] if tables else []
 
 
 def short_markdown(records: Sequence[Record]) -> str:
@@ -88,11 +105,13 @@ def short_markdown(records: Sequence[Record]) -> str:
     if is_study(records):
         table = markdown_table(*median_rows(records))
         return for_markdown(f"# Study\n\n{table}\n{_items(study_notes(records))}")
-    solves = main_table(records) if records else "No solve has ended yet.\n"
-    parts = ["# Comparison of formulations\n", solves]
+    parts, of_energy = ["# Comparison of formulations\n"], _of_energy(records)
+    if of_energy or not records:
+        parts.append(main_table(of_energy) if records else "No solve has ended yet.\n")
     for columns in (OBJECTIVES, CERTIFICATES):
-        for block in _having(columns, records):
+        for block in _having(columns, of_energy):
             parts += [f"### {block.title}\n", _block_table(columns, block)]
+    parts += _designs(records, is_long=False)
     notes: list[str] = []
     for joined in joined_tables(records):
         notes += joined.notes
@@ -131,13 +150,17 @@ def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups
         groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
         yield [latex_text(cell) for cell in head[1:]], groups, "Results of the study.", study_notes(records)
         return
-    units = units_notes(records)
+    units, of_energy = units_notes(records), _of_energy(records)
     printed = ["The paper truncates its digits."] if any(block.paper for block in blocks(records)) else []
     below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
     for columns, caption in CAPTIONS.items():
-        own = [(block.title, body(columns, block)) for block in _having(columns, records)]
+        own = [(block.title, body(columns, block)) for block in _having(columns, of_energy)]
         if own:
             yield [column.tex for column in columns], own, caption, below.get(columns, ())
+    for block in blocks(_of_energy(records, wanted=False)):
+        notes = (*units_notes(block.records), *stopped_early(block.records))
+        for one in (one for _, found in sheets(block) for one in found):
+            yield list(one.tex), [(block.title, one.rows)], latex_text(one.caption), notes
     for table in joined_tables(records):
         yield [latex_text(cell) for cell in table.head], table.groups, table.caption, table.notes
 
@@ -149,6 +172,9 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
         paper = block.paper
         for record in block.records:
             row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
+            row |= {DESIGN + name: value for name, value in (record.get("design") or {}).items()}
+            for text, one in (record.get("constraints") or {}).items():
+                row[f"constraint.{text}"] = one.get("value")
             row["order"] = order_of(record)
             row["delta"] = "x".join(map(str, record["delta"] or ()))
             row["time_contact_solves"] = contact_units(record)

@@ -8,7 +8,7 @@ import pytest
 
 from rmesh_nlp.report.blocks import Block, audited, block_key, blocks, delta_text, label, names_of_solves
 from rmesh_nlp.report.columns import COSTS, ENERGIES, body
-from support.reporting import fixed_61, joint_61, joint_62
+from support.reporting import designed, fixed_61, joint_61, joint_62
 
 
 def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
@@ -109,3 +109,11 @@ def test_titles_and_names_tell_the_settings_that_differ() -> None:
         "6.2, n = 24x12, delta = 0.2, joint",
         "6.1, joint, seed 7",
     ]
+
+
+def test_the_best_of_one_other_objective_has_its_lowest_value() -> None:
+    one, two = designed(), designed(objective_value=5e-4, energy_audited=9.0)
+    assert Block((one, two)).best is two
+    assert Block((one, {**two, "objective_value": None})).best is one
+    energies = joint_62(), joint_62(energy_audited=-5.0)
+    assert Block(energies).best is energies[1]

@@ -17,7 +17,7 @@ from rmesh_nlp.report.study_summary import (
     quality_profiles,
     summary_rows,
 )
-from support.reporting import failed, fixed_61, joint_61
+from support.reporting import designed, failed, fixed_61, joint_61
 
 INF = float("inf")
 # ratios of a: 1, 2, 1, inf, fails; of b: 2, 1, 3, 1, fails
@@ -120,3 +120,12 @@ def test_orders_are_families_and_instances_of_their_own() -> None:
     _, table = summary_rows(rows)
     assert [row[0] for row in table] == ["f", "f, order 2"]
     assert [row[6] for row in table] == ["100", "100"]  # each is the best of its order
+
+
+def test_gains_in_another_objective_are_of_that_objective() -> None:
+    rows = [designed(family="f", variant="a"), designed(family="f", variant="b", objective_value=2.0)]
+    head, found = summary_rows(rows)
+    assert [[row[head.index(name)] for name in ("gain [%]", "of best [%]")] for row in found] == [
+        ["100", "100"],
+        ["20", "20.01"],
+    ]

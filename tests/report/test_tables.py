@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.io.records import REQUIRED, Record
+from rmesh_nlp.report.designs import FEW
 from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.study_summary import RANGES, summary_rows
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
-from support.reporting import ROWS, failed, joint_61, joint_62
+from support.reporting import ROWS, designed, failed, joint_61, joint_62
 
 MARKDOWN = """\
 # Comparison of formulations
@@ -53,6 +54,36 @@ MARKDOWN = """\
 
 ### Notes
 """  # noqa: E501
+
+DESIGN_ROWS = [designed(), failed(designed(), formulation="nested", wall_time_s=0.5)]
+
+DESIGNS = """\
+# Comparison of formulations
+
+### Problem seal: 128 triangles, nodes not relocated, midpoint rule: level-pressure(face)
+
+| formulation | objective at start | objective at end | gain [%] | left on refined meshes [%] | violation |   label |    status |
+|:------------|-------------------:|-----------------:|---------:|---------------------------:|----------:|--------:|----------:|
+| mpcc        |        2.50000e+00 |      1.00000e-03 |    99.96 |                         96 |   1.0e-01 | S (KKT) | converged |
+| nested      |                  - |                - |        - |                          - |         - |       - |    failed |
+
+| formulation | iterations | contact solves | KKT factorisations | time [s] | first-order residual | biactive |
+|:------------|-----------:|---------------:|-------------------:|---------:|---------------------:|---------:|
+| mpcc        |         44 |              3 |                 44 |    0.083 |              2.9e-06 |        0 |
+| nested      |          - |              - |                  - |      0.5 |                    - |        - |
+
+| formulation |        E |         h_0 |
+|:------------|---------:|------------:|
+| bounds      | 0.5 to 2 | -0.5 to 0.5 |
+| start       |        1 |           0 |
+| mpcc        |     1.25 |        -0.5 |
+
+| formulation |     area | max-pressure(face) |
+|:------------|---------:|-------------------:|
+| bounds      | 3.9 to 4 |        at most 100 |
+| mpcc        |        4 |                110 |
+
+- Objective: with mesh and design at the start and at the end of the solve."""  # noqa: E501
 
 LATEX_MAIN = r"""\centering\footnotesize\setlength{\tabcolsep}{2.5pt}
 \begin{tabular*}{\linewidth}{@{\extracolsep{\fill}}lrrrrrrr@{}}
@@ -99,6 +130,48 @@ def test_markdown_literally() -> None:
     assert text.startswith(short)
     assert DETAILS not in short
     assert short_markdown([]).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
+
+
+def test_designs_have_tables_of_their_own_and_no_energies() -> None:
+    text = markdown(DESIGN_ROWS)
+    assert text.startswith(DESIGNS)
+    assert "J is the total" not in text
+    assert "Problem seal: lengths in mm, forces in N per mm of depth." in text
+    assert "J given" not in text
+    both = short_markdown([*DESIGN_ROWS, *ROWS])
+    assert "| 6.2, joint | -4.854190 |" in both
+    assert "| seal, " not in both
+    assert DESIGNS.split("\n", 2)[2] in both
+
+
+def test_designs_in_latex() -> None:
+    text = latex(DESIGN_ROWS)
+    assert r"mpcc & $2.50000\cdot 10^{0}$ & $1.00000\cdot 10^{-3}$ & $99.96$ & $96$" in text
+    assert r"formulation & E & h\_0 \\" in text
+    assert r"gain\\ {[\%]}" in text
+    assert "left on refined" in text
+    assert "J" not in re.sub(r"\\[a-z]+", "", text)
+
+
+def test_many_design_variables_have_a_row_each() -> None:
+    names = [f"v{k}" for k in range(FEW + 1)]
+    values = {name: float(k) for k, name in enumerate(names)}
+    known = {"design": values, "design_initial": dict.fromkeys(names, 0.0), "constraints": None}
+    row = designed(**known, design_bounds={name: [-9.0, 9.0] for name in names})
+    short, _, details = markdown([row]).partition(DETAILS)
+    assert "violation" not in short.split("\n\n")[2]
+    assert "v1" not in short
+    assert "| name |  bounds | start | mpcc |" in details
+    assert "| v6   | -9 to 9 |     0 |    6 |" in details
+
+
+def test_coulomb_friction_with_another_objective_has_no_energies() -> None:
+    row = joint_62(formulation="nested", objective="shear(top)", coulomb_residual=1e-3)
+    text = short_markdown([{**row, "objective_initial": -2.0, "objective_value": -3.0}])
+    assert "J relocated" not in text
+    assert "| nested      |       -2.00000e+00 |     -3.00000e+00 |       50 |" in text
+    assert "bounds" not in text
+    assert "J relocated" in short_markdown([joint_62(formulation="fixed", coulomb_residual=1e-3)])
 
 
 def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
@@ -151,7 +224,7 @@ def test_latex_continues_a_long_table_and_wraps_a_long_label() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="needs pdflatex")
 @pytest.mark.parametrize("options", ["", "twocolumn"])
-@pytest.mark.parametrize("rows", [ROWS, MANY], ids=["few", "many"])
+@pytest.mark.parametrize("rows", [ROWS, MANY, DESIGN_ROWS], ids=["few", "many", "designs"])
 def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path: Path) -> None:
     page = rf"\documentclass[{options}]{{article}}\usepackage{{booktabs}}\begin{{document}}"
     (tmp_path / "page.tex").write_text(f"{page}\n{latex(rows)}\n\\end{{document}}\n")
@@ -235,6 +308,13 @@ def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
     assert (second["status"], second["energy"]) == ("failed", "")
     assert first["order"] == "1"  # old rows do not name it
     assert set(REQUIRED) - {"versions"} <= set(first)
+
+
+def test_csv_has_designs_and_constraints() -> None:
+    first, second = csv.DictReader(io.StringIO(as_csv(DESIGN_ROWS)))
+    assert (first["design.E"], first["design.h_0"]) == ("1.25", "-0.5")
+    assert first["constraint.max-pressure(face)"] == "110.0"
+    assert second["design.E"] == ""
 
 
 def test_markup_escapes() -> None:

@@ -38,6 +38,25 @@ JOINT_62: Record = {
 }
 
 
+DESIGNED: Record = {
+    **JOINT_62,
+    **{"key": "seal-mpcc", "example": "seal", "formulation": "mpcc", "n": "128 triangles"},
+    **{"delta": [0.0, 0.0], "objective": "level-pressure(face)", "units": {"length": "mm", "force": "N"}},
+    **{"objective_initial": 2.5, "objective_value": 1e-3, "gain_surviving": 0.96, "stationarity": "S"},
+    **{"design": {"E": 1.25, "h_0": -0.5}, "design_initial": {"E": 1.0, "h_0": 0.0}, "biactive": 0},
+    "design_bounds": {"E": [0.5, 2.0], "h_0": [-0.5, 0.5]},
+    "constraints": {
+        "area": {"value": 4.0, "lower": 3.9, "upper": 4.0},
+        "max-pressure(face)": {"value": 110.0, "lower": None, "upper": 100.0},
+    },
+}
+
+
+def designed(**changes: Any) -> Record:
+    """``mpcc`` on a problem with two design variables and two constraints, one of them violated."""
+    return {**DESIGNED, **changes}
+
+
 def fixed_61(**changes: Any) -> Record:
     """``fixed`` on Example 6.1 with the paper's settings."""
     return {**FIXED_61, **changes}
