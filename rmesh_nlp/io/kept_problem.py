@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from skfem import MeshTri
@@ -17,6 +19,7 @@ from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import single_result
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import relocated_mesh
@@ -36,7 +39,8 @@ class KeptSolution:
 
     Displacement (components, nodes) and pressure (nodes,) are values at the points of the nodes, as in files.
 
-    ``is_remeshed`` says that the mesh before relocation is not the given one.
+    ``is_remeshed`` says that the mesh before relocation is not the given one. ``designed`` is the problem
+    with its design variables, if it has any; ``problem`` has their numbers. ``history`` are the steps.
     """
 
     problem: ContactProblem
@@ -45,6 +49,9 @@ class KeptSolution:
     pressure: Array
     multipliers: Multipliers | None
     is_remeshed: bool = False
+    designed: ContactProblem | None = None
+    objective: str = "energy"
+    history: Sequence[Mapping[str, Any]] = ()
 
 
 def names(table: ProblemTable) -> list[str]:
@@ -76,6 +83,7 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     asked = {name: record[name] for name in ("order", "quadrature") if record.get(name) is not None}
     if asked:
         problem = replace(problem, **asked)
+    designed = problem if problem.design else None
     problem = problem.at_design(record.get("design"))
     fields = read_vtu(folder / "solution.vtu")
     space = DisplacementSpace.of(problem)
@@ -89,7 +97,9 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     if multipliers is not None:
         multipliers = replace(multipliers, limit=multipliers.limit[vertices])
     mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
-    return KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
+    found = KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
+    steps = single_result(folder, record).steps()
+    return replace(found, designed=designed, objective=str(record.get("objective")), history=steps)
 
 
 def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> ContactProblem | None:

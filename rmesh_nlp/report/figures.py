@@ -23,6 +23,8 @@ from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import NO_UNITS, Units, bracketed, units_of
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, grouped, label, order_of, with_order
+from rmesh_nlp.report.design_figure import design_figure
+from rmesh_nlp.report.designs import short_label
 from rmesh_nlp.report.drawing import body_of, colour_bar, draw_deformed, magnification, window
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.study_summary import Chart, charts, is_study
@@ -44,6 +46,7 @@ from rmesh_nlp.solving.plotting import MAP, size_of
 LEVELS = 16  # contours of a solution
 DECADES = 3  # powers of ten that the colours of an error map span
 FLOOR = 1e-8  # part of the best energy down to which distances are drawn: the solvers' tolerance
+NOTHING = 1e-10  # part of the largest distance below which an objective counts as zero
 MARKERS = 15  # about as many markers on a curve
 FEW = 100  # axes that span a smaller factor are labelled with numbers in place of powers
 
@@ -96,11 +99,13 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
     stem = f"{block.example}-{block.records[0]['n']}" + (f"-order{order}" if order != 1 else "")
     moved = [(record, field) for record, field in drawn if record["formulation"] != RELOCATING_NOTHING]
     fixed = [field for record, field in drawn if record["formulation"] == RELOCATING_NOTHING]
-    given = {"given grid": fixed[0]} if fixed else {}
+    designs = any(record.get("design") for record, _ in drawn)
+    given = {"first design" if designs else "given grid": fixed[0]} if fixed else {}
+    made = "design" if designs else "relocated"
     with rc_context(SETTINGS):
         for record, field in moved:
             key = record.get("key", stem)
-            yield f"{key}-grid", grid_figure({**given, f"relocated by {label(record)}": field}, units)
+            yield f"{key}-grid", grid_figure({**given, f"{made} by {short_label(record)}": field}, units)
             if field.error_bound is not None and field.error_bound_initial is not None:
                 yield (
                     f"{key}-error",
@@ -109,7 +114,8 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
         if given and not moved:
             yield f"{stem}-grid", grid_figure(given, units)
         for objective in block.objectives:
-            named = {label(record): field for record, field in moved if record["objective"] == objective}
+            own = [(record, field) for record, field in moved if record["objective"] == objective]
+            named = {short_label(record): field for record, field in own}
             if drawn and drawn[0][1].contact.any() and (named or not moved):
                 yield f"{stem}{_suffix(objective)}-stress", stress_figure({**given, **named}, units)
         if drawn and drawn[0][1].displacement.shape[0] == 1:
@@ -118,10 +124,24 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             yield f"{stem}-surface", surface_figure({**given, **best} or every)
         for objective, records in block.objectives.items():
             same = [result for result in results if result.record["objective"] == objective]
-            curves = [one for result in same if (one := curve(result, block.unit)) is not None]
+            traced = [curve(result, block.unit, short_label(result.record)) for result in same]
+            curves = [one for one in traced if one is not None]
             lowest = Block(tuple(records)).best
             if curves and lowest is not None:
                 yield f"{stem}{_suffix(objective)}-convergence", convergence_figure(curves, lowest)
+            if (way := figure_of_designs(same)) is not None:
+                yield f"{stem}{_suffix(objective)}-design", way
+
+
+def figure_of_designs(results: Sequence[Result], width: float = TWO_COLUMNS) -> Figure | None:
+    """The way of the designs of solves with one objective; None where there is none."""
+    moved = [result for result in results if result.record["formulation"] != RELOCATING_NOTHING]
+    known = [result for result in moved if result.record.get("design_bounds") and result.record.get("design")]
+    if not known:
+        return None
+    curves = {short_label(result.record): result.steps() for result in known}
+    first = known[0].record
+    return design_figure(curves, first["design_bounds"], str(first["objective"]), width=width)
 
 
 def _suffix(objective: str) -> str:
@@ -246,13 +266,17 @@ def convergence_figure(
     figure = new_figure(width, 3.1)
     axes = figure.subplots(1, 2 if width == TWO_COLUMNS else 1, sharey=True, squeeze=False)[0]
     gaps = [np.abs(one.energy - reference) for one in curves]
-    floor = FLOOR * (abs(reference) or max(float(np.nanmax(gap)) for gap in gaps) or 1.0)
+    largest = max(float(np.nanmax(gap)) for gap in gaps) or 1.0
+    # a sum of squares may end at rounding: parts of that would span thirty decades
+    ends_at_zero = abs(reference) < NOTHING * largest
+    floor = FLOOR * (largest if ends_at_zero else abs(reference))
     for position, (one, gap) in enumerate(zip(curves, gaps, strict=True), 1):
         style = look(position if looks is None else looks[one.name])
         for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
             _draw(axis, where, np.maximum(gap, floor), one, style)
     least = f"{reference:.6g}".replace("-", "−")
-    drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ |{symbol}*|"
+    drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ "
+    drawn_to += "of the largest" if ends_at_zero else f"|{symbol}*|"
     if not all(one.feasible.all() for one in curves):
         drawn_to += "\nopen markers: constraints not yet met"
     axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}", xlabel=f"iteration\n{drawn_to}")

@@ -42,7 +42,7 @@ from rmesh_nlp.report.blocks import (
 )
 from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column
 from rmesh_nlp.report.designs import FEW, OUTCOME
-from rmesh_nlp.report.figures import convergence_figure, profile_figure
+from rmesh_nlp.report.figures import convergence_figure, figure_of_designs, profile_figure
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.markup import MISSING, markdown_table
 from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
@@ -203,6 +203,9 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
             if best is not None and any(one.feasible[-1] for one in curves):
                 caption = block.title if objective == "energy" else f"{block.title}, {objective}"
                 found.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
+            designs = figure_of_designs([by_record[id(record)] for record in own], CHART)
+            if designs is not None:
+                found.append((f"{block.title}: designs", svg(designs)))
     more = len(every) - CONVERGENCE
     return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
 

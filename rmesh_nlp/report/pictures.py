@@ -25,6 +25,7 @@ from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report import style
+from rmesh_nlp.report.design_figure import design_figure
 from rmesh_nlp.report.drawing import (
     Body,
     colour_bar,
@@ -37,10 +38,11 @@ from rmesh_nlp.report.drawing import (
 )
 from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving import plotting
+from rmesh_nlp.solving.parts import DESIGN, Step
 from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
-PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits")
+PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits", "design")
 GIVEN = "given mesh"
 CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
 SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
@@ -100,11 +102,19 @@ def after(solution: Drawable) -> State:
     X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
     moved = np.any(solution.problem.mesh.p != X)
     title = "relocated mesh" if moved else f"{_title(solution)}, nothing moved"
+    title = title if solution.designed is None else "last design"
     return State.of(title, solution.problem, X, solution.displacement, pressure)
+
+
+def _start(solution: Drawable) -> ContactProblem:
+    """The problem before relocation, with its first design."""
+    return solution.problem if solution.designed is None else solution.designed.at_design()
 
 
 def _title(solution: Drawable) -> str:
     """What the mesh before relocation is."""
+    if solution.designed is not None:
+        return "first design"
     if isinstance(solution, Solution):
         return "new mesh" if "remeshed_nodes" in solution.extra else GIVEN
     return "new mesh" if solution.is_remeshed else GIVEN
@@ -122,9 +132,10 @@ def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> lis
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures, made one by one."""
     states = [after(solution)]
-    moved = bool(np.any(solution.problem.mesh.p != states[0].X))
-    if moved:
-        states.insert(0, before(solution.problem, states[0].pressure, _title(solution)))
+    start = _start(solution)
+    moved = bool(np.any(start.mesh.p != states[0].X))
+    if moved or solution.designed is not None:
+        states.insert(0, before(start, states[0].pressure, _title(solution)))
     yield "mesh", _meshes(states, page)
     units, elastic = solution.problem.units, states[0].elastic
     if any(np.any(state.displacement) for state in states):
@@ -138,10 +149,22 @@ def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
         yield "pressure", _pressures(states, page)
     if moved:
-        for name, draw in (("motion", _draw_motion), ("limits", _draw_limits)):
+        relocates = not solution.problem.motion.is_fixed
+        for name, draw in (("motion", _draw_motion), *((("limits", _draw_limits),) if relocates else ())):
             figure, axes = page.panels(1, [window(states[1:])], units.length, below=0.85)
             draw(figure, axes[0, 0], solution)
             yield name, figure
+    if solution.designed is not None and (drawn := _design(solution, page)) is not None:
+        yield "design", drawn
+
+
+def _design(solution: Drawable, page: Page) -> Figure | None:
+    """Objective and design variables over the iterations."""
+    assert solution.designed is not None
+    steps = [step.row() if isinstance(step, Step) else step for step in solution.history]
+    shown = {name for step in steps[:1] for name in step}
+    bounds = {one.name: one.bounds for one in solution.designed.design if DESIGN + one.name in shown}
+    return design_figure({"": steps}, bounds, solution.objective, width=page.width) if bounds else None
 
 
 def _meshes(states: Sequence[State], page: Page) -> Figure:
@@ -268,7 +291,7 @@ def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
 
 def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
     """The way of each vertex over the colours of its length."""
-    old, new = np.asarray(solution.problem.mesh.p), np.asarray(solution.mesh.p)
+    old, new = np.asarray(_start(solution).mesh.p), np.asarray(solution.mesh.p)
     space = DisplacementSpace.of(solution.problem)
     begin, end = points_of(space, old), points_of(space, new)
     painted = plotting.draw_nodal(axis, end, space.elements, end - begin, vmin=0.0)
