@@ -8,6 +8,7 @@ Newton's method for them and the equilibrium guesses the nodes that touch and ho
 linear system for each guess [1]_. Full steps with c without limit, which the signs of gaps and forces decide,
 take the fewest guesses. Nothing guarantees that they end. From the first guess that comes back steps are
 damped so that the sum of squares of the residuals falls; the equilibrium, which is linear, goes on to hold.
+Where no part of a step is a gain a full one is taken, a few times.
 
 .. [1] K. Kunisch, G. Stadler, Generalized Newton methods for the 2D-Signorini contact problem with friction
    in function space, ESAIM M2AN 39 (2005) 827-854.
@@ -29,11 +30,15 @@ PARTS = 0.5 ** np.arange(9)
 DECREASE = 1e-4
 """Decrease of the residual that is asked of a step, in parts of the part of the step that is taken."""
 
+RESTARTS = 4
+"""Full steps that may be taken where no part of one is a gain. Without any 7 of 240 pressed blocks of linear
+triangles, nu = 0.3 to 0.499, were not solved, with one 2, with four none."""
+
 
 def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equilibrium:
     """Solve a system with Coulomb friction from an active set; CYCLED where no part of a step is a gain."""
     seen: set[bytes] = set()
-    laws, at, least = Laws(system), None, np.inf
+    laws, at, least, restarts = Laws(system), None, np.inf, 0
     for iteration in range(1, max_iterations + 1):
         state = replace(system.equilibrium(active), iterations=iteration)
         proposal, wrong = next_set(system, state, active)
@@ -52,7 +57,10 @@ def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equ
                 if residual < (1 - DECREASE * part) * least:
                     break
             else:
-                return replace(state, status=Status.CYCLED)
+                if restarts == RESTARTS:
+                    return replace(state, status=Status.CYCLED)
+                restarts, trial = restarts + 1, state
+                residual, proposal = laws(state)
             at, least = trial, residual
         active = holding(system, active, state, proposal)
     return replace(state, status=Status.ITERATION_LIMIT)
