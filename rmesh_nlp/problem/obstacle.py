@@ -117,6 +117,7 @@ class Obstacle:
         point: tuple[float | ca.SX, float | ca.SX],
         normal: Vector,
         friction: Coefficient = 0.0,
+        coulomb: Coefficient = 0.0,
     ) -> Obstacle:
         """A rigid straight line through ``point``, with the gap ``normal^T (X + u - point)``.
 
@@ -130,10 +131,12 @@ class Obstacle:
         def distance(x: Any, y: Any) -> Any:
             return n[0] * (x - point[0]) + n[1] * (y - point[1])
 
-        return cls(boundary, n, distance, friction=friction, fixed_in_space=True)
+        return cls(boundary, n, distance, friction=friction, coulomb=coulomb, fixed_in_space=True)
 
     @classmethod
-    def graph(cls, boundary: str, height: PositionFunction | float, friction: Coefficient = 0.0) -> Obstacle:
+    def graph(
+        cls, boundary: str, height: Coefficient, friction: Coefficient = 0.0, coulomb: Coefficient = 0.0
+    ) -> Obstacle:
         """A foundation below the graph ``y = height(x)``, gap measured vertically.
 
         The gap ``X_2 + u_2 - height(X_1)`` is that of (3.10) with alpha = X_2 - height. The
@@ -144,16 +147,22 @@ class Obstacle:
         def distance(x: Any, y: Any) -> Any:
             return y - at(height, x, y)
 
-        return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True)
+        return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True, coulomb=coulomb)
 
     @classmethod
-    def curve(cls, boundary: str, level: PositionFunction, friction: Coefficient = 0.0) -> Obstacle:
+    def curve(
+        cls,
+        boundary: str,
+        level: PositionFunction,
+        friction: Coefficient = 0.0,
+        coulomb: Coefficient = 0.0,
+    ) -> Obstacle:
         """A foundation bounded by the curve ``level(x, y) = 0``, with ``level > 0`` where the body may be.
 
         The gap is measured along the curve's normal at the undeformed node, the slip along its tangent
         there, both linearly in the displacement. Scale and kind of ``level`` do not matter to first order.
         """
-        return cls(boundary, friction=friction, level=level, fixed_in_space=True)
+        return cls(boundary, friction=friction, level=level, fixed_in_space=True, coulomb=coulomb)
 
     @classmethod
     def circle(
@@ -164,6 +173,7 @@ class Obstacle:
         *,
         inside: bool = False,
         friction: Coefficient = 0.0,
+        coulomb: Coefficient = 0.0,
     ) -> Obstacle:
         """A rigid disc that the body touches from outside, or a round hole with the body ``inside``.
 
@@ -179,7 +189,7 @@ class Obstacle:
         def distance(x: Any, y: Any) -> Any:
             return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
 
-        return cls.curve(boundary, distance, friction)
+        return cls.curve(boundary, distance, friction, coulomb)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
