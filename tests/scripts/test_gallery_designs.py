@@ -84,3 +84,20 @@ def test_modulus_friction_and_gap_are_identified(load, tmp_path: Path) -> None:
     one, two = (read_measurements(each) for each in (path, tmp_path / "data.csv"))
     assert one.values == pytest.approx(two.values, abs=3e-4)  # of a coarser mesh, with the same noise
     assert is_same_at_start("identification.toml", module.problem(8), f"fit({path})")
+
+
+@pytest.mark.slow
+def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
+    module = load("closing_force")
+    seal = module.main(4, seeds=(None, 1))
+    check_ends(seal.starts)
+    assert values(seal.starts, "nested") == pytest.approx(values(seal.starts, "mpcc"), rel=1e-5)
+    for first, best in seal.finer:
+        assert best.pressure.max() < 0.75 * first.pressure.max()
+        assert best.extra["resultant"] == pytest.approx(module.FORCE, rel=5e-3)
+    design = seal.starts.best.design
+    assert design["lip"] > 9 * design["core"]  # a stiff lip on a soft core
+    assert module.surviving(seal.finer) > 0.95
+    module.draw(seal, tmp_path / "it.png")
+    assert (tmp_path / "it.png").stat().st_size > 10_000
+    assert is_same_at_start("closing_force.toml", module.problem(8), module.OBJECTIVE)
