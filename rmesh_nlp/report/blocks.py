@@ -222,3 +222,8 @@ def gain_in_per_cent(record: Record) -> float | None:
     """The fall of the audited energy in per cent of its size on the given mesh."""
     before, after = record.get("energy_initial_audited"), record.get("energy_audited")
     return None if after is None or not before else 100 * (before - after) / abs(before)
+
+
+def gain_of_objective(record: Record) -> float | None:
+    """The fall of the energy, or of another objective that was minimised, in per cent."""
+    return gain_in_per_cent(record) if objective_of(record) == "energy" else objective_gain(record)

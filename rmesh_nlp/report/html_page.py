@@ -35,6 +35,7 @@ from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     Block,
     blocks,
+    gain_of_objective,
     order_of,
     variant,
     variants_of,
@@ -68,7 +69,8 @@ COUNTED = (
     Column("unknowns", "unknowns"),
 )  # where not all displacements are linear
 MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
-SOLVED = (STATUS, *MAIN[1:4], *OUTCOME[1:6], *MAIN[4:-1])
+GAIN = Column("gain|[%]", gain_of_objective, MAIN[3].form)
+SOLVED = (STATUS, *MAIN[1:3], *OUTCOME[1:3], GAIN, *OUTCOME[4:6], *MAIN[4:-1])
 OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
 COST = (
@@ -123,6 +125,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
         convergence, not_drawn = _convergence(results)
     meshes, meshes_left = _meshes(results)
+    comparable = [_without_energies(record) for record in records]
     sections = (
         ("set-up", "Set-up", True),
         ("summary", "Formulations", True),
@@ -146,8 +149,8 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves([_without_energies(record) for record in records], SOLVED, failed),
-        more=_solves(records, MORE, failed),
+        solves=_solves(comparable, SOLVED, failed),
+        more=_solves(comparable, MORE, failed),
         failures=Table(head, failures, texts=5),
         remarks=[*legends(records), COST, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),

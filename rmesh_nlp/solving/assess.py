@@ -142,7 +142,11 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         label, words = over_branches
         stationary = bool(words.b_stationary)
     measured = _measured(ends, outcome, ratio, stationary)
-    end = conclusion(outcome.status, measured)
+    end, constrained = conclusion(outcome.status, measured), _constrained(ends)
+    detail = EXPLOITED.get(measured.exploits, "") if end.status is Status.EXPLOITED else ""
+    if end.status is Status.VIOLATED:
+        broken = {text: one for text, one in constrained.items() if one.violation > designed.tolerance}
+        detail = "; ".join(f"{text} = {one.in_words()}" for text, one in broken.items())
     return Assessment(
         **common,
         displacement=outer.discretisation.space.values(outer.contact.displacement.values(ends.found.u)),
@@ -157,13 +161,13 @@ def assess(first: Outer, outcome: Outcome, *, relocates: bool = True) -> Assessm
         stationarity=label,
         stationarity_residual=residual,
         multipliers=multipliers(designed.energy, outcome.q, ends.point.gradient, designed.constraints),
-        detail=EXPLOITED.get(measured.exploits, "") if end.status is Status.EXPLOITED else "",
+        detail=detail,
         measured=measured,
         assessed=(start, ends.after),
         findings=_findings(ends, outcome.own or ends.found, first.problem, measured.exploits or None),
         quantities=_quantities(ends),
         label=words,
-        constraints=_constrained(ends),
+        constraints=constrained,
     )
 
 

@@ -29,7 +29,8 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     """Bound the least energy and the error of a solution in the energy norm.
 
     The contact problem is solved once more on the given mesh, for the bound before the relocation. The
-    better of the two lower bounds serves both meshes if relocation left the domain as it was.
+    better of the two lower bounds serves both meshes if relocation left the domain as it was. Of a design the
+    bounds before are those of the first one.
 
     Parameters
     ----------
@@ -65,7 +66,8 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     before = refined_bracket(first, given, guess, refinements)
     if assessed is not None:
         before = _with_upper(before, assessed[0])
-    if same_domain(problem, nodes) and not (is_new and problem.motion.curves):
+    is_same = not solution.design  # else the bounds are those of two problems
+    if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
         best = max((before, after), key=lambda one: (one.guaranteed_lower, one.lower))
         before, after = _with_lower(before, best), _with_lower(after, best)
     if is_new:  # the elements of a file are those of the last mesh

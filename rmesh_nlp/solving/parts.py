@@ -143,6 +143,12 @@ class Constrained:
     lower: float
     upper: float
 
+    @property
+    def violation(self) -> float:
+        """In units of the largest bound."""
+        unit = max(abs(bound) for bound in (self.lower, self.upper) if np.isfinite(bound)) or 1.0
+        return max(self.lower - self.value, self.value - self.upper, 0.0) / unit
+
     def record(self) -> dict[str, float | None]:
         """The three as JSON, where an infinite bound is null."""
         return {name: plain(value) for name, value in vars(self).items()}

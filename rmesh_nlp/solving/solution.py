@@ -43,6 +43,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
+AT_BOUND = 1e-6
+"""Distance to a bound, as a part of the range, up to which a design variable is said to be at it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Assessment:
     """What was measured of where a formulation ended; the defaults are those of an invalid mesh.
@@ -344,6 +348,9 @@ class Solution(Assessment):
             if one.name not in self.design:
                 continue
             there, bounds = figure(self.design[one.name]), bounds_in_words(*one.bounds)
+            range_ = one.bounds[1] - one.bounds[0]
+            if min(abs(self.design[one.name] - bound) for bound in one.bounds) <= AT_BOUND * range_:
+                there += ", at its bound,"
             rows.append((f"design variable {one.name}", f"{there} from {figure(one.start)}, bounds {bounds}"))
         return rows + [(f"constraint {text}", one.in_words()) for text, one in self.constraints.items()]
 

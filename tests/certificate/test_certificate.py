@@ -16,8 +16,12 @@ from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.solving import certify as certifying
+from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified, certify
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
+from support.designs import BOW, E, block
 from support.formulations import fixed
 
 SIDES = ("left", "right", "top", "bottom")
@@ -107,6 +111,20 @@ def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch:
     assert not found.guaranteed_lower
     assert "out of equilibrium" in found.why
     assert "estimated" in found.sentence
+
+
+def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
+    problem = replace(block(E, BOW), motion=Motion(0))
+    outer = Outer(problem, "area")
+    found = assess(outer, Outcome(outer, np.array([0.8, -0.5]), Status.CONVERGED))
+    both = certify(found, refinements=0)
+    first, last = (
+        certify(fixed.solve(replace(problem.at_design(design), constraints=())), refinements=0)
+        for design in (None, found.design)
+    )
+    assert both.relative_initial == pytest.approx(first.relative, rel=1e-6)
+    assert both.relative == pytest.approx(last.relative, rel=1e-6)
+    assert first.lower != pytest.approx(last.lower, rel=1e-2)  # so that neither serves the other
 
 
 def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:

@@ -14,11 +14,11 @@ import pytest
 
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.io.records import to_json
-from rmesh_nlp.io.results import Results, read_results
+from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.html_page import page, write_report
 from rmesh_nlp.study.comparison import plan_comparison, run
-from support.reporting import failed_61, joint_61
+from support.reporting import designed, failed_61, joint_61, joint_62
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
 
@@ -161,3 +161,19 @@ def test_page_works_in_a_browser(folder: Path, tmp_path: Path, window: str) -> N
     assert found["empty"] == 0
     assert found["cut"] == []
     assert found["overflow"] <= 0
+
+
+def test_solves_have_the_gain_in_what_was_minimised_and_energies_only_where_they_compare(
+    tmp_path: Path,
+) -> None:
+    rows = [joint_62(), designed()]
+    folder = tmp_path / "none"
+    results = [Result(row, folder / "a.vtu", folder / "a.csv") for row in rows]
+    text = page(tmp_path, results, "", "")
+    solves = text[text.index('id="solves"') : text.index('id="notes"')]
+    cells = [re.findall(r"<td[^>]*>(.*?)</td>", row) for row in re.findall(r"<tr>(.*?)</tr>", solves, re.S)]
+    of_energy = next(row for row in cells if "1.16" in row)
+    of_design = next(row for row in cells if "99.96" in row)
+    assert "-4.910330" in of_energy
+    assert "-4.910330" not in of_design
+    assert {"2.50000e+00", "1.00000e-03", "1.25", "-0.5"} <= set(of_design)

@@ -94,6 +94,25 @@ def test_a_design_is_recorded_with_its_start_its_bounds_and_what_is_constrained(
     assert "audited energy" not in rows  # energies of different designs do not compare
 
 
+def test_a_violated_constraint_is_named() -> None:
+    problem = replace(block(E, constraints=(Constraint("area", (5.0, 6.0)),)), motion=Motion(0))
+    found = fixed.solve(problem, objective="mean(right, uy)")
+    assert found.status is Status.VIOLATED
+    assert found.message.endswith("area = 4, 5 to 6")
+    assert found.constraints["area"].violation == pytest.approx(1 / 6)
+
+
+def test_a_variable_at_its_bound_is_said_to_be_there(solution: Solution) -> None:
+    designed = block(E, BOW)
+    for value, words in (
+        (2.0, "2, at its bound, from 1"),
+        (1.99, "1.99 from 1"),
+    ):
+        rows = dict(replace(solution, designed=designed, design={"E": value}).summary())
+        assert rows["design variable E"] == f"{words}, bounds 0.5 to 2"
+        assert "design variable bow" not in rows  # a level of an epigraph has no row either
+
+
 def test_success_says_what_it_lacks(solution: Solution) -> None:
     early = Status.ITERATION_LIMIT
     ends = [(Status.CONVERGED, True), (early, True), (early, False)]
