@@ -34,6 +34,9 @@ def path(file: Path, formulation: str | None, order: int | None, out: Path | Non
     if plan is None:
         raise BadInputError(f"{file}: has no table [path]: move = [dx, dy], steps = 5")
     problem = build(table, file)
+    if problem.design:
+        said = f"a load path has no design: write numbers in the place of {', '.join(problem.start)}"
+        raise BadInputError(f"{file}: {said}, or leave out [path]")
     name = formulation or table.solve.formulation
     if plan.relocate == "each" and not accepted(name, ["start"]):
         raise BadInputError(f"{file}: the formulation {name!r} takes no start: choose relocate = 'once'")

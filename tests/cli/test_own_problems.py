@@ -279,3 +279,57 @@ def test_measurements_are_beside_the_problem_file(rmesh, formulation: str) -> No
     said = rmesh(f"solve {path} --out one")
     assert said.code == 2
     assert "data/measured.csv: cannot be read" in said.err
+
+
+DESIGN = """
+[mesh]
+shape = "rectangle"
+nx = 6
+ny = 2
+x = [0.0, 4.0]
+[material]
+law = "plane-strain"
+young = "1000*E"
+poisson = 0.3
+[dirichlet]
+top = [0.0, -0.02]
+[contact]
+boundary = "bottom"
+height = "h - 0.002*(x - 2)**2"
+[design]
+E = { start = 1.0, bounds = [0.5, 2.0] }
+h = { start = 0.0, bounds = [-0.02, 0.02] }
+[[constraints]]
+value = "max-pressure(bottom)"
+bounds = [-inf, 40.0]
+[solve]
+objective = "square(resultant(bottom) - 30)"
+"""
+
+
+def test_a_load_path_has_no_design(rmesh) -> None:
+    Path("d.toml").write_text(f"{DESIGN}[path]\nmove = [0.0, 0.01]\nsteps = 2\n")
+    said = rmesh("path d.toml --out p")
+    assert said.code == 2
+    assert said.err.startswith("rmesh: error: d.toml: a load path has no design: write numbers in the place")
+
+
+@pytest.mark.slow
+def test_a_design_from_its_file_to_tables_and_figures(rmesh) -> None:
+    Path("d.toml").write_text(DESIGN)
+    assert "constraint max-pressure(bottom)" in rmesh("check d.toml").out
+    assert rmesh("solve d.toml --out one").code == 0
+    drawn = {path.name for path in Path("one/figures").iterdir()}
+    assert {"design.png", "design.pdf", "pressure.png", "mesh.png"} <= drawn
+    shutil.rmtree("one/figures")
+    assert rmesh("figures one").code == 0
+    assert {path.name for path in Path("one/figures").iterdir()} == drawn
+    assert set(record()["design"]) == {"E", "h"}
+    said = rmesh("compare d.toml --formulations fixed,nested,joint --out c")
+    assert said.code == 0  # joint refuses the objective: a dash
+    rows = [json.loads(line) for line in Path("c/records.jsonl").read_text().splitlines()]
+    assert [row["objective"] for row in rows] == ["square(resultant(bottom) - 30)"] * 3
+    assert "J given" not in said.out
+    assert "| bounds      | 0.5 to 2 | -0.02 to 0.02 |" in said.out
+    assert any(path.name.endswith("-design.png") for path in Path("c/figures").iterdir())
+    assert rmesh("report c").code == 0
