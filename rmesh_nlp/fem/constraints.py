@@ -26,7 +26,7 @@ from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design
 
 MARGIN = 1e-6
-"""Least gap where the displacement is given, so that a tolerance of as much leaves it admissible."""
+"""Least gap where the displacement is given, unless it begins with less."""
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,10 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
         nodal += groups
         bounds += [(-np.inf, 0.0, unit)] * size
         names += [str(one.value)] * size
-    groups, size, unit = _given_gaps(fields, len(bounds))
+    groups, first, unit = _given_gaps(fields, len(bounds))
     nodal += groups
-    bounds += [(MARGIN, np.inf, unit)] * size
-    names += ["gap where the displacement is given"] * size
+    bounds += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]
+    names += ["gap where the displacement is given"] * first.size
     lower, upper, units = np.array(bounds).reshape(-1, 3).T
     return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
 
@@ -119,14 +119,14 @@ def is_constrained(problem: ContactProblem) -> bool:
     return bool(problem.constraints or given)
 
 
-def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], int, float]:
-    """The gaps that a design changes and displacements do not, in units of the extent of the body."""
+def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, float]:
+    """The gaps that a design changes and displacements do not, their first values, and their unit."""
     problem = fields.problem
     terms = given_gap_terms(fields.space) if problem.design else []
     unit = float(np.max(np.ptp(problem.mesh.p, axis=1)))
     groups = [in_units(term.on(fields.positions, fields.displacement), unit) for term in terms]
-    size = sum(group.size for group in groups)
-    return [group.shifted(first) for group in groups], size, unit
+    gaps = [problem.given_gaps(part)[1] for part in problem.contact_sets] if problem.design else []
+    return [group.shifted(first) for group in groups], np.concatenate([np.zeros(0), *gaps]), unit
 
 
 def boundary_of(constraint: Constraint) -> str | None:

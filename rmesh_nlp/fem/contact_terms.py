@@ -117,7 +117,7 @@ def given_gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
     """
     terms, first, one = [], 0, np.ones(1)
     for part in space.problem.contact_sets:
-        nodes = np.setdiff1d(space.problem.nodes_of(part.obstacle), part.nodes)
+        nodes = space.problem.given_gaps(part)[0]
         if nodes.size:
             function, rows = gap_function(part.obstacle, space.problem.components, one), np.arange(nodes.size)
             places = nodes[None], space.number[nodes][None]

@@ -21,6 +21,9 @@ from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
 CLOSED = 1e-10
 """Part of the distances below which a given gap is zero, by rounding."""
 
+FOUND = 1e-5
+"""Part of the extent of the body by which an optimised design may violate it: the tolerance of a solve."""
+
 INDEPENDENT = 1e-6
 """Least singular value of the normals of foundations that one node can keep off from."""
 
@@ -211,17 +214,15 @@ def _check_friction(problem: ProblemData) -> None:
 
 def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
     """Where given displacements fix the gap it must not be negative: no displacement would be admissible."""
-    obstacle = contact.obstacle
-    nodes = np.setdiff1d(problem.nodes_of(obstacle), contact.nodes)
+    nodes, gap, scale = problem.given_gaps(contact)
     if nodes.size == 0:
         return
-    where, (held, value) = problem.mesh.p[:, nodes], problem.held()
-    distance = obstacle.distances(where)
-    along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
-    gap, scale = distance + along, max(1e-300, np.max(np.abs(distance)), np.max(np.abs(along)))
     worst = int(np.argmin(gap))
-    if gap[worst] < -CLOSED * scale:
-        x, y = where[:, worst]
+    least = -CLOSED * scale
+    if problem.numbers:  # of a design that an optimiser has found
+        least -= FOUND * float(np.max(np.ptp(problem.mesh.p, axis=1)))
+    if gap[worst] < least:
+        x, y = problem.mesh.p[:, nodes[worst]]
         raise ProblemError(
             "obstacle",
             f"no displacement is admissible: that given at node {nodes[worst]}, ({x:.6g}, {y:.6g}), makes "

@@ -201,6 +201,18 @@ class ProblemData:
             first += nodes.size
         return tuple(sets)
 
+    def given_gaps(self, contact: ContactSet) -> tuple[NDArray[np.int64], Array, float]:
+        """Vertices of an obstacle that have a given displacement, their first gaps, and the size of these."""
+        obstacle = self.first_obstacles[contact.number]
+        nodes = np.setdiff1d(self.nodes_of(obstacle), contact.nodes)
+        where, (held, value) = self.mesh.p[:, nodes], self.held()
+        if nodes.size == 0:
+            return nodes, np.zeros(0), 1e-300
+        distance = obstacle.distances(where)
+        along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
+        size = max(1e-300, float(np.max(np.abs(distance))), float(np.max(np.abs(along))))
+        return nodes, distance + along, size
+
     @property
     def contact_nodes(self) -> NDArray[np.int64]:
         """The node of every gap, obstacle by obstacle; a node of two obstacles is there twice."""

@@ -120,3 +120,21 @@ def test_largest_pressure_needs_contact_at_the_start() -> None:
 def test_unknown_names_in_a_quantity() -> None:
     with pytest.raises(ValueError, match="'lfit' is no design variable"):
         rm.solve(column(LIFT), "nested", objective="design(lfit)")
+
+
+@pytest.mark.parametrize("formulation", FORMULATIONS)
+def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
+    """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
+    lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
+    problem = rm.ContactProblem(
+        mesh=shapes.rectangle(6, 2, x=(0, 3), y=(0, 1)),
+        law=rm.PlaneStrain.from_young(1000.0, 0.3),
+        dirichlet="left",
+        obstacle=rm.Obstacle.graph("bottom", lambda x, y: lift.symbol - 0.001 * x),
+        tractions=rm.Traction("top", (0.0, -1.0)),
+        motion=rm.Motion(0),
+        design=lift,
+    )
+    found = rm.solve(problem, formulation, objective="mean(right, -uy)")
+    assert found.status is Status.CONVERGED
+    assert found.design["lift"] == pytest.approx(0.0, abs=1e-5)
