@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from formulations.joint import ACCEPTABLE, ALTERNATING, FINE, is_above, pull
+from formulations.kinks import is_stationary
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
@@ -173,11 +174,15 @@ class AllAtOnce(Formulation):
         Fields of :class:`rmesh_nlp.mpcc.Options`, on top of ``formulations.mpcc.OPTIONS``.
     without_first : bool
         Begin with the end of the same model without its complementarity.
+    twice : bool or None
+        Follow a second path from the start, of the last relaxation alone, and keep the better end; None, the
+        default: where there are design variables. The two often end at different minima.
     """
 
     relaxation: str = "scholtes"
     options: Mapping[str, Any] = field(default_factory=dict)
     without_first: bool = False
+    twice: bool | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -194,6 +199,14 @@ class AllAtOnce(Formulation):
         return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        first = self._path(outer, q, monitor)
+        twice = bool(outer.problem.design) if self.twice is None else self.twice
+        if not twice or outer.is_near or self.without_first or outer.objective.is_energy:
+            return first
+        second = monitor.attempt(lambda: self._path(outer.near(), q, monitor))
+        return first if second is None else min((first, second), key=_rank)
+
+    def _path(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         start, begin = q, outer.energy(q)
         is_energy = outer.objective.is_energy
         if is_energy and not outer.is_near:
@@ -227,7 +240,7 @@ class AllAtOnce(Formulation):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         end = _equilibrium(outer, program, result)
         if is_energy and not near and is_above(end.energy, begin.value):
-            return self.run(outer.near(), start, monitor)
+            return self._path(outer.near(), start, monitor)
         return Outcome(
             outer,
             outer.clipped(program.split(result.x)[0]),
@@ -237,6 +250,15 @@ class AllAtOnce(Formulation):
             label=result.stationarity,
             details=(relaxation, _figures(outer, program, solves, result)),
         )
+
+
+def _rank(end: Outcome) -> tuple[float, bool, float]:
+    """Ends that obey the constraints before others, then stationary ones, then by the objective."""
+    if not end.outer.is_valid(end.q):
+        return np.inf, True, np.inf
+    point = end.outer.function(end.q)
+    violation, value = end.outer.merit(point)
+    return violation, not is_stationary(end.outer, point), value
 
 
 def _own_units(outer: Outer, here: ReducedPoint) -> Bilevel:
@@ -255,7 +277,9 @@ def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
     """Options on top of ``OPTIONS``; ``scaling`` is that of the energy, ``near`` a start near a minimiser."""
     if not outer.objective.is_energy:
         stages = homotopy_options(1.0, {"mu_init": BARRIER}, TIGHT_OTHERS)
-        return AFTER if near else {**stages, "factor": FACTOR_OTHERS}
+        return (
+            {**AFTER, "ipopt_exact": stages["ipopt_exact"]} if near else {**stages, "factor": FACTOR_OTHERS}
+        )
     if near:
         return after_energy(scaling)
     if outer.has_limits:
