@@ -11,7 +11,7 @@ import pytest
 
 from formulations import mpcc as module
 from formulations.joint import Joint
-from formulations.mpcc import OPTIONS, build
+from formulations.mpcc import OPTIONS, AllAtOnce, build
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
@@ -19,8 +19,12 @@ from rmesh_nlp.mapping.validity import least_area_ratio
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Obstacle
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from support.designs import LOAD, block
 from support.formulations import joint, mpcc
 from support.solved import example, solved
 
@@ -224,3 +228,35 @@ def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction
         found = ca.Function("values", [mpcc.x], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])(x)
         values.append(np.concatenate([value.full().ravel() for value in found]))
     np.testing.assert_allclose(values[1], values[0], atol=1e-12)
+
+
+@pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])
+def test_the_better_end_of_two_paths_is_kept_for_designs(
+    order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outer, near = Outer(block(LOAD), "compliance"), []
+    ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
+
+    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor) -> Outcome:
+        near.append(at.is_near)
+        return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
+
+    monkeypatch.setattr(AllAtOnce, "_path", path)
+    found = AllAtOnce().run(outer, np.zeros(outer.n), Monitor())
+    assert near == [False, True]
+    assert found.q is ends[kept]
+    assert AllAtOnce(twice=False).run(outer, np.zeros(outer.n), Monitor()).status is Status.CONVERGED
+    assert len(near) == 3
+
+
+def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    near = []
+
+    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor) -> Outcome:
+        near.append(at.is_near)
+        return Outcome(at, q, Status.CONVERGED)
+
+    monkeypatch.setattr(AllAtOnce, "_path", path)
+    outer = Outer(coarse("6.3"), "mean(top, -uy)")
+    AllAtOnce().run(outer, np.zeros(outer.n), Monitor())
+    assert near == [False]
