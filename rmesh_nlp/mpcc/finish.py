@@ -18,6 +18,7 @@ from scipy.sparse.linalg import spsolve
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, linearise, nearest_branch
+from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.polish import polish, project
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
@@ -106,9 +107,12 @@ def polished(
 
     Pairs with both members below ``corner`` are put into it if the branch itself gives no stationary point:
     at a biactive pair that is not S-stationary the relaxed solution stays at the distance sqrt(t), and the
-    relaxations become ever harder to solve. A point above ``ceiling`` is none.
+    relaxations become ever harder to solve. Of large problems only this is tried, and members leave the
+    corner again where f falls along them. A point above ``ceiling`` is none.
     """
     zero, near = run.lifted.smaller(z), np.max(z[run.lifted.pairs], axis=0) <= corner
+    if run.lifted.source.n_pairs >= LARGE:
+        return _polished(run, z, warm, zero | near, ceiling, release=True)
     found = _polished(run, z, warm, zero, ceiling)
     if (found is not None and found.solved) or not np.any(near):
         return found
@@ -116,8 +120,10 @@ def polished(
     return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
 
 
-def _polished(run: Run, z: Array, warm: NLPResult, zero: BoolArray, ceiling: float) -> Finish | None:
-    found = polish(run, z, zero, warm.lam_g, warm.lam_x)
+def _polished(
+    run: Run, z: Array, warm: NLPResult, zero: BoolArray, ceiling: float, release: bool = False
+) -> Finish | None:
+    found = polish(run, z, zero, warm.lam_g, warm.lam_x, release=release)
     if found is None or found.f > ceiling:
         return None
     run.record("polished", 0.0, found.z)
@@ -137,7 +143,8 @@ def _linearised(run: Run, z: Array) -> Linearisation:
 def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None) -> Finish:
     """Label an exact point; ``offered`` multipliers of an NLP may prove S."""
     lin = _linearised(run, z)
-    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.seconds_left)
+    is_large = run.lifted.source.n_pairs >= LARGE
+    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.seconds_left, is_large)
     return Finish(z, f, found.status, found, lin, 0, int(found.label != "S"))
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
@@ -72,6 +73,7 @@ def follow(
     """
     options = run.options
     t, factor, retreats, stuck, product, corner = t0, options.factor, 0, 0, np.inf, 0.0
+    is_large, t_final = run.lifted.source.n_pairs >= LARGE, options.t_final
     last: NLPResult | None = None
     warm: NLPResult | None = None
     sides: BoolArray | None = None
@@ -84,17 +86,20 @@ def follow(
             if stuck >= _STUCK:
                 path.failure = Status.INFEASIBLE
                 break
+            if is_large and sides is None:  # the products of a fine mesh are small at any t
+                t_final *= min(1.0, max(product, options.t_final))
             before, sides = sides, run.lifted.smaller(result.x)
             warm, corner = run.nlps.without_relaxation(relaxation, result, t), CORNER * np.sqrt(t)
-            if run.exact(result.x) or t <= options.t_final:
+            if run.exact(result.x) or t <= t_final:
                 path.keep(finish(run, result.x, search=True, warm=warm, corner=corner))
                 return
-            if before is not None and t <= options.crossover * (1 + ROUNDING) and _settled(before, sides):
+            is_tried = is_large or (before is not None and _settled(before, sides))
+            if is_tried and t <= options.crossover * (1 + ROUNDING):
                 expected = objective + _outlook(run, warm)
                 near = _early(run, result.x, warm, corner, t, expected)
                 if near is not None and path.keep(near) and _at_the_limit(near.f, expected, _GAP):
                     return
-            t = _next(t, factor, product, options.t_final)
+            t = _next(t, factor, product, t_final)
         else:
             path.relaxed, path.failure = last or result, result.status
             if warm is not None and t <= options.crossover:  # what is there may do, and costs less

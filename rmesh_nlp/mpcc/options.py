@@ -24,6 +24,8 @@ _EXACT = {
 _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
 }  # fmt: skip
+LARGE = 1000
+"""Pairs from which on an NLP is long: then the search is for one good minimum, not for the better of two."""
 DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
 """Ipopt options for equations that follow from each other.
 
@@ -39,7 +41,8 @@ class Options(Settings):
     relaxation : str
         A name in ``RELAXATIONS``.
     t0, factor, t_final : float
-        Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
+        Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``. With ``LARGE`` pairs
+        it starts lower if the members at the start are small.
     rescues : tuple of (str, float)
         Further homotopies, relaxation and t0 of each, tried in turn while no stationary point is found. They
         reckon with equations that follow from each other.
@@ -55,10 +58,10 @@ class Options(Settings):
         whole KKT matrix is expensive.
     second_path : bool
         Follow a second trajectory to ``crossover``, in the unknowns as they were given, and keep the lower
-        end of the two. Needs expressions: with assembled derivatives there is none.
+        end of the two. Needs expressions: with assembled derivatives there is none, nor with ``LARGE`` pairs.
     time_limit_s : float
-        Wall time after which the best point so far is returned, with status ``time_limit``. Nothing
-        else depends on the clock.
+        Wall time, the build included, after which the best point so far is returned, with status
+        ``time_limit``. Nothing else depends on the clock.
     max_iterations : int, optional
         The same for Ipopt iterations over all NLPs.
     feasibility : float

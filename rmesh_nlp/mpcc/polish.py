@@ -9,15 +9,14 @@ projection onto the branch. Both are regularised: a branch may have more equatio
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import BoolArray, Lifted
 from rmesh_nlp.mpcc.lpec import steepness
 from rmesh_nlp.mpcc.run import Run
@@ -25,7 +24,7 @@ from rmesh_nlp.mpcc.run import Run
 Active = NDArray[np.int8]
 """Of each row, then of each unknown: -1 at the lower bound, 1 at the upper, 0 at none; equations at -1."""
 
-_STEPS = 12
+_STEPS, _STEPS_OF_LARGE = 12, 25
 _REACH = 1.0  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
 # Added to the Hessian: small, so that flat objectives end sharp, then larger, for directions without
 # curvature in which rounding of the gradient would be a long step.
@@ -54,9 +53,25 @@ class _Branch:
         nlp = lifted.nlp
         self.lower, self.upper = np.append(nlp.lbg, nlp.lbx), np.append(nlp.ubg, nlp.ubx)
         self.n_rows = nlp.n_g
+        self.uppermost = self.upper.copy()
         fixed = self.n_rows + lifted.pairs[zero]
         self.lower[fixed] = self.upper[fixed] = 0.0
         self.equal = self.lower == self.upper
+        self.places = self.n_rows + lifted.pairs
+
+    def release(self, active: Active, lam: Array, tolerance: float) -> Active:
+        """Let a member with a multiplier of the wrong sign leave zero where both members of a pair are fixed.
+
+        f falls along it. Of two such members the one with the larger multiplier leaves.
+        """
+        places = self.places[:, np.all(self.equal[self.places], axis=0)]
+        values = lam[places]
+        leaves = np.max(values, axis=0, initial=-np.inf) > tolerance
+        at = places[np.argmax(values, axis=0), np.arange(places.shape[1])][leaves]
+        self.equal[at], self.upper[at] = False, self.uppermost[at]
+        after = active.copy()
+        after[at] = 0
+        return after
 
     def first_active(self, values: Array, lam: Array, size: Array) -> Active:
         """Active where the multiplier outweighs the distance; both in units of ``size``."""
@@ -86,6 +101,7 @@ class _Branch:
         jacobian: sp.csr_matrix,
         hessian: sp.csc_matrix,
         proximal: float,
+        seconds: float = np.inf,
     ) -> tuple[Array, Array] | None:
         """Newton steps in z and in the multipliers of the rows; active bounds are met and eliminated.
 
@@ -104,9 +120,7 @@ class _Branch:
         if not np.all(np.isfinite(system.data)) or not np.all(np.isfinite(right)):
             return None
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                solution = splu(system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.01).solve(right)
+            solution = factorised(system, seconds)(right)
         except RuntimeError:  # exactly singular
             return None
         step[free] = solution[: free.size]
@@ -115,18 +129,28 @@ class _Branch:
         return step, change
 
 
-def polish(run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array) -> Polished | None:
-    """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``."""
+def polish(
+    run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array, *, release: bool = False
+) -> Polished | None:
+    """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``.
+
+    ``release`` lets members of pairs that are fixed on both sides leave zero where f falls along them. It is
+    tried with the least regularisation only.
+    """
     if run.lifted.hessian is None:
         return None
-    branch = _Branch(run.lifted, zero)
-    found = (_newton(run, z, branch, lam_rows, lam_z, proximal) for proximal in _PROXIMAL)
+    proximals = _PROXIMAL[:1] if release else _PROXIMAL
+    found = (
+        _newton(run, z, _Branch(run.lifted, zero), lam_rows, lam_z, proximal, release)
+        for proximal in proximals
+    )
     return next((point for point in found if point is not None), None)
 
 
 def _newton(
-    run: Run, z: Array, branch: _Branch, lam_rows: Array, lam_z: Array, proximal: float
-) -> Polished | None:
+    run: Run, z: Array, branch: _Branch, lam_rows: Array, lam_z: Array, proximal: float,
+    release: bool,
+) -> Polished | None:  # fmt: skip
     lifted, n_rows, origin = run.lifted, branch.n_rows, z
     f, gradient, rows, jacobian = lifted.linearise(z, run.p)
     unit = max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
@@ -135,12 +159,12 @@ def _newton(
     active = branch.first_active(np.append(rows, z), np.append(lam_rows, lam_z) / unit, size)
     lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
     last = np.inf
-    for _ in range(_STEPS):
+    for _ in range(_STEPS_OF_LARGE if release else _STEPS):
         run.check()
         hessian = lifted.curvature(z, run.p, lam_rows)
         slope = gradient + jacobian.T @ lam_rows
-        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal)
-        if step is None or not _is_near(z + step[0], origin):
+        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal, run.seconds_left)
+        if step is None or not (_is_short(step[0], origin) if release else _is_near(z + step[0], origin)):
             return None
         before, z, lam_rows = f, z + step[0], lam_rows + step[1]
         f, gradient, rows, jacobian = lifted.linearise(z, run.p)
@@ -150,6 +174,8 @@ def _newton(
         if not np.isfinite(f) or not np.isfinite(residual):
             return None
         after = branch.next_active(active, np.append(rows, z), np.append(lam_rows, lam_z), tolerance)
+        if release:
+            after = branch.release(after, np.append(lam_rows, lam_z), tolerance)
         worst = max(residual / tolerance, run.nlps.excess(z, run.p) / _SHARE)
         still = worst > 0.1 * last and abs(f - before) <= _STILL * (1 + abs(f))
         if np.array_equal(after, active) and (worst <= _SHARP or (worst <= 1.0 and still)):
@@ -157,6 +183,11 @@ def _newton(
         active, last = after, worst
         lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
     return None
+
+
+def _is_short(step: Array, origin: Array) -> bool:
+    """Whether a step is of the size of the point: an active set that runs away converges to nothing."""
+    return bool(np.max(np.abs(step), initial=0.0) <= _REACH * (1 + np.max(np.abs(origin), initial=0.0)))
 
 
 def _is_near(z: Array, origin: Array) -> bool:
@@ -174,7 +205,7 @@ def project(run: Run, z: Array, zero: BoolArray) -> Array | None:
     for _ in range(_STEPS):
         run.check()
         active = branch.next_active(active, np.append(rows, z), no_lam, 1.0)
-        step = branch.step(active, np.append(rows, z), none, jacobian, identity, 0.0)
+        step = branch.step(active, np.append(rows, z), none, jacobian, identity, 0.0, run.seconds_left)
         if step is None or not _is_near(z + step[0], origin):
             return None
         z = z + step[0]

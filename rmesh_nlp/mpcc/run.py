@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.clock import LimitReachedError
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Iterate, Step
@@ -19,14 +20,6 @@ from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 Progress = Callable[[str], None]
-
-
-class LimitReachedError(Exception):
-    """A limit of time or of iterations was met; ``status`` says which."""
-
-    def __init__(self, status: Status) -> None:
-        super().__init__(status.message)
-        self.status = status
 
 
 class Run:
@@ -51,6 +44,7 @@ class Run:
         progress: Progress | None = None,
         on_step: Callable[[Step], None] | None = None,
         on_iteration: Callable[[Iterate], None] | None = None,
+        spent: float = 0.0,
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
         self.p = np.append(p, weight)
@@ -58,7 +52,7 @@ class Run:
         self.iterations = 0
         self.nearest: tuple[Array, float, float] | None = None
         self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
-        self._deadline = time.monotonic() + self.options.time_limit_s
+        self._deadline = time.monotonic() + self.options.time_limit_s - spent
         self._most = self.options.max_iterations
         nlps.only_clock = on_iteration is None and self._most is None
         if progress is not None:

@@ -10,15 +10,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.clock import LimitReachedError
 from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.options import LARGE, Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
-from rmesh_nlp.mpcc.run import LimitReachedError, Progress, Run
+from rmesh_nlp.mpcc.run import Progress, Run
 from rmesh_nlp.optimize.status import Status
 
 _LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
@@ -49,8 +50,9 @@ class MPCCSolver:
         progress: Progress | bool = False,
         on_step: Callable[[Step], None] | None = None,
         on_iteration: Callable[[Iterate], None] | None = None,
+        spent: float = 0.0,
     ) -> MPCCResult:
-        """Solve from ``x0`` with parameters ``p``; see :func:`solve`."""
+        """Solve from ``x0`` with parameters ``p``; see :func:`solve`. ``spent`` seconds count too."""
         began = time.perf_counter()
         nlps, lifted, built = self.nlps, self.nlps.lifted, self.nlps.build_seconds
         parameters = self.mpcc.parameters(p)
@@ -58,14 +60,14 @@ class MPCCSolver:
         z0, weight = lifted.start(given, parameters), lifted.weight(given, parameters)
         first = None if start is None else warm_start(lifted, z0, weight, start)
         show = print if progress is True else (progress or None)
-        run = Run(nlps, parameters, weight, show, on_step, on_iteration)
+        run = Run(nlps, parameters, weight, show, on_step, on_iteration, time.perf_counter() - began + spent)
         paths: list[Path] = []
         limit, rescues = None, 0
         nlps.dependent = False
         try:
             if first is not None:
                 paths.append(Path(finish=polished(run, z0, first)))
-            for number, (relaxation, t0) in enumerate(self._attempts()):
+            for number, (relaxation, t0) in enumerate(self._attempts(z0)):
                 if any(path.ended for path in paths):
                     break
                 hopeless = number > 0 and all(path.failure is Status.INFEASIBLE for path in paths)
@@ -76,8 +78,8 @@ class MPCCSolver:
                 path = Path()
                 paths.append(path)
                 follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)
-                spent = time.perf_counter() - began + nlps.build_seconds
-                if number == 0 and self._looks_twice(path) and run.seconds_left > spent:
+                used = time.perf_counter() - began + nlps.build_seconds
+                if number == 0 and self._looks_twice(path) and run.seconds_left > used:
                     paths.append(Path())
                     second_path(run, paths[-1], given, path.finish)
         except LimitReachedError as stop:
@@ -106,12 +108,23 @@ class MPCCSolver:
         """Whether another trajectory may end lower, and can be had."""
         unbounded = path.finish is not None and path.finish.status is Status.UNBOUNDED
         has_expressions = self.mpcc.derivatives is None
-        return self.options.second_path and has_expressions and self.mpcc.n_pairs > 0 and not unbounded
+        is_short = 0 < self.mpcc.n_pairs < LARGE
+        return self.options.second_path and has_expressions and is_short and not unbounded
 
-    def _attempts(self) -> list[tuple[str, float]]:
+    def _attempts(self, z0: Array) -> list[tuple[str, float]]:
         """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
-        first = (self.options.relaxation, self.options.t0)
+        first = (self.options.relaxation, self._first_t(z0))
         return [first, *(rescue for rescue in self.options.rescues if rescue != first)]
+
+    def _first_t(self, z0: Array) -> float:
+        """``t0``, or of a large problem the product of the largest members at the start, if that is smaller.
+
+        A relaxation far above the products does not act, and the first one of a large problem is long.
+        """
+        options, scale = self.options, 0.0
+        if self.mpcc.n_pairs >= LARGE:
+            scale = float(np.prod(np.max(np.abs(z0[self.nlps.lifted.pairs]), axis=1)))
+        return float(np.clip(scale, options.t_final, options.t0)) if scale > 0 else options.t0
 
 
 def solve(
@@ -162,7 +175,10 @@ def solve(
     """
     began = time.perf_counter()
     solver = MPCCSolver(mpcc, options, **changes)
-    result = solver(x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration)
+    result = solver(
+        x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration,
+        spent=time.perf_counter() - began,
+    )  # fmt: skip
     seconds = {**result.seconds, "build": solver.nlps.build_seconds, "total": time.perf_counter() - began}
     return replace(result, seconds=seconds)
 

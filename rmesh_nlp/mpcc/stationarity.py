@@ -18,6 +18,7 @@ order, asked of the linear program with equilibrium constraints (LPEC).
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,8 +27,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
+from rmesh_nlp.mpcc.multipliers import LeastSquares, Multipliers, by_least_squares
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -41,15 +43,6 @@ Piece = tuple[Range, Range]
 
 _LOW, _ZERO, _HIGH, _FREE = (-np.inf, 0.0), (0.0, 0.0), (0.0, np.inf), (-np.inf, np.inf)
 _PIECES = {"M": ((_LOW, _LOW), (_ZERO, _FREE), (_FREE, _ZERO)), "C": ((_LOW, _LOW), (_HIGH, _HIGH))}
-
-
-@dataclass(frozen=True, eq=False)
-class Multipliers:
-    """Multipliers of the lifted problem: of rows, of bounds of z, of members (2, n_pairs)."""
-
-    rows: Array
-    z: Array
-    pairs: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +76,23 @@ def stationarity(
     tolerance: float,
     offered: tuple[Array, Array] | None = None,
     seconds: float = np.inf,
+    by_signs: bool = False,
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
     ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``;
-    ``offered`` multipliers of an NLP (of rows and of z) may save the linear programs.
+    ``offered`` multipliers of an NLP (of rows and of z) save linear programs. ``by_signs`` lets unique
+    multipliers decide without any program; the direction then names a branch that descends, without a step.
     """
     proved = None if offered is None else proof_of_s(lifted, lin, *offered, tolerance)
-    label, multipliers = strongest(lifted, lin, tolerance, seconds) if proved is None else ("S", proved)
+    if proved is not None:
+        return Stationarity("S", proved, True)
+    quick = by_least_squares(lifted, lin, tolerance, seconds)
+    if quick is not None and quick.s_stationary:
+        return Stationarity("S", quick.multipliers, True)
+    if quick is not None and quick.unique and by_signs:
+        return _of_unique(lifted, lin, quick, tolerance)
+    label, multipliers = strongest(lifted, lin, tolerance, seconds)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)
     direction = descent(lifted, lin, seconds)
@@ -98,6 +100,25 @@ def stationarity(
         return Stationarity(label, multipliers)
     flat = direction.decrease >= -tolerance * lin.scale
     return Stationarity(label, multipliers, flat, None if flat else direction)
+
+
+def _of_unique(lifted: Lifted, lin: Linearisation, found: LeastSquares, tolerance: float) -> Stationarity:
+    """The label of multipliers that are the only ones, and not those of S: no program is needed.
+
+    Then some branch descends. It is one in which each member with a positive multiplier may leave zero.
+    """
+    zero, pairs = tolerance * lin.scale, lin.biactive
+    G, H = found.multipliers.pairs[:, pairs]
+    fits = {
+        name: bool(np.all(np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)))
+        for name, pieces in _PIECES.items()
+    }
+    on_G = lin.zero[0].copy()
+    on_G[pairs] = G <= H
+    decrease = -float(np.max(np.append(G, H)))
+    direction = Direction(decrease, np.zeros(lifted.nlp.n_x), on_side(on_G), proven=False)
+    label = next((name for name, fit in fits.items() if fit), "W")
+    return Stationarity(label, found.multipliers, False, direction)
 
 
 def proof_of_s(
@@ -147,7 +168,7 @@ class _MultiplierLP:
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
         self.lifted, self.pairs, self.decided = lifted, lin.biactive, True
-        self.limit = {"time_limit": seconds} if np.isfinite(seconds) else {}
+        self.end = time.monotonic() + seconds
         rows = np.flatnonzero(lin.row_lower | lin.row_upper)
         bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
         biactive = lin.zero & lin.zero[::-1]
@@ -179,9 +200,11 @@ class _MultiplierLP:
                 upper[self.ends[2] + copy] = high
         if lower.size == 0:
             return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
+        left = self.end - time.monotonic()
+        options = {"time_limit": max(left, 1e-3)} if np.isfinite(left) else {}
         answer = linprog(
             self.cost, A_ub=self.matrix, b_ub=self.right, bounds=np.column_stack([lower, upper]),
-            method="highs", options=self.limit,
+            method="highs", options=options,
         )  # fmt: skip
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None

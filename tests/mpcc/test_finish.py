@@ -72,7 +72,7 @@ def test_only_pairs_near_the_corner_are_put_into_it(z, monkeypatch):
 def test_polished_point_above_the_ceiling_is_not_labelled(ceiling, is_labelled, monkeypatch):
     point, run = Polished(np.array([2.0, 0.0]), 3.0, np.zeros(0), np.array([0.0, 2.0])), ScriptedRun()
     for found, expected in ((point, is_labelled), (None, False)):
-        monkeypatch.setattr(finishing, "polish", lambda *_, found=found: found)
+        monkeypatch.setattr(finishing, "polish", lambda *_, found=found, **__: found)
         end = finishing._polished(run, point.z, ended(point.z), ON_G, ceiling)
         assert (end is not None) == expected
     assert [step.phase for step in run.steps] == ["polished"] * is_labelled
@@ -111,7 +111,7 @@ class TestBranches:
     def _simple(self, monkeypatch):
         self.polished, self.projected, self.pivots, self.tightened = None, [], [], []
         for name, answer in {
-            "polish": lambda *_: None,
+            "polish": lambda *_, **__: None,
             "polished": lambda *_: self.polished,
             "pivot": lambda run, here: self.pivots.append(here) or here,
             "_labelled": lambda run, z, f, lam: labelled(f),

@@ -245,7 +245,8 @@ def test_linear_program_that_fails_decides_nothing(monkeypatch):
     assert strongest(lifted, lin, TOLERANCE) == ("", None)
     Answer.status = 2
     assert strongest(lifted, lin, TOLERANCE, 2.5) == ("none", None)
-    assert given == [{}, {"time_limit": 2.5}]
+    assert given[0] == {}
+    assert 2.0 < given[1]["time_limit"] <= 2.5
 
 
 @pytest.mark.parametrize(("slope", "label"), [(0, "S"), (x, "none"), (-y, "none"), (x - y, "none")])
