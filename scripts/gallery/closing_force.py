@@ -16,7 +16,7 @@ the seat is narrow, so that the mean pressure is about 9 whatever the seal. The 
 where two nodes have the largest pressure. It is minimised exactly, as one number above all of them.
 
     python scripts/gallery/closing_force.py --n 8 --picture closing_force.png
-    rmesh compare scripts/gallery/closing_force.toml --objective 'max-pressure(bottom)' \
+    rmesh compare scripts/gallery/closing_force.toml \
         --formulations nested,mpcc --out closing_force
 """
 

@@ -16,7 +16,7 @@ About 0.9 is to be expected at the best fit, as 3 of the 30 degrees of freedom a
 friction there is no energy that both levels could share.
 
     python scripts/gallery/identification.py --n 4 --picture identification.png
-    rmesh compare scripts/gallery/identification.toml --objective 'fit(scripts/gallery/identification.csv)' \
+    rmesh compare scripts/gallery/identification.toml \
         --formulations nested,mpcc --out identification
 """
 

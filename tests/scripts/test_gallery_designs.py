@@ -101,3 +101,19 @@ def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
     module.draw(seal, tmp_path / "it.png")
     assert (tmp_path / "it.png").stat().st_size > 10_000
     assert is_same_at_start("closing_force.toml", module.problem(8), module.OBJECTIVE)
+
+
+@pytest.mark.slow
+def test_relocation_under_coulomb_friction_lowers_the_error(load, tmp_path: Path) -> None:
+    module = load("stick_slip")
+    found = module.main(3, seeds=(None, 1))
+    check_ends(found.starts)
+    for end in found.starts.solutions.values():
+        assert end.extra["objective_value"] < 0.8 * found.given.extra["objective_value"]
+    assert found.given.extra["sticking_nodes"] == 2  # of those at x = 0, 1/3, ..., the one at 0 is given
+    gains = [1 - after / before for before, after in found.errors]
+    assert gains[-1] > 0.5 * gains[0]
+    rate = found.errors[0][0] / found.errors[-1][0]
+    assert rate > 11  # squared error of linear triangles on meshes four times as fine: 16 in the limit
+    module.draw(found, tmp_path / "it.png")
+    assert (tmp_path / "it.png").stat().st_size > 10_000
