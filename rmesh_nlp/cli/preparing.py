@@ -97,9 +97,9 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
 
 def advise(path: Path, order: int | None = None, json: bool = False) -> int:
     """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
-    problem = load_problem(path, order, says=not json)
+    problem = _first_design(path, load_problem(path, order, says=not json), says=not json)
     with located(path):
-        found = advice(problem.at_design())
+        found = advice(problem)
     if json:
         print(to_json(found.record()))
     else:
@@ -114,7 +114,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     source = read_table(path).mesh.file
     if source is not None and out.exists() and out.samefile(path.parent / source):
         raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
-    problem = replace(with_edge_gaps(load_problem(path, order).at_design()), quadrature="auto")
+    problem = replace(with_edge_gaps(_first_design(path, load_problem(path, order))), quadrature="auto")
     _check_format(problem.mesh, out)
     with located(path):
         first = Solved.of(problem)
@@ -132,6 +132,13 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     ]
     Console().print(rich_table(f"wrote {out}", rows))
     return SUCCESS
+
+
+def _first_design(path: Path, problem: ContactProblem, *, says: bool = True) -> ContactProblem:
+    """The problem at its first design, which is said."""
+    if says and problem.design:
+        print(f"note: {path}: for the first design; `rmesh solve` finds others")
+    return problem.at_design()
 
 
 def _check_format(mesh: MeshTri, out: Path) -> None:

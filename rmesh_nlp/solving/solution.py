@@ -17,12 +17,12 @@ from rmesh_nlp.assessment.assessor import Audit
 from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
-from rmesh_nlp.display import Rows, bounds_in_words, figure, html_table, plain_table, rich_table
+from rmesh_nlp.display import Rows, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
-from rmesh_nlp.optimize.status import Status, success_in_words
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.parts import (
@@ -38,13 +38,10 @@ from rmesh_nlp.solving.parts import (
     entries,
     plain,
 )
+from rmesh_nlp.solving.summary import summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-
-AT_BOUND = 1e-6
-"""Distance to a bound, as a part of the range, up to which a design variable is said to be at it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -296,75 +293,8 @@ class Solution(Assessment):
         return plotting.plot(self.problem, X, self.displacement, self.pressure, what, axes, **style)
 
     def summary(self) -> Rows:
-        """Status, energies and measured residuals, as (label, value) rows for people."""
-        audit, motion = self.audit, np.linalg.norm(self.mesh.p - self.initial_nodes, axis=0)
-        extra = self.extra
-        rows = [
-            ("status", f"{self.status.value}: {self.message}"),
-            ("success", success_in_words(self.success, self.status)),
-            *self._objective_rows(),
-            *self._energy_rows(),
-            ("first-order residual", f"{self.stationarity_residual:.1e}"),
-            ("least area ratio", figure(audit.min_area_ratio)),
-            ("largest motion", figure(float(motion.max()))),
-            ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
-            ("complementarity residual", f"{audit.complementarity_residual:.1e}"),
-            ("penetration between nodes", figure(audit.penetration)),
-            ("iterations, contact solves", f"{self.iterations}, {self.contact_solves}"),
-            ("seconds", f"{self.wall_time_s:.3g}"),
-        ]
-        if "coulomb_residual" in extra:
-            before, after = (extra[f"coulomb_residual{suffix}"] for suffix in ("_initial", ""))
-            rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
-        if "remeshed_nodes" in extra:
-            rows.insert(2, ("mesh", f"{self.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
-        if "error_reduction" in extra:
-            rows.append(("error reduction", extra["error_reduction"]["text"]))
-        if "share_of_attainable" in extra:
-            best, share = extra["attainable_factor"], extra["share_of_attainable"]
-            said = f"{best:.2g} times less error: {share:.0%} of that is reached"
-            rows.append(("best mesh of as many triangles", said))
-        if self.multipliers is not None and not self.problem.motion.is_fixed:
-            found = self.multipliers
-            for by, what, rate in (("move limits", "nodes", found.limit), ("areas", "elements", found.area)):
-                rows.append((f"limited by {by}", f"{np.sum(rate > 0)} {what}, largest {figure(rate.max())}"))
-        return rows
-
-    def _objective_rows(self) -> list[tuple[str, str]]:
-        """Another objective than the energy, the design, and what is constrained."""
-        rows: list[tuple[str, str]] = []
-        found = self.findings
-        if found is not None and not self.objective.startswith("energy"):
-            rows.append(("objective", self.objective))
-            first, last = found.objective_initial, found.objective_value
-            if first is not None:
-                rows.append(("objective at the start", figure(first)))
-            rows.append(("objective at the end", figure(last)))
-            if first is not None:
-                rows.append(("gain", _gain(first - last, first)))
-        if found is not None and found.gain_surviving is not None:
-            rows.append(("gain left on refined meshes", f"{found.gain_surviving:.0%} of the objective's"))
-        for one in () if self.designed is None else self.designed.design:
-            if one.name not in self.design:
-                continue
-            there, bounds = figure(self.design[one.name]), bounds_in_words(*one.bounds)
-            range_ = one.bounds[1] - one.bounds[0]
-            if min(abs(self.design[one.name] - bound) for bound in one.bounds) <= AT_BOUND * range_:
-                there += ", at its bound,"
-            rows.append((f"design variable {one.name}", f"{there} from {figure(one.start)}, bounds {bounds}"))
-        return rows + [(f"constraint {text}", one.in_words()) for text, one in self.constraints.items()]
-
-    def _energy_rows(self) -> list[tuple[str, str]]:
-        """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
-        of_another = self.problem.has_coulomb and not self.objective.startswith("energy")
-        if self.designed is not None or of_another:
-            return []
-        return [
-            ("audited energy on the given mesh", figure(self.energy_initial_audited)),
-            ("audited energy", figure(self.audit.energy_audited)),
-            ("audited gain", _gain(self.gain_audited, self.energy_initial_audited)),
-            ("energies by the rule of the problem", f"{figure(self.energy_initial)}, {figure(self.energy)}"),
-        ]
+        """Status, what was minimised, and measured residuals, as (label, value) rows for people."""
+        return summary(self)
 
     def __rich__(self) -> Table:
         return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
@@ -374,11 +304,6 @@ class Solution(Assessment):
 
     def _repr_html_(self) -> str:
         return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
-
-
-def _gain(gain: float, initial: float) -> str:
-    """A gain by itself and as a part of the initial value."""
-    return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
 
 
 def versions() -> dict[str, str]:

@@ -1,0 +1,99 @@
+"""A solution as rows for people."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rmesh_nlp.display import Rows, bounds_in_words, figure
+from rmesh_nlp.optimize.status import success_in_words
+
+if TYPE_CHECKING:
+    from rmesh_nlp.solving.solution import Solution
+
+AT_BOUND = 1e-6
+"""Distance to a bound, as a part of the range, up to which a design variable is said to be at it."""
+
+
+def summary(solution: Solution) -> Rows:
+    """Status, energies and measured residuals, as (label, value) rows for people."""
+    audit, motion = solution.audit, np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0)
+    extra = solution.extra
+    rows = [
+        ("status", f"{solution.status.value}: {solution.message}"),
+        ("success", success_in_words(solution.success, solution.status)),
+        *_objective_rows(solution),
+        *_energy_rows(solution),
+        ("first-order residual", f"{solution.stationarity_residual:.1e}"),
+        ("least area ratio", figure(audit.min_area_ratio)),
+        ("largest motion", figure(float(motion.max()))),
+        ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
+        ("complementarity residual", f"{audit.complementarity_residual:.1e}"),
+        ("penetration between nodes", figure(audit.penetration)),
+        ("iterations, contact solves", f"{solution.iterations}, {solution.contact_solves}"),
+        ("seconds", f"{solution.wall_time_s:.3g}"),
+    ]
+    if "coulomb_residual" in extra:
+        before, after = (extra[f"coulomb_residual{suffix}"] for suffix in ("_initial", ""))
+        rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
+    if "remeshed_nodes" in extra:
+        rows.insert(2, ("mesh", f"{solution.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
+    if "error_reduction" in extra:
+        rows.append(("error reduction", extra["error_reduction"]["text"]))
+    if "share_of_attainable" in extra:
+        best, share = extra["attainable_factor"], extra["share_of_attainable"]
+        said = f"{best:.2g} times less error: {share:.0%} of that is reached"
+        rows.append(("best mesh of as many triangles", said))
+    if solution.multipliers is not None and not solution.problem.motion.is_fixed:
+        found = solution.multipliers
+        for by, what, rate in (("move limits", "nodes", found.limit), ("areas", "elements", found.area)):
+            rows.append((f"limited by {by}", f"{np.sum(rate > 0)} {what}, largest {figure(rate.max())}"))
+    return rows
+
+
+def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
+    """Another objective than the energy, the design, and what is constrained."""
+    rows: list[tuple[str, str]] = []
+    found = solution.findings
+    if found is not None and not solution.objective.startswith("energy"):
+        rows.append(("objective", solution.objective))
+        first, last = found.objective_initial, found.objective_value
+        if first is not None:
+            rows.append(("objective at the start", figure(first)))
+        rows.append(("objective at the end", figure(last)))
+        if first is not None:
+            rows.append(("gain", _gain(first - last, first)))
+    if found is not None and found.gain_surviving is not None:
+        rows.append(("gain left on refined meshes", f"{found.gain_surviving:.0%} of the objective's"))
+    for one in () if solution.designed is None else solution.designed.design:
+        if one.name not in solution.design:
+            continue
+        there, bounds = figure(solution.design[one.name]), bounds_in_words(*one.bounds)
+        range_ = one.bounds[1] - one.bounds[0]
+        if min(abs(solution.design[one.name] - bound) for bound in one.bounds) <= AT_BOUND * range_:
+            there += ", at its bound,"
+        rows.append((f"design variable {one.name}", f"{there} from {figure(one.start)}, bounds {bounds}"))
+    return rows + [(f"constraint {text}", one.in_words()) for text, one in solution.constraints.items()]
+
+
+def _energy_rows(solution: Solution) -> list[tuple[str, str]]:
+    """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
+    of_another = solution.problem.has_coulomb and not solution.objective.startswith("energy")
+    if solution.designed is not None or of_another:
+        return []
+    by_rule = f"{figure(solution.energy_initial)}, {figure(solution.energy)}"
+    return [
+        ("audited energy on the given mesh", figure(solution.energy_initial_audited)),
+        ("audited energy", figure(solution.audit.energy_audited)),
+        ("audited gain", _gain(solution.gain_audited, solution.energy_initial_audited)),
+        (
+            "energies by the rule of the problem",
+            f"{figure(solution.energy_initial)}, {figure(solution.energy)}",
+        ),
+    ]
+
+
+def _gain(gain: float, initial: float) -> str:
+    """A gain by itself and as a part of the initial value."""
+    return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
