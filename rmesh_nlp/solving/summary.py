@@ -63,7 +63,7 @@ def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
             rows.append(("objective at the start", figure(first)))
         rows.append(("objective at the end", figure(last)))
         if first is not None:
-            rows.append(("gain", _gain(first - last, first)))
+            rows.append(("gain", gain_in_words(first - last, first)))
     if found is not None and found.gain_surviving is not None:
         rows.append(("gain left on refined meshes", f"{found.gain_surviving:.0%} of the objective's"))
     for one in () if solution.designed is None else solution.designed.design:
@@ -86,14 +86,11 @@ def _energy_rows(solution: Solution) -> list[tuple[str, str]]:
     return [
         ("audited energy on the given mesh", figure(solution.energy_initial_audited)),
         ("audited energy", figure(solution.audit.energy_audited)),
-        ("audited gain", _gain(solution.gain_audited, solution.energy_initial_audited)),
-        (
-            "energies by the rule of the problem",
-            f"{figure(solution.energy_initial)}, {figure(solution.energy)}",
-        ),
+        ("audited gain", gain_in_words(solution.gain_audited, solution.energy_initial_audited)),
+        ("energies by the rule of the problem", by_rule),
     ]
 
 
-def _gain(gain: float, initial: float) -> str:
+def gain_in_words(gain: float, initial: float) -> str:
     """A gain by itself and as a part of the initial value."""
     return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")

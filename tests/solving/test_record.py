@@ -15,7 +15,8 @@ from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
-from rmesh_nlp.solving.solution import Solution, _gain
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.summary import gain_in_words
 from rmesh_nlp.study.progress import summary as one_line
 from support.designs import BOW, LIMITED, E, block
 from support.endings import Own
@@ -125,8 +126,8 @@ def test_success_says_what_it_lacks(solution: Solution) -> None:
 
 
 def test_gains_have_a_part_where_there_is_something_to_be_a_part_of() -> None:
-    assert _gain(0.5, -2.0).endswith("(25 %)")
-    assert "%" not in _gain(0.5, 0.0)
+    assert gain_in_words(0.5, -2.0).endswith("(25 %)")
+    assert "%" not in gain_in_words(0.5, 0.0)
 
 
 def test_work_is_summed_over_all_outer_problems() -> None:
