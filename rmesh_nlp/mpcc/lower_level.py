@@ -224,15 +224,15 @@ class LowerLevel:
         noise = float(np.max(np.abs(np.nan_to_num(beside - hessian)), initial=0.0))
         flat = max(noise, _FLAT * float(np.max(np.abs(matrix), initial=0.0)))
         gradients = sign[:, None] * rows[entry]
-        low, _ = _least(matrix, _directions(gradients[strong]))
+        low, _ = least_eigenvalue(matrix, directions(gradients[strong]))
         high = _least_critical(matrix, gradients[strong], gradients[active & ~strong])
-        whole, _ = _least(matrix, np.eye(n_y))
+        whole, _ = least_eigenvalue(matrix, np.eye(n_y))
         n_active = int(active.sum())
         return LowerLevelCheck(
             f=float(f[0]), residual=float(np.max(np.abs(np.concatenate(kkt)), initial=0.0)),
             curvature_low=low, curvature_high=high, flat=flat,
             n_active=n_active, n_weakly_active=n_active - int(strong.sum()),
-            independent=_directions(gradients[active]).shape[1] == n_y - n_active,
+            independent=directions(gradients[active]).shape[1] == n_y - n_active,
             linear_constraints=linear, convex=quadratic and linear and whole >= -flat,
         )  # fmt: skip
 
@@ -258,7 +258,7 @@ class LowerLevel:
         return quadratic, linear
 
 
-def _directions(gradients: Array) -> Array:
+def directions(gradients: Array) -> Array:
     """Orthonormal columns that span the directions along which no constraint changes."""
     if gradients.shape[0] == 0:
         return np.eye(gradients.shape[1])
@@ -267,7 +267,7 @@ def _directions(gradients: Array) -> Array:
     return np.asarray(q[:, int(np.sum(sizes > _RANK * sizes[0])) :])
 
 
-def _least(matrix: Array, directions: Array) -> tuple[float, Array]:
+def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:
     """Least eigenvalue of the matrix on the span of orthonormal directions, and its vector.
 
     Infinite if there are no directions.
@@ -289,7 +289,7 @@ def _least_critical(matrix: Array, strong: Array, weak: Array) -> float:
     faces = itertools.product((False, True), repeat=n) if few else [(True,) * n]
     least = np.inf
     for face in faces:
-        value, d = _least(matrix, _directions(np.vstack([strong, weak[list(face)]])))
+        value, d = least_eigenvalue(matrix, directions(np.vstack([strong, weak[list(face)]])))
         slopes = weak @ d
         if value < least and (np.all(slopes <= _RANK) or np.all(slopes >= -_RANK)):
             least = value

@@ -124,14 +124,16 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
 
 
 def nearest_branch(
-    lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf
-) -> tuple[Array, BoolArray] | None:
+    lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf, *,
+    only_violation: bool = False,
+) -> tuple[Array, BoolArray] | None:  # fmt: skip
     """A branch that the linearisation at an inexact point can satisfy: ``(z + step, zero members)``.
 
     The rows are elastic: their violation is minimised first, then the objective, over complementary
-    steps of at most ``radius`` (the feasibility phase of MPECopt).
+    steps of at most ``radius`` (the feasibility phase of MPECopt). ``only_violation`` drops the objective.
     """
     _, gradient, values, jacobian = lifted.linearise(z, p)
+    gradient = 0.0 * gradient if only_violation else gradient
     nlp, m = lifted.nlp, lifted.nlp.n_g
     members = np.maximum(z, 0.0) / radius
     lower = np.maximum(-1.0, (nlp.lbx - z) / radius)

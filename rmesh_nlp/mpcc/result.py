@@ -125,6 +125,8 @@ def in_words(stationarity: str, b_stationary: bool | None, n_biactive: int) -> s
         return "S (no biactive pair: a KKT point)"
     b_word = {True: "B-stationary", False: "not B-stationary", None: "B not computed"}[b_stationary]
     pairs = f"{n_biactive} biactive pair{'' if n_biactive == 1 else 's'}"
+    if stationarity.startswith("at least"):
+        stationarity = f"undecided, {stationarity}"
     return f"{stationarity or 'no label'} ({pairs}, {b_word})"
 
 
@@ -161,6 +163,7 @@ class MPCCResult:
     stationarity : str
         ``"S"``, ``"M"``, ``"C"`` or ``"W"``: the strongest for which multipliers were shown to
         exist; ``"none"`` if they were sought and do not exist, ``""`` if nothing was computed.
+        ``"at least C"`` if a search for more ran out of nodes.
     b_stationary : bool or None
         Whether no linearised feasible direction descends, over all branches of the biactive set.
         None: not computed.
@@ -178,6 +181,10 @@ class MPCCResult:
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ``lpecs``, ...
     seconds : mapping
         Wall time of each phase: ``build``, ``homotopy``, ``finish``, ``total``.
+    curvature : str
+        Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
+        saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with
+        slacks, no Hessian, or more than eight constraints without multipliers).
     lower_level : LowerLevelCheck, optional
         Of a bilevel program: whether its lower level is at a minimum. Without success where it is not.
     """
@@ -204,6 +211,7 @@ class MPCCResult:
     counts: Mapping[str, int]
     seconds: Mapping[str, float]
     lower_level: LowerLevelCheck | None = None
+    curvature: str = "not tested"
 
     @property
     def n_biactive(self) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.clock import LimitReachedError
+from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
@@ -20,9 +21,11 @@ from rmesh_nlp.mpcc.options import LARGE, Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
 from rmesh_nlp.mpcc.run import Progress, Run
+from rmesh_nlp.mpcc.violation import is_locally_infeasible
 from rmesh_nlp.optimize.status import Status
 
 _LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
+_SADDLES, _LENGTHS = 4, (0.1, 1e-2, 1e-3)  # saddles left, by steps of these lengths, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 
 
@@ -62,7 +65,7 @@ class MPCCSolver:
         show = print if progress is True else (progress or None)
         run = Run(nlps, parameters, weight, show, on_step, on_iteration, time.perf_counter() - began + spent)
         paths: list[Path] = []
-        limit, rescues = None, 0
+        limit, rescues, infeasible, curvature = None, 0, False, "not tested"
         nlps.dependent = False
         try:
             if first is not None:
@@ -82,10 +85,12 @@ class MPCCSolver:
                 if number == 0 and self._looks_twice(path) and run.seconds_left > used:
                     paths.append(Path())
                     second_path(run, paths[-1], given, path.finish)
+            curvature = _leave_saddles(run, paths)
+            infeasible = _is_infeasible(run, paths, z0)
         except LimitReachedError as stop:
             limit = stop.status
-        total = time.perf_counter() - began
-        return _result(run, _end(run, paths, z0, limit), nlps.build_seconds - built, total, rescues)
+        total, end = time.perf_counter() - began, _end(run, paths, z0, limit, infeasible)
+        return _result(run, end, nlps.build_seconds - built, total, rescues, curvature)
 
     def finish(self, x0: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
@@ -183,7 +188,47 @@ def solve(
     return replace(result, seconds=seconds)
 
 
-def _end(run: Run, paths: Sequence[Path], z0: Array, limit: Status | None) -> Finish:
+def _leave_saddles(run: Run, paths: list[Path]) -> str:
+    """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
+    word = "not tested"
+    for _ in range(_SADDLES):
+        here = _choose(paths)
+        if here is None or not here.solved:
+            return word
+        word, d = descent_of_curvature(run, here)
+        if d is None:
+            return word
+        lower = _beyond(run, here, d)
+        if lower is None:
+            return word
+        paths.append(Path(finish=lower))
+    return word
+
+
+def _beyond(run: Run, here: Finish, d: Array) -> Finish | None:
+    """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
+    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(here.z)))
+    for length in _LENGTHS:
+        z = np.clip(here.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
+        found = finish(run, z, search=False)
+        if found.solved and _beats(found, here):
+            return found
+    return None
+
+
+def _is_infeasible(run: Run, paths: Sequence[Path], z0: Array) -> bool:
+    """Whether a local minimum of the violation is certified, where no end is feasible or ran out."""
+    z, _, excess = run.nearest or (z0, np.nan, np.inf)
+    ends = [path.finish.status for path in paths if path.finish is not None]
+    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
+    if excess <= 1.0 or over & {*ends, *(path.failure for path in paths)}:
+        return False
+    return is_locally_infeasible(run, z)
+
+
+def _end(
+    run: Run, paths: Sequence[Path], z0: Array, limit: Status | None, infeasible: bool = False
+) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
     end = _choose(paths)
     if end is not None and end.solved:
@@ -199,7 +244,7 @@ def _end(run: Run, paths: Sequence[Path], z0: Array, limit: Status | None) -> Fi
         f = run.nlps.measure(point, run.p)[0]
         if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
             return Finish(point, f, Status.UNBOUNDED)
-    return Finish(z, f, _failure(paths, excess))
+    return Finish(z, f, _failure(paths, excess, infeasible))
 
 
 def _choose(paths: Sequence[Path]) -> Finish | None:
@@ -219,19 +264,21 @@ def _beats(end: Finish, best: Finish) -> bool:
     return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)
 
 
-def _failure(paths: Sequence[Path], excess: float) -> Status:
-    """Why no exact point was found: INFEASIBLE if the solvers ended, one way or another, at violations."""
+def _failure(paths: Sequence[Path], excess: float, infeasible: bool) -> Status:
+    """Why no exact point was found: INFEASIBLE only if a local minimum of the violation was certified."""
     ends = [path.failure for path in paths if path.failure is not None]
     ends += [path.finish.status for path in paths if path.finish is not None]
     if excess <= 1.0:  # feasible after all: whatever Ipopt called it
         return next((status for status in ends if status is not Status.INFEASIBLE), Status.STALLED)
     others = set(ends) - {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
-    if Status.INFEASIBLE in ends or (ends and not others):
+    if infeasible:
         return Status.INFEASIBLE
-    return next((status for status in ends if status in others), Status.FAILED)
+    return next((status for status in ends if status in others), Status.STALLED if ends else Status.FAILED)
 
 
-def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> MPCCResult:
+def _result(
+    run: Run, end: Finish, build: float, total: float, rescues: int, curvature: str = "not tested"
+) -> MPCCResult:
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.lifted, run.lifted.source
     f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
@@ -255,7 +302,7 @@ def _result(run: Run, end: Finish, build: float, total: float, rescues: int) -> 
         phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
-        message=status.message, lower_level=check,
+        message=status.message, lower_level=check, curvature=curvature,
         **vars(res),
         stationarity="" if found is None else found.label,
         b_stationary=None if found is None else found.b_stationary,

@@ -37,6 +37,7 @@ from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
 _OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
+AT_LEAST = "at least "
 Range = tuple[float, float]
 Piece = tuple[Range, Range]
 """Ranges of the two multipliers of a biactive pair."""
@@ -49,7 +50,8 @@ _PIECES = {"M": ((_LOW, _LOW), (_ZERO, _FREE), (_FREE, _ZERO)), "C": ((_LOW, _LO
 class Stationarity:
     """The label of a point, the multipliers that prove it, and a direction of descent where there is one.
 
-    ``label`` is ``"none"`` if there are no multipliers at all and empty if nothing was decided;
+    ``label`` is ``"none"`` if there are no multipliers at all and empty if nothing was decided; ``"at least
+    C"`` if a search for M ran out of nodes;
     ``b_stationary`` is None if the LPEC could not be decided within its limits.
     """
 
@@ -223,7 +225,8 @@ def strongest(
 ) -> tuple[str, Multipliers | None]:
     """The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
 
-    A linear program that fails numerically decides nothing: the label is then weaker, or empty.
+    A linear program that fails numerically decides nothing: the label is then weaker, or empty. Where the
+    search of a stronger one ran out of nodes it is ``"at least C"`` or ``"at least W"``.
     """
     programs = _MultiplierLP(lifted, lin, tolerance, seconds)
     weak = programs.solve({})
@@ -232,19 +235,26 @@ def strongest(
     zero = tolerance * lin.scale
     if weak[1] <= zero:
         return "S", weak[0]
+    word = ""
     for name, pieces in _PIECES.items():
-        found = _search(programs, pieces, zero)
+        found, complete = _search(programs, pieces, zero)
         if found is not None:
-            return name, found
-    return "W", weak[0]
+            return word + name, found
+        word = word if complete else AT_LEAST
+    return word + "W", weak[0]
 
 
-def _search(programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float) -> Multipliers | None:
-    """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair."""
+def _search(
+    programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float
+) -> tuple[Multipliers | None, bool]:
+    """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair.
+
+    Also whether the search was complete.
+    """
     stack: list[dict[int, Piece]] = [{}]
     for _ in range(int(np.clip(_WORK / max(programs.cost.size, 1), _LEAST_NODES, _NODES))):
         if not stack:
-            return None
+            return None, programs.decided
         node = stack.pop()
         found = programs.solve(node)
         if found is None:
@@ -252,10 +262,10 @@ def _search(programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float) -> 
         G, H = found[0].pairs[:, programs.pairs]
         outside = ~np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)
         if not np.any(outside):
-            return found[0]
+            return found[0], True
         k = int(np.argmax(np.where(outside, np.minimum(np.abs(G), np.abs(H)), -1.0)))
         stack.extend({**node, k: piece} for piece in reversed(pieces))
-    return None
+    return None, not stack and programs.decided
 
 
 def _inside(value: Array, within: Range, zero: float) -> BoolArray:

@@ -21,7 +21,7 @@ class Status(str, Enum):
     ITERATION_LIMIT = "iteration_limit", "Stopped at the iteration limit."
     TIME_LIMIT = "time_limit", "Stopped at the time limit."
     INTERRUPTED = "interrupted", "Stopped by the user; the best valid point so far is kept."
-    INFEASIBLE = "infeasible", "Converged to a point of local infeasibility."
+    INFEASIBLE = "infeasible", "Locally infeasible: at a local minimum of the violation."
     VIOLATED = "violated", "A constraint of the problem does not hold."
     UNBOUNDED = "unbounded", "The iterates diverge: the problem may be unbounded."
     STALLED = "stalled", "No further progress was possible before the tolerance was met."

@@ -80,8 +80,8 @@ class TestEnd:
         ("path", "limit", "nearest", "said"),
         [
             (Path(), S.ITERATION_LIMIT, (HERE, 1.0, 5.0), S.ITERATION_LIMIT),
-            (Path(failure=S.INFEASIBLE), None, (HERE, 1.0, 5.0), S.INFEASIBLE),
-            (Path(failure=S.STALLED), None, None, S.INFEASIBLE),  # before any NLP has ended
+            (Path(failure=S.INFEASIBLE), None, (HERE, 1.0, 5.0), S.STALLED),
+            (Path(failure=S.STALLED), None, None, S.STALLED),  # before any NLP has ended
         ],
     )
     def test_else_the_point_with_the_smallest_residuals_is_returned(self, path, limit, nearest, said):
@@ -122,7 +122,15 @@ class TestEnd:
 def test_why_no_exact_point_was_found(failures, finishes, excess_of_nearest, said):
     paths = [Path(failure=status) for status in failures]
     paths += [Path(finish=Finish(HERE, 0.0, status)) for status in finishes]
-    assert _failure(paths, excess_of_nearest) is said
+    assert _failure(paths, excess_of_nearest, said is S.INFEASIBLE) is said
+
+
+@pytest.mark.parametrize(
+    ("failures", "said"),
+    [([S.INFEASIBLE], S.STALLED), ([S.INFEASIBLE, S.FAILED], S.FAILED), ([S.STALLED], S.STALLED)],
+)
+def test_without_a_certificate_nothing_is_called_infeasible(failures, said):
+    assert _failure([Path(failure=status) for status in failures], 2.0, False) is said
 
 
 class TestAttempts:
