@@ -9,7 +9,8 @@ with is measured by the problem's expressions, not taken from the solver: solved
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
 build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
-DIR/rows.jsonl and DIR/table.md.
+DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control and membrane (not in "all") also
+DIR/size.png, time against pairs.
 """
 
 from __future__ import annotations
@@ -25,10 +26,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import casadi as ca
+import matplotlib.pyplot as plt
 import numpy as np
 
 from isolated import Failed, isolated
 from mpcc_library.families import FAMILIES
+from mpcc_library.large import LARGE
 from mpcc_library.solvers import NEEDS, SOLVERS
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import MPCC, Problem, read
@@ -79,9 +82,9 @@ def problems(
         )
         yield from ((one.parent.name, read(one)) for one in files)
     for name in list(FAMILIES) if list(families) == ["all"] else families:
-        if name not in FAMILIES:
-            raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *FAMILIES])}")
-        make, known = FAMILIES[name]
+        if name not in (known_families := {**FAMILIES, **LARGE}):
+            raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *known_families])}")
+        make, known = known_families[name]
         yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
 
 
@@ -142,6 +145,27 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Processor time against the size of generated problems, a line for each family and solver."""
+    lines: dict[tuple[str, str], dict[int, list[float]]] = {}
+    for row in rows:
+        size = row.problem.split("-")[-2:-1]
+        if row.group in LARGE and size and row.violation <= SOLVED:
+            own = lines.setdefault((row.group, row.solver), {})
+            own.setdefault(int(size[0]), []).append(row.seconds)
+    if not lines:
+        return
+    drawing, axes = plt.subplots(figsize=(5, 3.6), layout="constrained")
+    for (group, solver), own in lines.items():
+        sizes = sorted(own)
+        style = "o-" if solver == next(iter(SOLVERS)) else "s--"
+        axes.loglog(sizes, [np.median(own[size]) for size in sizes], style, label=f"{group}, {solver}")
+    axes.set(xlabel="pairs", ylabel="processor time [s]")
+    axes.legend(fontsize="small")
+    drawing.savefig(path, dpi=150)
+    plt.close(drawing)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, print, write; 0 if ours solved every problem."""
     parser = argparse.ArgumentParser(
@@ -177,6 +201,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             last = rows[-1]
             print(f"{last.problem:26} {solver:20} {last.status[:24]:24} {last.f:<14.8g} {last.seconds:.2f} s")
     (given.out / "table.md").write_text(table(rows), encoding="utf-8")
+    figure(rows, given.out / "size.png")
     print("\n" + table(rows))
     mine = [row for row in rows if row.solver == next(iter(SOLVERS))]
     return 0 if all(row.violation <= SOLVED for row in mine) else 1

@@ -88,3 +88,20 @@ def test_bilevel_problems_are_a_collection():
     assert one.target == 0.5
     assert one.x0.size == one.mpcc.n_x == 4
     assert benchmark.measured(one, np.array([3.0, 1.0, 0.0, 0.0])) == pytest.approx((0.5, 0))
+
+
+def test_large_families_end_exact_and_are_drawn(tmp_path):
+    """16 pairs of each."""
+    rows = []
+    for name, (make, _) in benchmark.LARGE.items():
+        problem = make(16, 0)
+        end = benchmark.SOLVERS["rmesh_nlp.mpcc"](problem)
+        f, violation = benchmark.measured(problem, end.x)
+        assert (end.status, problem.mpcc.n_pairs) == ("converged", 16)
+        rows.append(
+            benchmark.Row(name, problem.name, "rmesh_nlp.mpcc", end.status, f, violation, seconds=1.0)
+        )
+    benchmark.figure(rows, tmp_path / "size.png")
+    assert (tmp_path / "size.png").stat().st_size > 0
+    benchmark.figure([], tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
