@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
 from rmesh_nlp.optimize.status import success_in_words
 
-if TYPE_CHECKING:
-    from rmesh_nlp.solving.solution import Solution
-
 AT_BOUND = 1e-6
 """Distance to a bound, as a part of the range, up to which a design variable is said to be at it."""
 
 
-def summary(solution: Solution) -> Rows:
-    """Status, energies and measured residuals, as (label, value) rows for people."""
+def summary(solution: Any) -> Rows:
+    """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
     audit, motion = solution.audit, np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0)
     extra = solution.extra
     rows = [
@@ -52,7 +49,7 @@ def summary(solution: Solution) -> Rows:
     return rows
 
 
-def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
+def _objective_rows(solution: Any) -> list[tuple[str, str]]:
     """Another objective than the energy, the design, and what is constrained."""
     rows: list[tuple[str, str]] = []
     found = solution.findings
@@ -77,7 +74,7 @@ def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
     return rows + [(f"constraint {text}", one.in_words()) for text, one in solution.constraints.items()]
 
 
-def _energy_rows(solution: Solution) -> list[tuple[str, str]]:
+def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
     of_another = solution.problem.has_coulomb and not solution.objective.startswith("energy")
     if solution.designed is not None or of_another:
