@@ -1,10 +1,6 @@
 """The design cases of the gallery small: all starts succeed, labels are proved, gains are real."""
 
-import importlib
-import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -13,18 +9,6 @@ from rmesh_nlp.fem.fit import read_measurements
 from rmesh_nlp.io.problem_file import load_problem
 
 FOLDER = Path(__file__).parents[2] / "scripts" / "gallery"
-
-
-@pytest.fixture
-def load(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
-    """Import a script of the gallery as it is when run: its folder first on the path."""
-    monkeypatch.syspath_prepend(str(FOLDER))
-
-    def load(name: str) -> ModuleType:
-        sys.modules.pop("common", None)
-        return importlib.import_module(name)
-
-    return load
 
 
 def check_ends(starts) -> None:
