@@ -38,6 +38,9 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
         return "not tested", None
     own, columns = found.multipliers, Columns(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
+    flat = _FLAT * float(np.max(np.abs(hessian), initial=0.0))
+    if not flat or _is_positive(hessian + flat * np.eye(hessian.shape[0])):
+        return "not negative", None
     gradients = columns.matrix.T.toarray()
     values = np.concatenate(
         [own.rows[columns.rows], own.z[columns.bounds], own.pairs.reshape(-1)[columns.members]]
@@ -47,7 +50,6 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     strong = ~one_sided | (np.abs(values) > run.options.stationarity * lin.scale)
     sign = np.where(columns.may_fall, 1.0, -1.0)[~strong]  # a lower bound: the value may only rise
     weak = sign[:, None] * gradients[~strong]
-    flat = _FLAT * float(np.max(np.abs(hessian), initial=0.0))
     if least_eigenvalue(hessian, directions(gradients[strong]))[0] >= -flat:
         return "not negative", None
     pair = np.append(np.full(n_own, -1), columns.members % max(lifted.pairs.shape[1], 1))[~strong]
@@ -65,3 +67,12 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
             if value < -flat and is_critical:
                 return "negative", side * d
     return ("not tested" if weak.shape[0] > _WEAK else "not negative"), None
+
+
+def _is_positive(matrix: Array) -> bool:
+    """Whether a symmetric matrix has a Cholesky factor."""
+    try:
+        np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        return False
+    return True

@@ -2,14 +2,13 @@
 
 A second, cheap trajectory in the unknowns as the user gave them follows. An MPCC has many local minima,
 and which one a homotopy ends in is decided in its first relaxations. The same relaxations without slacks,
-each by Ipopt's own settings from its largest barrier on, end elsewhere: of small bilevel programs one in
-twenty ended lower there, and about as many lower on the first one. It ends at the first ``t <= crossover``
-and costs a tenth to a third of a loop down to 1e-8.
+each by Ipopt's own settings from its largest barrier on, now and then end lower. Mostly the first t shows
+it: where they are not lower there than the first trajectory, the two are one, and this one ends at once.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -35,12 +34,14 @@ class Path:
     """One homotopy as far as it has come, also if a limit stops it.
 
     ``finish`` is the best so far, ``relaxed`` the last relaxed solution, or the failed one if there is none,
-    and ``failure`` says why the last step failed, if it did.
+    and ``failure`` says why the last step failed, if it did. ``levels`` are the weighted objectives of the
+    relaxed solutions, by t.
     """
 
     finish: Finish | None = None
     relaxed: NLPResult | None = None
     failure: Status | None = None
+    levels: dict[float, float] = field(default_factory=dict)
 
     @property
     def ended(self) -> bool:
@@ -83,6 +84,7 @@ def follow(
             last, path.relaxed, path.failure = result, result, None
             stuck = stuck + 1 if run.steps[-1].product > max(_FALLS * product, 10 * t) else 0
             product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
+            path.levels[t] = objective
             if stuck >= _STUCK:
                 path.failure = Status.INFEASIBLE
                 break
@@ -169,14 +171,16 @@ def _settled(before: BoolArray, sides: BoolArray) -> bool:
     return bool(np.count_nonzero(before != sides) <= _UNSETTLED * sides.size)
 
 
-def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
+def second_path(run: Run, path: Path, x0: Array, first: Path) -> None:
     """Follow Scholtes' relaxation from ``x0`` to ``crossover`` and finish exactly, all kept in ``path``.
 
     Where it cannot end lower than the ``first`` trajectory, or ends in the same branch, it is left at once.
+    Where its relaxed solution is not lower than the first one's at the same t the two are mostly one.
     Its exact point counts only if it is not further above the known end than the relaxed one is below.
     """
     options = run.options
-    known = first if first is not None and first.solved else None
+    known = first.finish if first.finish is not None and first.finish.solved else None
+    levels = first.levels if known is not None and options.relaxation == "scholtes" else {}
     t, x = options.t0, x0
     while True:
         result = run.unlifted(x, t)
@@ -185,9 +189,11 @@ def second_path(run: Run, path: Path, x0: Array, first: Finish | None) -> None:
         if path.failure not in (None, Status.STALLED) or not np.all(np.isfinite(result.x)):
             return
         f = run.objective(result.x)  # Ipopt's own belongs to the unlifted NLP
-        # a feasible set that only shrinks gives no lower end
-        if known is not None and result.converged and f >= known.f - _SAME * (1 + abs(known.f)):
-            return
+        # a feasible set that only shrinks gives no lower end than here
+        if known is not None and result.converged:
+            lowest = min(known.f, levels.get(t, np.inf))
+            if f >= lowest - _SAME * (1 + abs(lowest)):
+                return
         if t <= options.crossover * (1 + ROUNDING):
             break
         x, t = result.x[: x0.size], max(options.factor * t, options.t_final)

@@ -17,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
@@ -78,13 +78,22 @@ class Lifted:
         """The smaller member of each pair, of equal ones the first."""
         return on_side(np.asarray(z[self.pairs[0]] <= z[self.pairs[1]]))
 
+    @cached_property
+    def _by_rows(self) -> tuple[IntArray, Any, Any]:
+        """Order of the Jacobian's nonzeros row by row, their columns, and where each row begins."""
+        numbers = np.arange(self.pattern[0].size)
+        rows = sp.csr_matrix((numbers, self.pattern), shape=(self.nlp.n_g, self.nlp.n_x))
+        return rows.data.astype(np.int64), rows.indices, rows.indptr
+
+    @cached_property
+    def _symmetric(self) -> Symmetric:
+        assert self.hessian is not None
+        return Symmetric(numbered(self.hessian.function.sparsity_out(0)))
+
     def curvature(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_matrix:
         """Hessian of the Lagrangian, where ``hessian`` is known."""
         assert self.hessian is not None
-        (values,) = self.hessian(z, p, 1.0, lam_rows)
-        sparsity = self.hessian.function.sparsity_out(0)
-        upper = sp.csc_matrix((values, sparsity.row(), sparsity.colind()), shape=sparsity.shape)
-        return (upper + sp.triu(upper, 1).T).tocsc()
+        return sp.csc_matrix(self._symmetric(self.hessian(z, p, 1.0, lam_rows)[0]))
 
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
@@ -111,8 +120,9 @@ class Lifted:
         """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
         f, gradient = self.value(z, p)
         rows, nonzeros = self.jacobian(z, p)
-        shape = (self.nlp.n_g, self.nlp.n_x)
-        return float(f[0]), gradient, rows, sp.csr_matrix((nonzeros, self.pattern), shape=shape)
+        order, columns, starts = self._by_rows
+        matrix = sp.csr_matrix((nonzeros[order], columns, starts), shape=(rows.size, z.size))
+        return float(f[0]), gradient, rows, matrix
 
 
 def on_side(first: BoolArray) -> BoolArray:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.factors import factorised
-from rmesh_nlp.mpcc.lifting import BoolArray, Lifted
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 from rmesh_nlp.mpcc.lpec import steepness
 from rmesh_nlp.mpcc.run import Run
 
@@ -112,11 +112,8 @@ class _Branch:
         free = np.flatnonzero(~at_bound)
         step = np.zeros(at_bound.size)
         step[at_bound] = gap[self.n_rows :][at_bound]
-        A = jacobian[on].tocsc()
-        right = np.append(-(slope + hessian @ step)[free], gap[on] - A @ step)
-        inner = A[:, free]
-        top = hessian[free][:, free] + proximal * sp.identity(free.size)
-        system = sp.bmat([[top, inner.T], [inner, -_DUAL * sp.identity(on.size)]], format="csc")
+        right = np.append(-(slope + hessian @ step)[free], (gap[: self.n_rows] - jacobian @ step)[on])
+        system = _kkt_matrix(hessian, jacobian, free, on, proximal)
         if not np.all(np.isfinite(system.data)) or not np.all(np.isfinite(right)):
             return None
         try:
@@ -127,6 +124,22 @@ class _Branch:
         change = np.zeros(self.n_rows)
         change[on] = solution[free.size :]
         return step, change
+
+
+def _kkt_matrix(
+    hessian: sp.csc_matrix, jacobian: sp.csr_matrix, free: IntArray, on: IntArray, proximal: float
+) -> sp.csc_matrix:
+    """``[H A^T; A 0]`` of the free unknowns and the active rows, regularised; put together in one go."""
+    n, size = free.size, free.size + on.size
+    of_z, of_row = np.full(hessian.shape[0], -1), np.full(jacobian.shape[0], -1)
+    of_z[free], of_row[on] = np.arange(n), np.arange(n, size)
+    H, A, diagonal = hessian.tocoo(), jacobian.tocoo(), np.arange(size)
+    rows = np.concatenate([of_z[H.row], of_row[A.row], of_z[A.col], diagonal])
+    columns = np.concatenate([of_z[H.col], of_z[A.col], of_row[A.row], diagonal])
+    shift = np.repeat([proximal, -_DUAL], [n, on.size])
+    values = np.concatenate([H.data, A.data, A.data, shift])
+    kept = (rows >= 0) & (columns >= 0)
+    return sp.csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
 
 
 def polish(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -111,17 +112,17 @@ class MPCC:
                     f"derivatives.jac_g gives a Jacobian of shape {got}, vertcat(g, G, H) needs {needed}"
                 )
 
-    @property
+    @cached_property
     def n_x(self) -> int:
         """Number of unknowns."""
         return int(self.x.shape[0])
 
-    @property
+    @cached_property
     def n_g(self) -> int:
         """Number of ordinary constraints."""
         return int(self.g.shape[0])
 
-    @property
+    @cached_property
     def n_pairs(self) -> int:
         """Number of complementarity pairs."""
         return int(self.G.shape[0])

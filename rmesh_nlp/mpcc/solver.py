@@ -84,7 +84,7 @@ class MPCCSolver:
                 used = time.perf_counter() - began + nlps.build_seconds
                 if number == 0 and self._looks_twice(path) and run.seconds_left > used:
                     paths.append(Path())
-                    second_path(run, paths[-1], given, path.finish)
+                    second_path(run, paths[-1], given, path)
             curvature = _leave_saddles(run, paths)
             infeasible = _is_infeasible(run, paths, z0)
         except LimitReachedError as stop:

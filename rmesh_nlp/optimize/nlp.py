@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -85,12 +86,12 @@ class NLP:
             )
         object.__setattr__(self, "_of", of)
 
-    @property
+    @cached_property
     def n_x(self) -> int:
         """Number of unknowns."""
         return int(self.x.shape[0])
 
-    @property
+    @cached_property
     def n_g(self) -> int:
         """Number of constraints."""
         return int(self.g.shape[0])

@@ -268,15 +268,15 @@ class TestSecondPath:
             run, path, asks, ends = ScriptedRun(), Path(), [], []
             monkeypatch.setattr(run, "unlifted", lambda x, t: asks.append((list(x), t)) or end)
             monkeypatch.setattr(homotopy, "finish", lambda run, z, **names: ends.append(names) or UNSOLVED)
-            second_path(run, path, START, known)
+            second_path(run, path, START, Path(finish=known))
             return path, asks, ends
 
         return look
 
     @staticmethod
-    def looked(first, **options):
+    def looked(first, levels=(), **options):
         run, path = run_of(two_minima(), **options), Path()
-        second_path(run, path, START, first)
+        second_path(run, path, START, Path(finish=first, levels=dict(levels)))
         return path.finish, [step.t for step in run.steps if step.phase == "second"]
 
     @pytest.mark.parametrize(
@@ -294,6 +294,17 @@ class TestSecondPath:
         end, seen = self.looked(Finish(np.array([2.0, 0.0]), f, S.CONVERGED))
         assert end is None
         assert 1 <= len(seen) <= steps
+
+    @pytest.mark.parametrize(
+        ("below", "options", "seen"),
+        [(1e-6, {}, 1), (-0.01, {}, 3), (1e-6, {"relaxation": "kanzow-schwartz"}, 3)],
+    )
+    def test_it_joins_the_first_one_where_that_is_as_low_at_the_same_t(self, below, options, seen):
+        """Levels of other relaxations are not comparable."""
+        probe = run_of(two_minima())
+        level = probe.objective(probe.unlifted(START, 1.0).x) - below
+        end, ts = self.looked(Finish(np.array([0.0, 1.0]), 4.0, S.CONVERGED), {1.0: level}, **options)
+        assert (end is None, len(ts)) == (seen == 1, seen)
 
     @pytest.mark.parametrize(
         ("z", "known", "same"), [((0, 1), (0, 2), True), ((1, 0), (0, 2), False), ((0, 1), (0, 0), False)]
