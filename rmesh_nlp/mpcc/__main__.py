@@ -1,4 +1,4 @@
-"""The command ``python -m rmesh_nlp.mpcc``, which is also ``rmesh mpcc``."""
+"""The command ``rmesh-mpcc``, which is also ``rmesh mpcc`` and ``python -m rmesh_nlp.mpcc``."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rmesh_nlp.mpcc import ampl
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.reading import read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
@@ -19,6 +20,7 @@ _EXAMPLES = """examples:
   rmesh mpcc problem.nl
   rmesh mpcc problem.nl --relaxation kanzow-schwartz --time-limit 30 --log
   rmesh mpcc problem.nl --json > result.json
+  rmesh-mpcc problem -AMPL relaxation=kanzow-schwartz time_limit_s=30    (writes problem.sol)
 """
 
 
@@ -40,8 +42,11 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; 0 if every solve succeeded, 1 if one did not, 2 for bad input."""
-    given = parser().parse_args(arguments)
+    words = sys.argv[1:] if arguments is None else list(arguments)
     try:
+        if ampl.is_meant(words):
+            return ampl.run(words)
+        given = parser().parse_args(words)
         settings = Options(
             relaxation=given.relaxation, max_iterations=given.max_iterations, time_limit_s=given.time_limit
         )

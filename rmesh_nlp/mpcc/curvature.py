@@ -29,7 +29,7 @@ _SIGN = 1e-9
 def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     """The finding in words, and a critical direction of negative curvature if there is one.
 
-    ``"not negative"``, ``"negative"``, or ``"not tested"``: no Hessian, no S, or too large.
+    ``"not negative"``, ``"negative"``, or ``"not tested"``: no finite Hessian, no S, or too large.
     """
     found, lin, lifted = end.stationarity, end.lin, run.lifted
     if found is None or lin is None or found.multipliers is None or found.label != "S":
@@ -38,6 +38,8 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
         return "not tested", None
     own, columns = found.multipliers, Columns(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
+    if not np.all(np.isfinite(hessian)):
+        return "not tested", None
     flat = _FLAT * float(np.max(np.abs(hessian), initial=0.0))
     if not flat or _is_positive(hessian + flat * np.eye(hessian.shape[0])):
         return "not negative", None

@@ -20,6 +20,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.mpcc.names import in_short
+
 Member = tuple[Any, float, float]
 """An expression with its bounds."""
 
@@ -55,7 +57,8 @@ class PlainPairs:
             case _:
                 raise ValueError(
                     f"pair {i} has the bounds {lg} <= G <= {ug}, {lh} <= H <= {uh}: exactly two of the "
-                    "four must be finite (or none, for the equation G = 0)"
+                    "four must be finite (or none, for the equation G = 0); "
+                    f"G is {in_short(a)}, H is {in_short(b)}"
                 )
 
     def _pair(self, a: Any, b: Any) -> None:

@@ -1,15 +1,16 @@
-"""The text form of AMPL's ``.nl`` files, with complementarity rows.
+"""AMPL's ``.nl`` files, text or binary, with complementarity rows.
 
 D. M. Gay, Writing .nl files, Sandia report 2005-7907P. A row with bound type 5, ``5 k i``, complements the
 unknown i - 1: bit 1 of k says that its lower bound takes part, bit 2 its upper bound. The row is non-negative
-where the unknown is at its lower bound, non-positive at its upper bound, zero between; CasADi's own
-importer refuses such rows.
+where the unknown is at its lower bound, non-positive at its upper bound, zero between; CasADi's own importer
+refuses such rows.
+
+Names come from the files ``.col`` and ``.row`` beside it, where there are some.
 """
 
 from __future__ import annotations
 
 import operator
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +18,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+
+from rmesh_nlp.mpcc.nl_records import Records, open_records
 
 Operation = Callable[..., Any]
 
@@ -33,6 +36,15 @@ _BINARY: dict[int, Operation] = {
 }  # fmt: skip
 _TERNARY: dict[int, Operation] = {35: ca.if_else}
 _FOLDED: dict[int, Operation] = {11: ca.fmin, 12: ca.fmax, 54: operator.add}  # of any number of terms
+_KNOWN = {
+    55: "integer division", 56: "precision", 57: "round", 58: "trunc", 59: "count", 60: "numberof",
+    61: "numberof of strings", 62: "atleast", 63: "atmost", 64: "a piecewise-linear term",
+    65: "if of strings", 66: "exactly", 70: "and of a list", 71: "or of a list", 72: "implies",
+    73: "if and only if", 74: "alldiff",
+}  # fmt: skip
+"""Names of operations that are not supported."""
+_SEGMENTS = {"F": "imported functions", "L": "logical rows"}
+_SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
 def _fold(operation: Operation, parts: Sequence[Any]) -> Any:
@@ -47,7 +59,9 @@ def _fold(operation: Operation, parts: Sequence[Any]) -> Any:
 class Rows:
     """A ``.nl`` file as read: unknowns, rows with their linear parts, bounds, start, first objective.
 
-    ``complements`` maps a row to the bits k and the unknown of its condition.
+    ``complements`` maps a row to the bits k and the unknown of its condition. Unknowns have the names of the
+    ``.col`` file, ``row_names`` those of the ``.row`` file (or ``g[3]``). ``options`` are the numbers of the
+    first line, which a ``.sol`` file repeats.
     """
 
     x: Any
@@ -60,17 +74,20 @@ class Rows:
     f: Any
     maximise: bool = False
     complements: dict[int, tuple[int, int]] = field(default_factory=dict)
+    row_names: list[str] = field(default_factory=list)
+    options: tuple[str, ...] = ()
 
 
 def read_rows(path: Path) -> Rows:
-    """Read the text form of a ``.nl`` file.
+    """Read a ``.nl`` file.
 
     Raises
     ------
     ValueError
-        With the file and line, if it is malformed, has integer unknowns, imported functions or logical rows.
+        With the file and the line (or byte), if it is malformed, has integer unknowns, imported functions or
+        logical rows.
     """
-    reader = _Reader(path)
+    reader = _Reader(path, open_records(path))
     try:
         return reader.read()
     except (IndexError, KeyError, RuntimeError, TypeError) as error:
@@ -79,76 +96,72 @@ def read_rows(path: Path) -> Rows:
         raise (error if str(path) in str(error) else reader.fault(str(error))) from error
 
 
-def _place(word: str, n: int) -> int:
-    i = int(word)
+def _place(i: int, n: int) -> int:
     if not 0 <= i < n:
         raise ValueError(f"index {i} out of range 0 to {n - 1}")
     return i
 
 
+def _names(path: Path, ending: str, n: int) -> list[str]:
+    """The first n names of a file beside ``path``, or none."""
+    beside = path.with_suffix(ending)
+    names = beside.read_text(encoding="utf-8", errors="replace").splitlines() if beside.is_file() else []
+    return names[:n] if len(names) >= n else []
+
+
 class _Reader:
-    """The lines of a file without comments, and what they have given so far; errors name the line."""
+    """The records of a file and what they have given so far; errors name their place."""
 
-    def __init__(self, path: Path) -> None:
-        self.path, self.number = path, 0
-        data = path.read_bytes()
-        if data[:1] == b"b":
-            raise ValueError(f"{path}: binary .nl files are not read; write the text form (option 'g')")
-        if data[:1] != b"g":
-            raise ValueError(f"{path}: not an .nl file, it must begin with 'g'")
-        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
-        bare = ((number, line.split("#", 1)[0].strip()) for number, line in lines)
-        self.lines = deque((number, line) for number, line in bare if line)
+    def __init__(self, path: Path, records: Records) -> None:
+        self.path, self.records = path, records
 
-    def next(self) -> str:
-        if not self.lines:
-            raise ValueError(f"{self.path}: the file ends too early")
-        self.number, line = self.lines.popleft()
-        return line
-
-    def table(self, n: str) -> list[list[str]]:
-        """The words of the next ``n`` lines."""
-        return [self.next().split() for _ in range(int(n))]
+    def table(self, kinds: str, n: int) -> list[list[Any]]:
+        """The next ``n`` records."""
+        return [self.records.read(kinds) for _ in range(n)]
 
     def fault(self, what: str) -> ValueError:
-        return ValueError(f"{self.path}, line {self.number}: {what}")
+        return ValueError(f"{self.path}, {self.records.place}: {what}")
 
     def read(self) -> Rows:
-        header = self.table("10")
+        header = self.records.header
         n, m = int(header[1][0]), int(header[1][1])
         if any(int(count) for count in header[6][:5]):
             raise self.fault("integer unknowns are not supported")
         if min(n, m) < 0 or max(n, m) > 10_000_000:
             raise self.fault(f"{n} unknowns and {m} rows")
-        x, free = ca.SX.sym("x", n), np.full(n, np.inf)
+        names, free = _names(self.path, ".col", n), np.full(n, np.inf)
+        x = ca.vertcat(*(ca.SX.sym(name) for name in names)) if names else ca.SX.sym("x", n)
         self.values: list[Any] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
         self.rows = Rows(
-            x, [ca.SX(0)] * m, np.full(m, -np.inf), np.full(m, np.inf), -free, free, np.zeros(n), ca.SX(0)
-        )
-        while self.lines:
-            head = self.next()
-            self._segment(head[0], head[1:].split())
+            x, [ca.SX(0)] * m, np.full(m, -np.inf), np.full(m, np.inf), -free, free, np.zeros(n), ca.SX(0),
+            row_names=_names(self.path, ".row", m) or [f"g[{i}]" for i in range(m)],
+            options=(header[0][0][1:], *header[0][1:]),
+        )  # fmt: skip
+        while self.records.more:
+            self._segment(self.records.key())
         return self.rows
 
-    def _segment(self, key: str, words: list[str]) -> None:
-        rows, n, m = self.rows, int(self.rows.x.shape[0]), len(self.rows.bodies)
+    def _segment(self, key: str) -> None:
+        rows, read, n, m = self.rows, self.records.read, int(self.rows.x.shape[0]), len(self.rows.bodies)
         match key:
             case "C":
-                rows.bodies[_place(words[0], m)] += self._expression()
+                rows.bodies[_place(read("i")[0], m)] += self._expression()
             case "O":
+                number, sense = read("ii")
                 expression = self._expression()
-                if int(words[0]) == 0:
+                if number == 0:
                     rows.f += expression
-                    rows.maximise = int(words[1]) == 1
+                    rows.maximise = sense == 1
             case "V":
-                terms = [(int(i), float(c)) for i, c in self.table(words[1])]
+                number, n_terms, _ = read("iii")
+                terms = self.table("if", n_terms)
                 value = sum((c * self.values[i] for i, c in terms), ca.SX(0)) + self._expression()
-                if int(words[0]) != len(self.values):
-                    raise self.fault(f"defined variable v{words[0]} out of order")
+                if number != len(self.values):
+                    raise self.fault(f"defined variable v{number} out of order")
                 self.values.append(value)
             case "x":
-                for i, start in self.table(words[0]):
-                    rows.x0[_place(i, n)] = float(start)
+                for i, start in self.table("if", read("i")[0]):
+                    rows.x0[_place(i, n)] = start
             case "r":
                 for row in range(m):
                     rows.lower[row], rows.upper[row] = self._bound(row)
@@ -156,57 +169,70 @@ class _Reader:
                 for j in range(n):
                     rows.lbx[j], rows.ubx[j] = self._bound(None)
             case "J" | "G":
-                terms = [(_place(i, n), float(c)) for i, c in self.table(words[1])]
-                used = [c * self.values[i] for i, c in terms if c]
+                number, n_terms = read("ii")
+                used = [c * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
                 linear = _fold(operator.add, used) if used else 0
                 if key == "J":
-                    rows.bodies[_place(words[0], m)] += linear
-                elif int(words[0]) == 0:
+                    rows.bodies[_place(number, m)] += linear
+                elif number == 0:
                     rows.f += linear
-            case "k" | "d" | "S":
-                self.table(words[1 if key == "S" else 0])
-            case "F":
-                raise self.fault("imported functions are not supported")
-            case "L":
-                raise self.fault("logical rows are not supported")
+            case "k" | "K":
+                self.table("i", read("i")[0])
+            case "d":
+                self.table("if", read("i")[0])
+            case "S":
+                kind, n_values, name = read("iis")
+                self.table("if" if kind & 4 else "ii", n_values)
+                if name in _SETS and kind & 3 == 0:
+                    raise self.fault(f"special ordered sets (suffix {name}) are not supported")
+            case _ if key in _SEGMENTS:
+                raise self.fault(f"{_SEGMENTS[key]} (segment {key}) are not supported")
             case _:
                 raise self.fault(f"unknown segment {key!r}")
 
     def _bound(self, row: int | None) -> tuple[float, float]:
-        """One line of the r segment, or of the b segment (no row); complementarity is noted."""
-        kind, *words = self.next().split()
-        match int(kind):
-            case 0:
-                return float(words[0]), float(words[1])
-            case 1:
-                return -np.inf, float(words[0])
-            case 2:
-                return float(words[0]), np.inf
-            case 3:
+        """One record of the r segment, or of the b segment (no row); complementarity is noted."""
+        read, kind = self.records.read, self.records.key()
+        match kind:
+            case "0":
+                lower, upper = read("ff")
+                return lower, upper
+            case "1":
+                return -np.inf, read("f")[0]
+            case "2":
+                return read("f")[0], np.inf
+            case "3":
                 return -np.inf, np.inf
-            case 4:
-                return float(words[0]), float(words[0])
-            case 5 if row is not None:
-                unknown = _place(str(int(words[1]) - 1), int(self.rows.x.shape[0]))
-                self.rows.complements[row] = int(words[0]), unknown
+            case "4":
+                value = read("f")[0]
+                return value, value
+            case "5" if row is not None:
+                bits, unknown = read("ii")
+                self.rows.complements[row] = bits, _place(unknown - 1, int(self.rows.x.shape[0]))
                 return -np.inf, np.inf
         raise self.fault(f"unknown bound type {kind}")
 
     def _expression(self) -> Any:
         """One expression in prefix form, with a stack of its own: sums may be thousands of levels deep."""
         pending: list[tuple[Operation, int, list[Any]]] = []
+        read = self.records.read
         while True:
-            line = self.next()
-            match line[0]:
-                case "n" | "s" | "l":
-                    value: Any = ca.SX(float(line[1:]))
+            match self.records.key():
+                case "n":
+                    value: Any = ca.SX(read("f")[0])
+                case "s" | "l" as kind:
+                    value = ca.SX(read("h" if kind == "s" else "l")[0])
                 case "v":
-                    value = self.values[_place(line[1:], len(self.values))]
+                    value = self.values[_place(read("i")[0], len(self.values))]
                 case "o":
-                    pending.append((*self._operation(int(line[1:])), []))
+                    pending.append((*self._operation(read("i")[0]), []))
                     continue
-                case _:
-                    raise self.fault(f"unknown expression {line!r}")
+                case "f":
+                    raise self.fault("imported functions are not supported")
+                case "h":
+                    raise self.fault("strings are not supported")
+                case kind:
+                    raise self.fault(f"unknown expression {kind!r}")
             while pending:
                 operation, count, arguments = pending[-1]
                 arguments.append(value)
@@ -223,8 +249,9 @@ class _Reader:
             if code in operations:
                 return operations[code], count
         if code not in _FOLDED:
-            raise self.fault(f"operation o{code} is not supported")
-        count = int(self.next())
+            name = f" ({_KNOWN[code]})" if code in _KNOWN else ""
+            raise self.fault(f"operation o{code}{name} is not supported")
+        count = self.records.read("i")[0]
         if count < 1:
             raise self.fault(f"an operation on {count} terms")
         return lambda *parts: _fold(_FOLDED[code], parts), count

@@ -132,6 +132,14 @@ class Options(Settings):
         return {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {}), **self.ipopt_exact}
 
 
+def with_ipopt(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Changes of ``Options`` in which ``ipopt`` or ``ipopt.tol`` hold for relaxations and branches alike."""
+    dotted = {key.removeprefix("ipopt."): value for key, value in given.items() if key.startswith("ipopt.")}
+    ipopt = {**given.get("ipopt", {}), **dotted}
+    changes = {key: value for key, value in given.items() if key.partition(".")[0] != "ipopt"}
+    return {"ipopt_relaxed": ipopt, "ipopt_exact": ipopt, **changes} if ipopt else changes
+
+
 def _iterations(n: int) -> int:
     """Iteration limit of one NLP: a failing one is given up early.
 

@@ -22,6 +22,7 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import Member, PlainPairs, sides
+from rmesh_nlp.mpcc.names import of_symbol
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
@@ -102,7 +103,8 @@ class MPCC:
         for name, value in columns.items():
             object.__setattr__(self, name, value)
         for name, n in (("x", self.n_x), ("g", self.n_g)):
-            lower, upper = _bounds(name, getattr(self, f"lb{name}"), getattr(self, f"ub{name}"), n)
+            symbols = x if name == "x" else None
+            lower, upper = _bounds(name, getattr(self, f"lb{name}"), getattr(self, f"ub{name}"), n, symbols)
             object.__setattr__(self, f"lb{name}", lower)
             object.__setattr__(self, f"ub{name}", upper)
         if self.derivatives is not None:
@@ -137,8 +139,8 @@ class MPCC:
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
         """Return ``x0`` as a checked array; a scalar fills it, unknowns after the user's are completed."""
         if self.n_own == self.n_x or np.size(_numbers("x0", x0)) == self.n_x:
-            return _values("x0", x0, self.n_x, finite=True)
-        own = _values("x0", x0, self.n_own, finite=True)
+            return _values("x0", x0, self.n_x, finite=True, symbols=self.x)
+        own = _values("x0", x0, self.n_own, finite=True, symbols=self.x)
         if self.completion is None:
             assert self.lower_level is not None
             return self.lower_level.start(own, p=self.parameters(p), multipliers=1.0)
@@ -147,7 +149,7 @@ class MPCC:
 
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""
-        return _values("p", p, int(self.p.shape[0]), finite=True)
+        return _values("p", p, int(self.p.shape[0]), finite=True, symbols=self.p)
 
     def extended(
         self,
@@ -316,15 +318,20 @@ def _numbers(name: str, value: Any) -> Any:
         raise ValueError(f"{name} must be numeric, got {value!r}"[:300]) from error
 
 
-def _values(name: str, value: ArrayLike, n: int, finite: bool = False) -> Array:
-    """``value`` as a fresh array of length n without NaN, or all finite; a scalar stands for all."""
+def _values(name: str, value: ArrayLike, n: int, finite: bool = False, symbols: Any = None) -> Array:
+    """``value`` as a fresh array of length n without NaN, or all finite; a scalar stands for all.
+
+    ``symbols`` are those whose values or bounds these are, for messages.
+    """
     array = np.array(_numbers(name, value), dtype=float)
     array = np.full(n, float(array)) if array.ndim == 0 else array.ravel()
     if array.size != n:
         raise ValueError(f"{name} has length {array.size}, expected {n}")
     bad = np.flatnonzero(~np.isfinite(array) if finite else np.isnan(array))
     if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] is {array[bad[0]]}, not a {'finite ' if finite else ''}number")
+        i = int(bad[0])
+        place = f"{name}[{i}]{of_symbol(symbols, i)}"
+        raise ValueError(f"{place} is {array[i]}, not a {'finite ' if finite else ''}number")
     return array
 
 
@@ -349,15 +356,19 @@ def _column(name: str, value: Any, kind: Any) -> Any:
     return column if name == "x" else ca.densify(column)
 
 
-def _bounds(name: str, lower: ArrayLike, upper: ArrayLike, n: int) -> tuple[Array, Array]:
+def _bounds(
+    name: str, lower: ArrayLike, upper: ArrayLike, n: int, symbols: Any = None
+) -> tuple[Array, Array]:
     """Bounds as arrays of length n; raises a ValueError if there is no number between them."""
-    lower, upper = _values(f"lb{name}", lower, n), _values(f"ub{name}", upper, n)
+    lower = _values(f"lb{name}", lower, n, symbols=symbols)
+    upper = _values(f"ub{name}", upper, n, symbols=symbols)
     wrong = np.flatnonzero((lower > upper) | (lower == np.inf) | (upper == -np.inf))
     if wrong.size:
         i = int(wrong[0])
         raise ValueError(
-            f"lb{name}[{i}] = {lower[i]} and ub{name}[{i}] = {upper[i]} leave no value: "
-            "the lower bound must not lie above the upper, and both cannot be the same infinity"
+            f"lb{name}[{i}]{of_symbol(symbols, i)} = {lower[i]} and ub{name}[{i}] = {upper[i]} "
+            "leave no value: the lower bound must not lie above the upper, "
+            "and both cannot be the same infinity"
         )
     return lower, upper
 

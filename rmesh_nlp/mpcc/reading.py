@@ -1,10 +1,11 @@
 """Problems from public formats: AMPL ``.nl``, NOSBENCH's JSON, Pyomo models.
 
 NOSBENCH stores serialised CasADi Functions of ``(w, p)``: ``g_fun, G_fun, H_fun``,
-``augmented_objective_fun`` (or ``objective_fun``), and numbers ``w0, lbw, ubw, p0, lbg, ubg``. https://github.com/nosnoc/nosbench
+``augmented_objective_fun`` (or ``objective_fun``), and numbers ``w0, lbw, ubw, p0, lbg, ubg``.
+https://github.com/nosnoc/nosbench
 
-Pyomo's own writer leaves mixed pairs out: the members of every condition are written as ordinary rows into
-a ``.nl`` file of a copy of the model, and paired again when it is read.
+Pyomo's own writer leaves mixed pairs out: the members of every condition are written as ordinary rows into a
+``.nl`` file of a copy of the model, and paired again when it is read.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.mixed import Member, sides
+from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
 
@@ -46,6 +48,8 @@ class Problem:
         -1 if the file maximises: ``mpcc.f`` is then minus its objective.
     target : float
         The best known value, where there is one; else NaN.
+    rows : Rows, optional
+        The ``.nl`` file as read, see :func:`rmesh_nlp.mpcc.sol.write_sol`.
     """
 
     name: str
@@ -54,6 +58,7 @@ class Problem:
     p0: Array = field(default_factory=lambda: np.zeros(0))
     sign: float = 1.0
     target: float = float("nan")
+    rows: Rows | None = None
 
 
 def read(source: str | PathLike[str] | Any) -> Problem:
@@ -62,7 +67,7 @@ def read(source: str | PathLike[str] | Any) -> Problem:
     Parameters
     ----------
     source : path or pyomo.environ.ConcreteModel
-        ``.nl``: text form of AMPL's format, with complementarity rows. ``.json``: CasADi Functions as
+        ``.nl``: AMPL's format, text or binary, with complementarity rows. ``.json``: CasADi Functions as
         NOSBENCH serialises them.
 
     Raises
@@ -82,31 +87,49 @@ def read(source: str | PathLike[str] | Any) -> Problem:
     return READERS[path.suffix.lower()](path)
 
 
-def _of_rows(name: str, rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int]) -> Problem:
+def _of_rows(rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int], p: Any = None) -> MPCC:
     """The rows of a file as an MPCC: pairs, and the rows that are in none; a maximum changes its sign."""
     kept = [i for i in range(len(rows.bodies)) if i not in paired]
-    sign = -1.0 if rows.maximise else 1.0
-    mpcc = MPCC.mixed(
-        rows.x, sign * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
-        lbg=rows.lower[kept], ubg=rows.upper[kept], **sides(pairs),
+    return MPCC.mixed(
+        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
+        lbg=rows.lower[kept], ubg=rows.upper[kept], p=p, **sides(pairs),
     )  # fmt: skip
-    return Problem(name, mpcc, rows.x0, sign=sign)
+
+
+def _sign(rows: Rows) -> float:
+    return -1.0 if rows.maximise else 1.0
 
 
 def read_nl(path: Path) -> Problem:
     """Read an AMPL ``.nl`` file as an MPCC; a maximised objective changes its sign."""
     rows = read_rows(path)
+    try:
+        return Problem(path.stem, mpcc_of(rows), rows.x0, sign=_sign(rows), rows=rows)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def mpcc_of(rows: Rows, p: Any = None) -> MPCC:
+    """The rows of a ``.nl`` file as an MPCC; ``p`` are symbols in them that are not unknowns.
+
+    Raises
+    ------
+    ValueError
+        If a row complements a bound that its unknown does not have, or bounds leave no value.
+    """
     pairs: list[tuple[Member, Member]] = []
     for i, (bits, j) in rows.complements.items():
         lower = float(rows.lbx[j]) if bits & 1 else -np.inf
         upper = float(rows.ubx[j]) if bits & 2 else np.inf
         if (bits & 1 and lower == -np.inf) or (bits & 2 and upper == np.inf):
-            raise ValueError(f"{path}: row {i} complements an infinite bound of unknown {j}")
+            raise ValueError(
+                f"row {i} ({rows.row_names[i]}) complements an infinite bound of {named(rows.x, j)}"
+            )
         one_sided = np.isfinite(lower) != np.isfinite(upper)
         sides = (0.0, np.inf) if np.isfinite(lower) else (-np.inf, 0.0)
         body = (rows.bodies[i], *(sides if one_sided else (-np.inf, np.inf)))
         pairs.append((body, (rows.x[j], lower, upper)))
-    return _of_rows(path.stem, rows, pairs, set(rows.complements))
+    return _of_rows(rows, pairs, set(rows.complements), p)
 
 
 def read_pyomo(model: Any) -> Problem:
@@ -158,7 +181,8 @@ def read_pyomo(model: Any) -> Problem:
 
     names = [(f"{_BLOCK}.pair{k}_0", f"{_BLOCK}.pair{k}_1") for k in range(len(conditions))]
     paired = {row[name] for pair in names for name in pair if name in row}
-    return _of_rows(str(model.name), rows, [(member_of(a), member_of(b)) for a, b in names], paired)
+    mpcc = _of_rows(rows, [(member_of(a), member_of(b)) for a, b in names], paired)
+    return Problem(str(model.name), mpcc, rows.x0, sign=_sign(rows))
 
 
 def read_nosbench(path: Path) -> Problem:

@@ -8,71 +8,8 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, read, solve
 from rmesh_nlp.mpcc.__main__ import main
+from support.nl_files import NL, SOLUTION, binary
 from support.scripted_run import XY, x, y
-
-# min (x - 1)^2 + exp(y) - 2 z,  x + z <= 5,  0 <= y _|_ x + y - 1 >= 0,  -1 <= z <= 2 _|_ x^2 + z - 3
-NL = """g3 1 1 0	# problem handmade
- 3 3 1 0 0	# vars, constraints, objectives, ranges, eqns
- 1 1 1 0 0 0	# nonlinear constrs, objs; ccons: lin, nonlin, nd, nzlb
- 0 0	# network constraints: nonlinear, linear
- 1 2 1	# nonlinear vars in constraints, objectives, both
- 0 0 0 1	# linear network variables; functions; arith, flags
- 0 0 0 0 0	# discrete variables: binary, integer, nonlinear (b,c,o)
- 6 3	# nonzeros in Jacobian, obj. gradient
- 0 0	# max name lengths: constraints, variables
- 0 0 0 0 0	# common exprs: b,c,o,c1,o1
-C0	# mixed
-o54	# sumlist
-3
-o5	# ^
-v0	# x
-n2
-n-3
-n0
-C1	# orthant
-n-1
-C2	# sum
-n0
-O0 0	# cost
-o0	#+
-o76	# square
-o1	# -
-v0
-n1
-o44	# exp
-v1
-x2	# initial guess
-0 0.5
-1 0.2
-r	# bounds of rows
-5 3 3	# complements z, both bounds
-5 1 2	# complements y, lower bound
-1 5
-b	# bounds of unknowns
-3
-2 0
-0 -1 2
-k2
-2
-4
-J0 2
-0 0
-2 1
-J1 2
-0 1
-1 1
-J2 2
-0 1
-2 1
-G0 3
-0 0
-1 0
-2 -2
-"""
-
-
-SOLUTION = [1, 0, 2], -3.0
-"""z wants to grow, so z = 2 with x^2 + z - 3 <= 0, |x| <= 1; x = 1 and y = 0: f = 0 + 1 - 4."""
 
 
 @pytest.fixture
@@ -167,8 +104,15 @@ def test_every_operation_of_an_nl_file(nl, code):
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("g3 1 1 0", "b3 1 1 0", "binary"),
+        ("g3 1 1 0", "z3 1 1 0", "the binary form 'z' is not read"),
         ("g3 1 1 0", "hello", "must begin with 'g'"),
+        ("0 0.5", "0", "2 numbers are expected, got '0'"),
+        ("C0", "L0", "logical rows .segment L."),
+        ("o44", "f0 1", "line 29: imported functions"),
+        ("o44", "h3:abc", "strings are not supported"),
+        ("o44", "o64", r"operation o64 .a piecewise-linear term. is not supported"),
+        ("k2", "S0 1 sosno\n0 1\nk2", "special ordered sets .suffix sosno."),
+        ("k2", "Q2", "unknown segment 'Q'"),
         (" 0 0 0 0 0	# discrete", " 1 0 0 0 0	# discrete", "integer"),
         ("o44", "o99", "line 29: operation o99 is not supported"),
         ("v1\nx2", "v17\nx2", "index 17 out of range"),
@@ -177,7 +121,8 @@ def test_every_operation_of_an_nl_file(nl, code):
         ("G0 3\n0 0\n1 0\n2 -2\n", "G0 3\n", "ends too early"),
         ("x2	# initial", "F0 1 1 f", "imported functions"),
         ("0 0.5", "0 half", "half"),
-        ("0 -1 2", "3", "infinite bound"),
+        ("0 -1 2", "3", r"row 0 .g.0.. complements an infinite bound of x.2."),
+        ("2 0\n", "0 3 2\n", r"lbx.1. = 3.0 and ubx.1. = 2.0 leave no value"),
     ],
 )
 def test_malformed_nl_file_is_refused_with_its_place(nl, old, new, words):
@@ -185,6 +130,48 @@ def test_malformed_nl_file_is_refused_with_its_place(nl, old, new, words):
     with pytest.raises(ValueError, match=words) as error:
         read(nl(NL.replace(old, new, 1), "bad.nl"))
     assert "bad.nl" in str(error.value)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_nl_file_is_the_text_one(nl, tmp_path, order):
+    path = tmp_path / "binary.nl"
+    path.write_bytes(binary(NL, order))
+    text, other = read(nl()), read(path)
+    at = np.linspace(0.3, 1.7, text.mpcc.n_x)
+    assert values(other.mpcc, "fgGH", at) == values(text.mpcc, "fgGH", at)
+    for name in ("lbx", "ubx", "lbg", "ubg"):
+        np.testing.assert_array_equal(getattr(other.mpcc, name), getattr(text.mpcc, name))
+    assert list(other.x0) == list(text.x0)
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (binary(NL)[:-3], "ends too early"),
+        (binary(NL)[:60], "ends too early"),
+        (binary(NL).replace(b"0 0 1 1", b"0 0 5 1", 1), "arithmetic of kind 5"),
+        (binary(NL) + b"L", "byte .*: logical rows"),
+    ],
+)
+def test_malformed_binary_nl_file_is_refused(tmp_path, data, words):
+    path = tmp_path / "bad.nl"
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=words) as error:
+        read(path)
+    assert "bad.nl" in str(error.value)
+
+
+def test_names_beside_an_nl_file_are_in_messages(nl, tmp_path):
+    """A name holds what the modelling language called it, spaces and brackets included."""
+    (tmp_path / "handmade.col").write_text("speed\nforce[2]\nthe gap\n")
+    (tmp_path / "handmade.row").write_text("limit\nlaw\nsum\ncost\n")
+    with pytest.raises(ValueError, match=r"row 0 .limit. complements an infinite bound of x.2. .the gap."):
+        read(nl(NL.replace("0 -1 2", "3")))
+    with pytest.raises(ValueError, match=r"lbx.1. .force.2.. = 3.0 and ubx.1. = 2.0 leave no value"):
+        read(nl(NL.replace("2 0\n", "0 3 2\n", 1)))
+    (tmp_path / "handmade.col").write_text("speed\n")  # of another model
+    with pytest.raises(ValueError, match=r"bound of x.2.$"):
+        read(nl(NL.replace("0 -1 2", "3")))
 
 
 def write_nosbench(path, mpcc, **fields):

@@ -1,0 +1,42 @@
+"""Names of unknowns and short texts of expressions, for messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+
+_SHORT, _FEW = 12, 4  # nodes of an expression that is shown, symbols that are named
+
+
+def symbol_names(x: Any) -> list[str]:
+    """The name of each entry of a column of SX or MX symbols, ``v[2]`` of a longer symbol ``v``."""
+    if isinstance(x, ca.SX):
+        return [str(x[i]) for i in range(x.shape[0])]
+    names: list[str] = []
+    for part in x.primitives():
+        n = part.numel()
+        names += [part.name()] if n == 1 else [f"{part.name()}[{k}]" for k in range(n)]
+    return names
+
+
+def named(x: Any, i: int) -> str:
+    """Entry i of the unknowns: ``x[3]``, or ``x[3] (pressure)`` where it has a name of its own."""
+    return f"x[{i}]{of_symbol(x, i)}"
+
+
+def of_symbol(symbols: Any, i: int) -> str:
+    """`` (pressure)`` to stand after the place of entry i; nothing where the name is only its place."""
+    if symbols is None:
+        return ""
+    name = str(symbols[i]) if isinstance(symbols, ca.SX) else symbol_names(symbols)[i]
+    is_place = name in {f"{letter}{place}" for letter in "xp" for place in (f"_{i}", f"[{i}]")}
+    return "" if is_place else f" ({name})"
+
+
+def in_short(expression: Any) -> str:
+    """An expression as text if that is short, else the first of the symbols that it depends on."""
+    if ca.n_nodes(expression) <= _SHORT:
+        return str(expression)
+    symbols = [symbol.name() for symbol in ca.symvar(expression)]
+    return f"a function of {', '.join(symbols[:_FEW])}{', ...' if len(symbols) > _FEW else ''}"

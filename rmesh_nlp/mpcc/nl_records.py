@@ -1,0 +1,145 @@
+"""The two forms of AMPL's ``.nl`` files, text and binary, as one stream of records.
+
+A record is a letter that says what follows, numbers, or both: ``J0 2`` or ``2 -1.5``. In text it is a line.
+In binary the letter is a byte, a whole number four bytes (``h``: two), a real number eight, and a name its
+length and its letters (ASL's ``bscanf``). Both begin with ten lines of text. AMPL's ``solve`` writes binary,
+Pyomo and JuMP write text.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from pathlib import Path
+from typing import Any, Protocol
+
+_HEADER = 10  # lines
+_ORDERS = {0: "<", 1: "<", 2: ">"}  # by the kind of arithmetic in the header
+_CODES = {"i": "i", "l": "i", "h": "h", "f": "d"}
+_CONVERSIONS = {"i": int, "l": int, "h": int, "f": float, "s": str}
+
+
+class Records(Protocol):
+    """A ``.nl`` file as it is read; ``header`` has the words of its first ten lines."""
+
+    header: list[list[str]]
+
+    @property
+    def more(self) -> bool:
+        """Whether something is left."""
+
+    @property
+    def place(self) -> str:
+        """Where the last record was, for messages."""
+
+    def key(self) -> str:
+        """The letter that opens the next record."""
+
+    def read(self, kinds: str) -> list[Any]:
+        """The numbers of a record, of an open one or of the next.
+
+        ``kinds`` has a letter for each: i, l and h whole, f real, s a name.
+        """
+
+
+class TextRecords:
+    """The text form, see :class:`Records`; what stands after ``#`` is a comment."""
+
+    def __init__(self, data: bytes) -> None:
+        lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
+        bare = ((number, line.split("#", 1)[0].strip()) for number, line in lines)
+        self._lines = deque((number, line) for number, line in bare if line)
+        self._number, self._open = 0, ""
+        self.header = [self._next().split() for _ in range(_HEADER)]
+        self._open = ""
+
+    @property
+    def more(self) -> bool:
+        """Whether a line is left."""
+        return bool(self._lines)
+
+    @property
+    def place(self) -> str:
+        """The number of the last line."""
+        return f"line {self._number}"
+
+    def key(self) -> str:
+        """The first letter of the next line; the rest of it is read next."""
+        line = self._next()
+        self._open = line[1:]
+        return line[0]
+
+    def read(self, kinds: str) -> list[Any]:
+        """The words of a line as numbers."""
+        words = (self._open or self._next()).split()
+        self._open = ""
+        if len(words) < len(kinds):
+            raise ValueError(f"{len(kinds)} numbers are expected, got {' '.join(words)!r}")
+        return [_CONVERSIONS[kind](word) for kind, word in zip(kinds, words, strict=False)]
+
+    def _next(self) -> str:
+        if not self._lines:
+            raise ValueError("the file ends too early")
+        self._number, line = self._lines.popleft()
+        return line
+
+
+class BinaryRecords:
+    """The binary form, see :class:`Records`."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+        self.header = [self._line() for _ in range(_HEADER)]
+        kind = int((*self.header[5], "0", "0", "0")[2])
+        if kind not in _ORDERS:
+            raise ValueError(f"arithmetic of kind {kind} is not supported, only IEEE (1 and 2)")
+        self._order = _ORDERS[kind]
+
+    @property
+    def more(self) -> bool:
+        """Whether a byte is left."""
+        return self._at < len(self._data)
+
+    @property
+    def place(self) -> str:
+        """The number of bytes that have been read."""
+        return f"byte {self._at}"
+
+    def key(self) -> str:
+        """The next byte."""
+        return self._take(1).decode("latin-1")
+
+    def read(self, kinds: str) -> list[Any]:
+        """The next numbers."""
+        return [self._one(kind) for kind in kinds]
+
+    def _one(self, kind: str) -> Any:
+        if kind == "s":
+            return self._take(self._one("i")).decode("utf-8", errors="replace")
+        code = self._order + _CODES[kind]
+        return struct.unpack(code, self._take(struct.calcsize(code)))[0]
+
+    def _take(self, n: int) -> bytes:
+        if n < 0 or self._at + n > len(self._data):
+            raise ValueError("the file ends too early")
+        self._at += n
+        return self._data[self._at - n : self._at]
+
+    def _line(self) -> list[str]:
+        end = self._data.find(b"\n", self._at)
+        line = self._take(end + 1 - self._at).decode("utf-8", errors="replace")
+        return line.split("#", 1)[0].split()
+
+
+def open_records(path: Path) -> Records:
+    """Open a ``.nl`` file in either form; a ValueError names it if it is none."""
+    data = path.read_bytes()
+    first = data[:1].decode("latin-1")
+    if first in ("z", "Z", "h", "H") and data[1:2].isdigit():
+        raise ValueError(f"{path}: the binary form {first!r} is not read; 'b' and the text form 'g' are")
+    if first not in ("g", "G", "b", "B"):
+        raise ValueError(f"{path}: not an .nl file, it must begin with 'g' (text) or 'b' (binary)")
+    try:
+        return TextRecords(data) if first in "gG" else BinaryRecords(data)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

@@ -1,0 +1,112 @@
+"""``SolverFactory("rmesh-mpcc")`` of Pyomo, once this module is imported.
+
+Without it Pyomo finds the executable ``rmesh-mpcc`` on the PATH and calls it as any AMPL solver. What is
+added here: conditions with both bounds on one side, ``l <= y <= u`` against an expression, which Pyomo 6.10
+does not write; ``timelimit=`` reaches the solver, which then returns its best point; the model may be solved
+again without warnings, and keeps its bounds; no PATH is needed.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+from pyomo.core.base import Constraint, Var, value
+from pyomo.mpec import Complementarity
+from pyomo.mpec.plugins.mpec4 import MPEC4_Transformation
+from pyomo.opt import SolverFactory
+from pyomo.opt.solver import SystemCallSolver
+from pyomo.solvers.plugins.solvers.ASL import ASL
+
+from rmesh_nlp import __version__
+
+_NAME = "rmesh-mpcc"
+_ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
+
+
+class _Transformation(MPEC4_Transformation):
+    """Pyomo's ``mpec.nl``, with mixed conditions, and again for a model that it was applied to before."""
+
+    def to_common_form(self, cdata: Any, free_vars: dict[int, Any]) -> None:
+        """Write a condition as a constraint ``c`` that complements a variable."""
+        for name in _ADDED:
+            if cdata.component(name) is not None:
+                cdata.del_component(name)
+        if len(cdata._args) != 2:
+            raise ValueError(f"the condition {cdata.name} is not a pair")
+        members = [cdata._canonical_expression(member) for member in cdata._args]
+        bare = [len(member) == 3 and member[0] is None and member[2] is None for member in members]
+        both = [len(member) == 3 and member[0] is not None and member[2] is not None for member in members]
+        if (bare[0] and both[1]) or (bare[1] and both[0]):
+            self._mixed(cdata, members[bare.index(True)][1], members[both.index(True)], free_vars)
+        else:
+            super().to_common_form(cdata, free_vars)
+
+    def _mixed(self, cdata: Any, body: Any, bounded: Any, free_vars: dict[int, Any]) -> None:
+        lower, variable, upper = bounded
+        if free_vars.pop(id(variable), None) is None:
+            cdata.v = Var()
+            cdata.e = Constraint(expr=cdata.v == variable)
+            variable = cdata.v
+        cdata.bv = Var()
+        cdata.bc = Constraint(expr=cdata.bv == body)
+        # the writer leaves out rows without bounds, and constants of rows that complement; it ignores -1, 1
+        cdata.c = Constraint(expr=(-1, cdata.bv, 1))
+        cdata.c._vid, cdata.c._complementarity = id(variable), 3
+        variable.setlb(lower if variable.lb is None else max(value(lower), variable.lb))
+        variable.setub(upper if variable.ub is None else min(value(upper), variable.ub))
+
+
+@SolverFactory.register(_NAME, doc="The MPCC solver of rmesh_nlp")
+class PyomoSolver(ASL):
+    """The solver for Pyomo, by AMPL's files; options are those of the command, ``ipopt.NAME`` included."""
+
+    def __init__(self, **keywords: Any) -> None:
+        super().__init__(**{**keywords, "type": _NAME})
+        self._bounds: list[tuple[Any, Any, Any]] = []
+
+    def _default_executable(self) -> str:
+        return sys.executable
+
+    def _get_version(self) -> tuple[int, ...]:
+        return tuple(int(part) for part in __version__.split(".")[:3])
+
+    def solve(self, *models: Any, **keywords: Any) -> Any:
+        """As any solver of Pyomo; bounds that the conditions have tightened are undone."""
+        try:
+            return super().solve(*models, **keywords)
+        finally:
+            self._undo()
+
+    def _presolve(self, *models: Any, **keywords: Any) -> None:
+        self._instance = model = models[0]
+        self._bounds = [
+            (variable, variable.lower, variable.upper)
+            for variable in model.component_data_objects(Var, active=True, descend_into=True)
+        ]
+        _Transformation().apply_to(model)
+        SystemCallSolver._presolve(self, *models, **keywords)
+
+    def _postsolve(self) -> Any:
+        self._undo()
+        return SystemCallSolver._postsolve(self)
+
+    def _undo(self) -> None:
+        model, self._instance = self._instance, None
+        if model is None:
+            return
+        for cuid in model._transformation_data["mpec.nl"].compl_cuids:
+            condition = cuid.find_component_on(model)
+            condition.parent_block().reclassify_component_type(condition, Complementarity)
+        for variable, lower, upper in self._bounds:
+            variable.lower, variable.upper = lower, upper
+
+    def create_command_line(self, executable: str, problem_files: list[str]) -> Any:
+        """The command of this Python, with the time limit among the options."""
+        self.options.solver = _NAME
+        if self._timelimit is not None:
+            self.options.setdefault("time_limit_s", self._timelimit)
+        made = super().create_command_line(executable, problem_files)
+        place = made.cmd.index(executable)
+        made.cmd[place : place + 1] = [executable, "-m", "rmesh_nlp.mpcc"]
+        return made

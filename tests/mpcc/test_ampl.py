@@ -1,0 +1,172 @@
+"""The solver as AMPL, Pyomo and JuMP call it: ``stub.nl`` in, ``stub.sol`` out."""
+
+import re
+import subprocess
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp import __version__
+from rmesh_nlp.mpcc import ampl, read, solve
+from rmesh_nlp.mpcc.__main__ import main
+from rmesh_nlp.mpcc.nl import read_rows
+from rmesh_nlp.mpcc.sol import solve_code, write_sol
+from rmesh_nlp.optimize.status import Status
+from support.asl import environment, install, read_sol
+from support.nl_files import NL, SOLUTION, binary
+
+ACTIVE = NL.replace("1 5\nb", "1 2.5\nb")
+"""With x + z <= 2.5, which is active at the minimum: its dual is not zero."""
+MAXIMUM = ACTIVE.replace("O0 0", "O0 1").replace("o0	#+\no76", "o16\no0\no76").replace("2 -2\n", "2 2\n")
+"""The same as the maximum of the negative objective."""
+
+
+@pytest.fixture
+def stub(tmp_path):
+    """Write a model and give its path without the ending."""
+
+    def written(text=NL):
+        (tmp_path / "model.nl").write_text(text)
+        return tmp_path / "model"
+
+    return written
+
+
+def called(stub, *options):
+    """The solution that a call within this process writes."""
+    assert main([str(stub), "-AMPL", "outlev=0", *options]) == 0
+    return read_sol(stub.with_suffix(".sol"))
+
+
+def test_executable_is_called_as_jump_calls_it(stub, tmp_path):
+    """AmplNLWriter.jl runs ``solver model.nl -AMPL key=value`` and takes an exit code but 0 for an error."""
+    path = stub()
+    command = [install(tmp_path), f"{path}.nl", "-AMPL", "time_limit_s=60"]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "relaxed" in done.stdout
+    sol = read_sol(tmp_path / "model.sol")
+    assert (sol.code, sol.x) == (0, pytest.approx(SOLUTION[0], abs=1e-6))
+    assert "objective -3" in sol.message
+    assert "stationarity S" in sol.message
+
+
+@pytest.mark.parametrize("text", [ACTIVE, MAXIMUM])
+def test_duals_of_rows_and_bounds_make_up_the_gradient(stub, text):
+    """The signs of AMPL: gradient of f = sum of dual times gradient of row + zL + zU, minimum or maximum."""
+    path = stub(text)
+    sol, rows = called(path), read_rows(path.with_suffix(".nl"))
+    f, g = ca.gradient(rows.f, rows.x), ca.jacobian(ca.vertcat(*rows.bodies), rows.x)
+    gradient, jacobian = (part.full() for part in ca.Function("at", [rows.x], [f, g])(sol.x))
+    sums = jacobian.T @ sol.duals
+    for values in sol.suffixes.values():
+        for j, value in values.items():
+            sums[j] += value
+    assert sums == pytest.approx(gradient.ravel(), abs=1e-6)
+    assert set(sol.suffixes) == {"ipopt_zL_out", "ipopt_zU_out"}
+
+
+@pytest.mark.parametrize(("text", "sign"), [(ACTIVE, 1), (MAXIMUM, -1)])
+def test_dual_is_the_change_of_the_objective_with_the_right_hand_side(stub, text, sign):
+    """The minimum of (x - 1)^2 + exp(y) - 2 z falls, the maximum of its negative rises, if x + z may grow."""
+    step, sol = 1e-3, called(stub(text))
+    wider = called(stub(text.replace("1 2.5", f"1 {2.5 + step}")))
+
+    def f(x):
+        return sign * ((x[0] - 1) ** 2 + np.exp(x[1]) - 2 * x[2])
+
+    assert sol.duals[2] == pytest.approx((f(wider.x) - f(sol.x)) / step, abs=0.01)
+    assert sign * sol.duals[2] < -0.1
+
+
+def test_binary_model_is_solved(tmp_path):
+    """AMPL's ``solve`` writes binary files."""
+    (tmp_path / "model.nl").write_bytes(binary(NL))
+    assert called(tmp_path / "model").x == pytest.approx(SOLUTION[0], abs=1e-6)
+
+
+def test_options_of_the_first_line_come_back(stub):
+    """With 3 in second place the tolerance of basic variables follows, after two more that are counted."""
+    assert called(stub()).options == ["3", "1", "1", "0"]
+    assert called(stub(NL.replace("g3 1 1 0", "g3 1 3 0 1e-4"))).options == ["5", "1", "3", "0", "1e-4"]
+    assert called(stub(NL.replace("g3 1 1 0", "g"))).options == ["3", "1", "1", "0"]
+
+
+@pytest.mark.parametrize("status", Status)
+def test_code_is_in_the_hundred_of_its_kind(status):
+    kinds = {"converged": 0, "acceptable": 1, "infeasible": 2, "unbounded": 3}
+    limits = dict.fromkeys(("iteration_limit", "time_limit", "interrupted"), 4)
+    assert solve_code(status) // 100 == (kinds | limits).get(status.value, 5)
+
+
+def test_failed_solve_is_a_solution_file_without_duals(stub):
+    sol = called(stub(), "max_iterations=2")
+    assert (sol.code, sol.duals, len(sol.x)) == (400, [], 3)
+    assert "Stopped at the iteration limit" in sol.message
+
+
+def test_infeasible_model(stub):
+    """x + y - 1 <= -9 where it must not be negative."""
+    sol = called(stub(NL.replace("1 5\nb", "1 -9\nb").replace("J2 2\n0 1\n2 1", "J2 2\n0 1\n1 1")))
+    assert sol.code == 200
+    assert "Locally infeasible" in sol.message
+
+
+def test_options_come_from_the_environment_and_then_from_the_command(stub, monkeypatch):
+    monkeypatch.setenv(ampl.VARIABLE, "max_iterations=2 outlev=0")
+    path = stub()
+    assert main([str(path), "-AMPL"]) == 0
+    assert read_sol(path.with_suffix(".sol")).code == 400
+    assert main([str(path), "-AMPL", "max_iterations=none"]) == 0
+    assert read_sol(path.with_suffix(".sol")).code == 0
+
+
+def test_words_of_options_become_numbers_and_names():
+    given = ("relaxation=l1-penalty", "time_limit_s=5", "second_path=no", "ipopt.tol=1e-9", "outlev=0")
+    options, level = ampl._options(given)
+    assert (options.relaxation, options.time_limit_s, options.second_path) == ("l1-penalty", 5, False)
+    assert options.ipopt_relaxed == options.ipopt_exact == {"tol": 1e-9}
+    assert level == 0
+    assert ampl._options([])[1] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["-AMPL"], "one stub is expected, got none"),
+        (["one", "two", "-AMPL"], "one stub is expected, got one two"),
+        (["absent", "-AMPL"], "absent.nl"),
+        (["x", "-AMPL", "tt0=1"], "unknown option 'tt0'"),
+        (["x", "-AMPL", "t0=small"], "t0 must be positive and finite, got 'small'"),
+        (["x", "-AMPL", "rescues=1"], "unknown option 'rescues'"),
+        (["x", "-AMPL", "outlev=loud"], "outlev must be 0 .* got 'loud'"),
+        (["x", "-AMPL", "tol=1e-9"], r"unknown option 'tol'.* ipopt\.tol for Ipopt's"),
+        (["x", "-AMPL", "-q"], "unknown flag '-q'"),
+        (["x", "-AMPL", "=3"], "option '=3' is not of the form key=value"),
+    ],
+)
+def test_bad_calls_are_refused_in_one_line(arguments, words, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert re.search(words, error)
+
+
+def test_flags_of_asl(stub, capsys):
+    assert main(["-v"]) == 0
+    assert capsys.readouterr().out == f"rmesh-mpcc {__version__}\n"
+    assert main(["-="]) == 0
+    assert {"relaxation", "time_limit_s", "outlev"} <= set(capsys.readouterr().out.split())
+    path = stub()
+    assert main([str(path), "-s", "outlev=0"]) == 0
+    assert "stationarity S" in capsys.readouterr().out
+    assert read_sol(path.with_suffix(".sol")).code == 0
+
+
+def test_only_an_nl_file_has_a_solution_file(stub, tmp_path):
+    problem = read(stub().with_suffix(".nl"))
+    result = solve(problem.mpcc, problem.x0)
+    problem = type(problem)("made", problem.mpcc, problem.x0)
+    with pytest.raises(ValueError, match="made was not read from an"):
+        write_sol(tmp_path / "made.sol", problem, result)

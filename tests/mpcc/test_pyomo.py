@@ -1,0 +1,72 @@
+"""Pyomo models with ``pyomo.mpec``, solved through the executable and through the registered solver."""
+
+import os
+import sys
+
+import pytest
+
+from support.asl import EXECUTABLE, environment, install
+
+pe = pytest.importorskip("pyomo.environ")
+mpec = pytest.importorskip("pyomo.mpec")
+common = pytest.importorskip("pyomo.common")
+
+
+@pytest.fixture
+def on_path(tmp_path, monkeypatch):
+    """The executable is on the PATH, as after an installation."""
+    install(tmp_path)
+    monkeypatch.setenv("PATH", os.pathsep.join([str(tmp_path), os.environ["PATH"]]))
+    monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
+    common.Executable(EXECUTABLE).rehash()
+
+
+def model():
+    """Minimum of (x - 2)^2 + (y - 1)^2 + z on 0 <= x _|_ y >= 0, x + z >= 3, z >= 3/4."""
+    m = pe.ConcreteModel(name="pair")
+    m.x, m.y, m.z = pe.Var(initialize=1.0), pe.Var(initialize=0.1), pe.Var(bounds=(0.75, None))
+    m.cost = pe.Objective(expr=(m.x - 2) ** 2 + (m.y - 1) ** 2 + m.z)
+    m.least = pe.Constraint(expr=m.x + m.z >= 3)
+    m.pair = mpec.Complementarity(expr=mpec.complements(m.x >= 0, m.y >= 0))
+    m.dual = pe.Suffix(direction=pe.Suffix.IMPORT)
+    m.ipopt_zL_out = pe.Suffix(direction=pe.Suffix.IMPORT)
+    return m
+
+
+def test_values_and_duals_of_a_model_that_calls_the_executable(on_path, capfd):
+    """At y = 0, z = 3/4 and x = 9/4 a larger right-hand side costs 2 (x - 2), z's bound the rest."""
+    m = model()
+    solver = pe.SolverFactory(f"asl:{EXECUTABLE}")
+    found = solver.solve(m, tee=True, options={"relaxation": "scholtes", "ipopt.tol": 1e-9})
+    assert (found.solver.termination_condition, found.solver.status) == ("optimal", "ok")
+    assert "stationarity S" in found.solver.message
+    assert "relaxed" in capfd.readouterr().out
+    assert [m.x(), m.y(), m.z()] == pytest.approx([2.25, 0.0, 0.75], abs=1e-6)
+    assert m.dual[m.least] == pytest.approx(0.5, abs=1e-5)
+    assert m.ipopt_zL_out[m.z] == pytest.approx(0.5, abs=1e-5)
+    assert (m.pair.ctype, m.pair.active) == (mpec.Complementarity, True)
+
+
+def test_registered_solver_takes_mixed_conditions_again_and_again(monkeypatch, caplog):
+    """0 <= z <= 2 _|_ z - x + 1: between the bounds z = x - 1, least (x - 2)^2 + 1 + x - 1 at x = 1.5."""
+    import rmesh_nlp.mpcc.pyomo_solver  # noqa: F401 registers the solver
+
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    m = model()
+    m.del_component("least")
+    m.z.setlb(-5)
+    m.mixed = mpec.Complementarity(expr=mpec.complements(pe.inequality(0, m.z, 2), m.z - m.x + 1))
+    solver = pe.SolverFactory(EXECUTABLE)
+    for limit, condition in ((60, "optimal"), (1e-6, "maxIterations")):
+        found = solver.solve(m, timelimit=limit, symbolic_solver_labels=True)
+        assert found.solver.termination_condition == condition
+        assert (m.mixed.ctype, m.z.bounds) == (mpec.Complementarity, (-5, None))
+        if condition == "optimal":
+            assert [m.x(), m.y(), m.z()] == pytest.approx([1.5, 0.0, 0.5], abs=1e-6)
+            assert not caplog.records
+    m.z.setlb(3)
+    m.z.setub(1)
+    with pytest.raises(common.errors.ApplicationError):
+        solver.solve(m, symbolic_solver_labels=True)
+    assert "(z) = 3.0" in caplog.text
+    assert m.mixed.ctype is mpec.Complementarity
