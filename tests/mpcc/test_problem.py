@@ -27,8 +27,8 @@ def corner(**changes):
     [
         ({"lbx": [0.0]}, "lbx has length 1, expected 2"),
         ({"ubg": [1.0, 2.0]}, "ubg has length 2, expected 1"),
-        ({"lbx": [np.nan, 0.0]}, r"lbx\[0\] is nan, not a number"),
-        ({"lbx": [0.0, 2.0], "ubx": [1.0, 1.0]}, r"lbx\[1\] = 2.0 and ubx\[1\] = 1.0"),
+        ({"lbx": [np.nan, 0.0]}, r"lbx\[0\] .x. is nan, not a number"),
+        ({"lbx": [0.0, 2.0], "ubx": [1.0, 1.0]}, r"lbx\[1\] .y. = 2.0 and ubx\[1\] = 1.0"),
         ({"lbg": INF, "ubg": INF}, r"lbg\[0\]"),
         ({"lbg": -INF, "ubg": -INF}, r"ubg\[0\]"),
         ({"lbx": "low"}, "lbx must be numeric"),
@@ -50,7 +50,7 @@ def test_malformed_problem_is_refused(changes, words):
 
 @pytest.mark.parametrize(
     ("x0", "words"),
-    [([0.0], "x0 has length 1"), ([0.0, np.nan], r"x0\[1\] is nan"), ([0.0, INF], r"x0\[1\] is inf")],
+    [([0.0], "x0 has length 1"), ([0.0, np.nan], r"x0\[1\] .y. is nan"), ([0.0, INF], r"x0\[1\] .y. is inf")],
 )
 def test_bad_start_is_refused(x0, words):
     with pytest.raises(ValueError, match=words):
