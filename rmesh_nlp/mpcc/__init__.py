@@ -4,8 +4,9 @@
 """
 
 from rmesh_nlp.mpcc.bilevel import bilevel
-from rmesh_nlp.mpcc.interfaces import MultiStart, mpccsol, multistart
+from rmesh_nlp.mpcc.interfaces import MultiStart, multistart
 from rmesh_nlp.mpcc.lower_level import LowerLevel, LowerLevelCheck
+from rmesh_nlp.mpcc.mpccsol import mpccsol
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read

@@ -1,4 +1,4 @@
-"""Many starts, the call shape of nlpsol, and the generated families of the benchmark."""
+"""Many starts, and the generated families of the benchmark."""
 
 from types import SimpleNamespace
 
@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from mpcc_library.families import FAMILIES
-from rmesh_nlp.mpcc import MPCC, MultiStart, interfaces, mpccsol, multistart, solve
+from rmesh_nlp.mpcc import MPCC, MultiStart, interfaces, multistart, solve
 from support.scripted_run import XY, x, y
-
-p = ca.SX.sym("p")
 
 
 def end(success, f=0.0, violation=0.0, complementarity=0.0):
@@ -52,6 +50,7 @@ def test_starts_are_seeded_within_bounds_and_the_first_is_given(monkeypatch):
 def test_start_of_a_mixed_problem_is_completed_with_its_parameters(monkeypatch):
     """-1 <= y <= 2 _|_ x - p: at x = 1 and p = 3 the new unknowns are 0 and 2."""
     monkeypatch.setattr(interfaces, "MPCCSolver", lambda *_: lambda start, **_: end(True))
+    p = ca.SX.sym("p")
     mpcc = MPCC.mixed(XY, x, None, x - p, y, lbH=-1, ubH=2, p=p)
     assert list(multistart(mpcc, [1, 0], n=2, p=3).starts[0]) == [1, 0, 0, 2]
 
@@ -62,43 +61,6 @@ def test_multistart_finds_the_better_arm():
     many = multistart(mpcc, [1.5, 0], n=8, seed=3, t0=1e-4)
     assert many.best.x == pytest.approx([0, 1.05], abs=1e-7)
     assert many.spread == pytest.approx((many.best.f, 1.0), abs=1e-2)
-
-
-def test_call_shape_of_nlpsol(monkeypatch):
-    made = []
-    honest = interfaces.MPCCSolver
-    monkeypatch.setattr(interfaces, "MPCCSolver", lambda *given: made.append(given[1]) or honest(*given))
-    problem = {"x": XY, "p": p, "f": (x - p) ** 2 + (y - 1) ** 2, "g": x + y, "G": x, "H": y}
-    solver = mpccsol("solver", "l1-penalty", problem, {"t0": 0.5, "ipopt": {"tol": 1e-9}})
-    with pytest.raises(RuntimeError, match="solver has not been called"):
-        solver.stats()
-    answer = solver(x0=[1, 1], p=3, lbg=-10, ubg=10)
-    assert isinstance(answer["x"], ca.DM)
-    assert answer["x"].full().ravel() == pytest.approx([3, 0], abs=1e-7)
-    assert float(answer["lam_H"]) == pytest.approx(2, abs=1e-5)  # d/dy of the objective is -2 there
-    assert set(answer) == {"x", "f", "g", "G", "H", "lam_x", "lam_g", "lam_G", "lam_H"}
-    stats = solver.stats()
-    assert (stats["return_status"], stats["success"], stats["stationarity"]) == ("converged", True, "S")
-    solver(x0=[1, 1], p=2, lbg=-10, ubg=10)
-    assert len(made) == 2  # that of a call without bounds, and these
-    assert solver(x0=[1, 1], p=3, lbg=-10, ubg=2)["g"] <= 2 + 1e-8
-    options = made[0]
-    assert (options.relaxation, options.t0) == ("l1-penalty", 0.5)
-    assert options.ipopt_relaxed == options.ipopt_exact == {"tol": 1e-9}
-
-
-@pytest.mark.parametrize(
-    ("plugin", "problem", "options", "words"),
-    [
-        ("newton", {"x": x, "f": x}, {}, "unknown relaxation"),
-        ("scholtes", {"x": x, "f": x, "h": x}, {}, "unknown key 'h'"),
-        ("scholtes", {"x": x, "f": x}, {"tt0": 1}, "unknown setting 'tt0'"),
-        ("scholtes", {"x": x, "f": y}, {}, "free symbols"),
-    ],
-)
-def test_mpccsol_refuses_what_it_does_not_know(plugin, problem, options, words):
-    with pytest.raises(ValueError, match=words):
-        mpccsol("solver", plugin, problem, options)
 
 
 @pytest.mark.parametrize("name", FAMILIES)

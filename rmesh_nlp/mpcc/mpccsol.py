@@ -1,0 +1,224 @@
+"""The solver as a CasADi Function, with the conventions of ``nlpsol``.
+
+>>> import casadi as ca
+>>> x = ca.SX.sym("x", 2)
+>>> solver = mpccsol("solver", "scholtes", {"x": x, "f": ca.sumsqr(x - 1), "G": x[0], "H": x[1]})
+>>> answer = solver(x0=[0.5, 0.2])
+>>> float(answer["f"])
+1.0
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.errors import unknown
+from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.mpcc.options import Options, with_ipopt
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.relaxations import relaxation
+from rmesh_nlp.mpcc.result import Duals, MPCCResult
+from rmesh_nlp.mpcc.solver import MPCCSolver
+from rmesh_nlp.optimize.status import Status
+
+_KEYS = ("x", "f", "g", "G", "H", "p")
+_BOUNDS = ("lbx", "ubx", "lbg", "ubg")
+_INPUTS = (*ca.nlpsol_in(), "lam_G0", "lam_H0")
+_OUTPUTS = (*ca.nlpsol_out(), "G", "H", "lam_G", "lam_H")
+_DEFAULTS = {"lbx": -np.inf, "ubx": np.inf, "lbg": -np.inf, "ubg": np.inf}
+_STATS = (
+    "success", "message", "stationarity", "b_stationary", "n_biactive", "constraint_violation",
+    "complementarity", "curvature",
+)  # fmt: skip
+_UNIFIED = {
+    Status.CONVERGED: "SUCCESS", Status.ACCEPTABLE: "SUCCESS", Status.INFEASIBLE: "INFEASIBLE",
+    Status.ITERATION_LIMIT: "LIMITED", Status.TIME_LIMIT: "LIMITED", Status.EVALUATION_ERROR: "NAN",
+}  # fmt: skip
+_OF_FUNCTIONS = ("enable_fd", "fd_method", "fd_options", "verbose", "print_in", "print_out")
+"""Options of any CasADi Function."""
+_KEPT = 8  # solvers with bounds of their own
+
+_alive: list[ca.Callback] = []
+"""Callbacks in expressions: CasADi does not own them, and they must live as long as the expression."""
+
+
+class MPCCFunction(ca.Function):
+    """What :func:`mpccsol` returns: a CasADi Function with the inputs and outputs of ``nlpsol``, and more.
+
+    More inputs are ``lam_G0`` and ``lam_H0``, more outputs ``G``, ``H``, ``lam_G``, ``lam_H``.
+    Multipliers have CasADi's signs, ``lam_p`` is minus the derivative of the optimal value; all are NaN where
+    there are none. Arguments that are MX give MX. A Function made of this one by ``map`` needs it alive.
+    """
+
+    def __init__(self, name: str, solve: _Solve) -> None:
+        inputs = [ca.MX.sym(key, size) for key, size in zip(_INPUTS, solve.sizes(_INPUTS), strict=True)]
+        defaults = [_DEFAULTS.get(key, 0.0) for key in _INPUTS]
+        outputs = solve.call(inputs)
+        super().__init__(ca.Function(name, inputs, outputs, _INPUTS, _OUTPUTS, {"default_in": defaults}))
+        self._solve = solve
+
+    def __call__(self, *arguments: Any, **keywords: Any) -> Any:
+        """Solve; by place or by name, numbers or MX, as nlpsol.
+
+        Raises
+        ------
+        ValueError
+            If a number is not finite, or bounds leave no value.
+        RuntimeError
+            If CasADi refuses the arguments, or with ``error_on_fail`` if the solve did not succeed.
+        """
+        solve = self._solve
+        given = [*arguments, *keywords.values()]
+        if any(isinstance(value, ca.MX) for value in given) and solve not in _alive:
+            _alive.append(solve)
+        solve.error, solve.is_called = None, True
+        try:
+            answer = super().__call__(*arguments, **keywords)
+        finally:
+            solve.is_called = False
+        if solve.error is not None:
+            raise solve.error
+        return answer
+
+    def stats(self) -> dict[str, Any]:
+        """Status, label, residuals and counts of the last solve; with the keys of nlpsol that apply."""
+        result = self._solve.result
+        if result is None:
+            raise RuntimeError(f"{self.name()} has not been called yet")
+        unified = _UNIFIED.get(result.status, "UNKNOWN")
+        return {name: getattr(result, name) for name in _STATS} | {
+            "return_status": result.status.value, "unified_return_status": f"SOLVER_RET_{unified}",
+            "iter_count": result.counts["ipopt_iterations"], "n_nlp": result.counts["nlp_solves"],
+            "t_wall_total": result.seconds["total"],
+        }  # fmt: skip
+
+
+class _Solve(ca.Callback):
+    """The solver as a callback on numbers."""
+
+    def __init__(
+        self, name: str, problem: dict[str, Any], options: Options, error_on_fail: bool, own: dict[str, Any]
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._problem, mpcc = problem, MPCC(**problem)
+        self._name, self._options, self._error_on_fail = name, options, error_on_fail
+        self._lam_p = _derivative_by_parameters(mpcc)
+        self._solvers: dict[tuple[bytes, ...], MPCCSolver] = {}
+        self.result: MPCCResult | None = None
+        self.error: BaseException | None = None
+        self.is_called = False  # by a user with numbers, who is shown the error itself
+        self._size = {"f": 1, **{key: int(getattr(mpcc, key).shape[0]) for key in _KEYS if key != "f"}}
+        self.construct(f"{name}_solve", own)
+
+    def sizes(self, names: tuple[str, ...]) -> list[int]:
+        """The lengths of inputs or outputs."""
+        parts = (name.removeprefix("lam_").removeprefix("lb").removeprefix("ub") for name in names)
+        return [self._size[part.removesuffix("0")] for part in parts]
+
+    def get_n_in(self) -> int:
+        """Number of inputs."""
+        return len(_INPUTS)
+
+    def get_n_out(self) -> int:
+        """Number of outputs."""
+        return len(_OUTPUTS)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """A column."""
+        return ca.Sparsity.dense(self.sizes(_INPUTS)[i], 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        """A column."""
+        return ca.Sparsity.dense(self.sizes(_OUTPUTS)[i], 1)
+
+    def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        """Solve for numbers."""
+        given = {name: flat(value) for name, value in zip(_INPUTS, arguments, strict=True)}
+        try:
+            return [ca.DM(value) for value in self._outputs(given)]
+        except (Exception, KeyboardInterrupt) as error:
+            if not self.is_called:
+                raise
+            self.error = error  # CasADi would print it and lose its kind
+            return [ca.DM.nan(size, 1) for size in self.sizes(_OUTPUTS)]
+
+    def _outputs(self, given: dict[str, Array]) -> list[Any]:
+        duals = Duals(*(given[f"lam_{part}0"] for part in ("x", "g", "G", "H")))
+        is_warm = any(np.any(np.nan_to_num(values)) for values in vars(duals).values())
+        solver = self._solver({name: given[name] for name in _BOUNDS})
+        self.result = result = solver(given["x0"], p=given["p"], start=duals if is_warm else None)
+        if self._error_on_fail and not result.success:
+            raise RuntimeError(f"{self._name}: {result.message}")
+        lam_p = self._lam_p(result.x, given["p"], result.lam_g, result.lam_G, result.lam_H)
+        return [lam_p if name == "lam_p" else getattr(result, name) for name in _OUTPUTS]
+
+    def _solver(self, bounds: dict[str, Array]) -> MPCCSolver:
+        """The solver for these bounds; those of the last calls are kept."""
+        key = tuple(bound.tobytes() for bound in bounds.values())
+        solver = self._solvers.pop(key, None)
+        if solver is None:
+            mpcc = MPCC(**{**self._problem, **bounds})
+            solver = MPCCSolver(mpcc, self._options)
+        self._solvers[key] = solver
+        if len(self._solvers) > _KEPT:
+            del self._solvers[next(iter(self._solvers))]
+        return solver
+
+
+def _derivative_by_parameters(mpcc: MPCC) -> ca.Function:
+    """``(x, p, lam_g, lam_G, lam_H) -> lam_p``, minus the derivative of the Lagrangian with respect to p."""
+    names = ("g", "G", "H")
+    column = ca.vertcat(mpcc.f, *(getattr(mpcc, name) for name in names))
+    function = ca.Function("column", [mpcc.x, mpcc.p], [column])
+    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
+    weights = [ca.MX.sym(f"lam_{name}", getattr(mpcc, name).shape[0]) for name in names]
+    lagrangian = ca.dot(ca.vertcat(1, *weights), function(x, p))
+    return ca.Function("lam_p", [x, p, *weights], [-ca.densify(ca.gradient(lagrangian, p))])
+
+
+def mpccsol(
+    name: str, plugin: str, problem: Mapping[str, Any], options: Mapping[str, Any] | None = None
+) -> MPCCFunction:
+    """Return a solver of ``min f, lbg <= g <= ubg, 0 <= G _|_ H >= 0`` as ``nlpsol`` does for NLPs.
+
+    Parameters
+    ----------
+    name : str
+    plugin : str
+        A relaxation, see ``RELAXATIONS``.
+    problem : mapping
+        ``x`` and ``f``, perhaps ``g``, ``G``, ``H``, ``p``: CasADi expressions.
+    options : mapping, optional
+        Fields of :class:`rmesh_nlp.mpcc.Options`. ``"ipopt.tol"``, or ``"ipopt": {"tol": ...}``, holds for
+        relaxations and branches. Of nlpsol's: ``expand`` (SX in place of MX), ``error_on_fail``, and options
+        of any Function, such as ``fd_options``: derivatives of the solution are finite differences.
+
+    Raises
+    ------
+    ValueError
+        If the relaxation, a key of the problem or an option is unknown.
+    """
+    relaxation(plugin)
+    for key in problem:
+        if key not in _KEYS:
+            raise unknown("key", key, _KEYS)
+    settings = dict(options or {})
+    own = {"enable_fd": True, **{key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}}
+    fails, expand = bool(settings.pop("error_on_fail", False)), bool(settings.pop("expand", False))
+    settings.pop("print_time", None)  # nothing is printed
+    changed = Options().having({**with_ipopt(settings), "relaxation": plugin})
+    parts = {key: problem.get(key) for key in _KEYS}
+    return MPCCFunction(name, _Solve(name, _expanded(parts) if expand else parts, changed, fails, own))
+
+
+def _expanded(problem: dict[str, Any]) -> dict[str, Any]:
+    """The problem in SX."""
+    mpcc = MPCC(**problem)
+    names = ("f", "g", "G", "H")
+    function = ca.Function("problem", [mpcc.x, mpcc.p], [getattr(mpcc, name) for name in names]).expand()
+    x, p = ca.SX.sym("x", mpcc.n_x), ca.SX.sym("p", mpcc.p.shape[0])
+    return {"x": x, "p": p, **dict(zip(names, function.call([x, p]), strict=True))}
