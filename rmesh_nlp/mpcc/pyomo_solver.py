@@ -21,6 +21,7 @@ from pyomo.solvers.plugins.solvers.ASL import ASL
 from rmesh_nlp import __version__
 
 _NAME = "rmesh-mpcc"
+_START = 60.0  # seconds that the process may take besides the solve
 _ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
 
 
@@ -106,6 +107,7 @@ class PyomoSolver(ASL):
         self.options.solver = _NAME
         if self._timelimit is not None:
             self.options.setdefault("time_limit_s", self._timelimit)
+            self._timelimit = 2 * self._timelimit + _START  # when Pyomo would end the process
         made = super().create_command_line(executable, problem_files)
         place = made.cmd.index(executable)
         made.cmd[place : place + 1] = [executable, "-m", "rmesh_nlp.mpcc"]
