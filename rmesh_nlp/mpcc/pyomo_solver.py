@@ -62,6 +62,8 @@ class _Transformation(MPEC4_Transformation):
 class PyomoSolver(ASL):
     """The solver for Pyomo, by AMPL's files; options are those of the command, ``ipopt.NAME`` included."""
 
+    _timelimit: float | None
+
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**{**keywords, "type": _NAME})
         self._bounds: list[tuple[Any, Any, Any]] = []
