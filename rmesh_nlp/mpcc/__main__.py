@@ -41,7 +41,10 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 if every solve succeeded, 1 if one did not, 2 for bad input."""
+    """Run the command; 0 if every solve succeeded, 1 if one did not, 2 for bad input, 130 if interrupted.
+
+    Called as AMPL calls solvers (:func:`rmesh_nlp.mpcc.ampl.run`) it is 0 where a ``.sol`` file was written.
+    """
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         if ampl.is_meant(words):
@@ -56,6 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ValueError, OSError, ImportError) as error:
         print(f"rmesh mpcc: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("rmesh mpcc: interrupted", file=sys.stderr)
+        return 130
 
 
 def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:

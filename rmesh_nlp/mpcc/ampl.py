@@ -12,6 +12,7 @@ import os
 import shlex
 from collections.abc import Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +63,8 @@ def run(arguments: Sequence[str]) -> int:
     ])  # fmt: skip
     stub = stubs[0].removesuffix(".nl")
     problem = read_nl(Path(f"{stub}.nl"))
-    result = solve(problem.mpcc, problem.x0, options=options, progress=level > 0)
+    show = partial(print, flush=True) if level > 0 else False  # whoever reads a pipe sees each line at once
+    result = solve(problem.mpcc, problem.x0, options=options, progress=show)
     write_sol(Path(f"{stub}.sol"), problem, result)
     if "-AMPL" not in arguments:  # AMPL shows the message of the file
         print(message(problem, result))

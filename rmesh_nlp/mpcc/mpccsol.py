@@ -10,7 +10,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -22,6 +22,7 @@ from rmesh_nlp.mpcc.options import Options, with_ipopt
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
+from rmesh_nlp.mpcc.sensitivities import forward, reverse
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.status import Status
 
@@ -38,7 +39,10 @@ _UNIFIED = {
     Status.CONVERGED: "SUCCESS", Status.ACCEPTABLE: "SUCCESS", Status.INFEASIBLE: "INFEASIBLE",
     Status.ITERATION_LIMIT: "LIMITED", Status.TIME_LIMIT: "LIMITED", Status.EVALUATION_ERROR: "NAN",
 }  # fmt: skip
-_OF_FUNCTIONS = ("enable_fd", "fd_method", "fd_options", "verbose", "print_in", "print_out")
+_OF_FUNCTIONS = (
+    *("enable_fd", "enable_forward", "enable_reverse", "fd_method", "fd_options"),
+    *("verbose", "print_in", "print_out"),
+)
 """Options of any CasADi Function."""
 _KEPT = 8  # solvers with bounds of their own
 
@@ -114,7 +118,7 @@ class _Solve(ca.Callback):
         self._size = {"f": 1, **{key: int(getattr(mpcc, key).shape[0]) for key in _KEYS if key != "f"}}
         self.construct(f"{name}_solve", own)
 
-    def sizes(self, names: tuple[str, ...]) -> list[int]:
+    def sizes(self, names: Sequence[str]) -> list[int]:
         """The lengths of inputs or outputs."""
         parts = (name.removeprefix("lam_").removeprefix("lb").removeprefix("ub") for name in names)
         return [self._size[part.removesuffix("0")] for part in parts]
@@ -134,6 +138,33 @@ class _Solve(ca.Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         """A column."""
         return ca.Sparsity.dense(self.sizes(_OUTPUTS)[i], 1)
+
+    def has_forward(self, n: int) -> bool:
+        """Known, by the implicit function theorem."""
+        return True
+
+    def has_reverse(self, n: int) -> bool:
+        """As forward."""
+        return True
+
+    def get_forward(self, n: int, name: str, inames: Any, onames: Any, opts: Any) -> ca.Function:
+        """``(inputs, outputs, changes of the inputs) -> changes of the outputs``, n columns."""
+        return self._derivative(forward, _INPUTS, n, name, inames, onames, opts)
+
+    def get_reverse(self, n: int, name: str, inames: Any, onames: Any, opts: Any) -> ca.Function:
+        """``(inputs, outputs, weights of the outputs) -> derivatives by the inputs``, n columns."""
+        return self._derivative(reverse, _OUTPUTS, n, name, inames, onames, opts)
+
+    def _derivative(
+        self, rule: Any, seeded: Sequence[str], n: int, name: str, *names_and_options: Any
+    ) -> ca.Function:
+        given, found, seeds = (
+            {key: ca.MX.sym(key, size, m) for key, size in zip(keys, self.sizes(keys), strict=True)}
+            for keys, m in ((_INPUTS, 1), (_OUTPUTS, 1), (seeded, n))
+        )
+        arguments = [*given.values(), *found.values(), *seeds.values()]
+        results = rule(MPCC(**self._problem), given, found, seeds)
+        return ca.Function(name, arguments, results, *names_and_options)
 
     def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
         """Solve for numbers."""
@@ -195,7 +226,7 @@ def mpccsol(
     options : mapping, optional
         Fields of :class:`rmesh_nlp.mpcc.Options`. ``"ipopt.tol"``, or ``"ipopt": {"tol": ...}``, holds for
         relaxations and branches. Of nlpsol's: ``expand`` (SX in place of MX), ``error_on_fail``, and options
-        of any Function, such as ``fd_options``: derivatives of the solution are finite differences.
+        of any Function.
 
     Raises
     ------
@@ -207,7 +238,7 @@ def mpccsol(
         if key not in _KEYS:
             raise unknown("key", key, _KEYS)
     settings = dict(options or {})
-    own = {"enable_fd": True, **{key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}}
+    own = {key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}
     fails, expand = bool(settings.pop("error_on_fail", False)), bool(settings.pop("expand", False))
     settings.pop("print_time", None)  # nothing is printed
     changed = Options().having({**with_ipopt(settings), "relaxation": plugin})

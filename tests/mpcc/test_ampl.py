@@ -153,6 +153,17 @@ def test_bad_calls_are_refused_in_one_line(arguments, words, capsys):
     assert re.search(words, error)
 
 
+def test_interrupted_call_writes_nothing(stub, monkeypatch, capsys):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ampl, "solve", interrupted)
+    path = stub()
+    assert main([str(path), "-AMPL"]) == 130
+    assert capsys.readouterr().err == "rmesh mpcc: interrupted\n"
+    assert not path.with_suffix(".sol").exists()
+
+
 def test_flags_of_asl(stub, capsys):
     assert main(["-v"]) == 0
     assert capsys.readouterr().out == f"rmesh-mpcc {__version__}\n"
