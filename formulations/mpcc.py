@@ -123,6 +123,13 @@ def after_energy(scaling: float) -> dict[str, Any]:
     return {**AFTER, "ipopt_relaxed": ipopt, "ipopt_exact": exact}
 
 
+SECOND = 3
+"""Most iterations of the second path, in units of the first's.
+
+On 50 random design problems from two starts each the best of all ends is reached on 39 by the first path
+alone, on 43, 46, 47, 47 and 50 with a second one of at most 1, 2, 3, 4 and any times its iterations. Without
+a limit the second took 50 times the time of the first on the page on identification, to the same end."""
+
 LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 """Ends of a homotopy whose last point need not be complementary."""
 
@@ -176,7 +183,8 @@ class AllAtOnce(Formulation):
         Begin with the end of the same model without its complementarity.
     twice : bool or None
         Follow a second path from the start, of the last relaxation alone, and keep the better end; None, the
-        default: where there are design variables. The two often end at different minima.
+        default: where there are design variables. The two often end at different minima. The second is left
+        after ``SECOND`` times the iterations of the first.
     """
 
     relaxation: str = "scholtes"
@@ -199,14 +207,16 @@ class AllAtOnce(Formulation):
         return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        before = monitor.iterations
         first = self._path(outer, q, monitor)
         twice = bool(outer.problem.design) if self.twice is None else self.twice
         if not twice or outer.is_near or self.without_first or outer.objective.is_energy:
             return first
-        second = monitor.attempt(lambda: self._path(outer.near(), q, monitor))
-        return first if second is None else min((first, second), key=_rank)
+        most = SECOND * (monitor.iterations - before)
+        second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
+        return first if second is None or second.status in LIMITS else min((first, second), key=_rank)
 
-    def _path(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+    def _path(self, outer: Outer, q: Array, monitor: Monitor, most: int | None = None) -> Outcome:
         start, begin = q, outer.energy(q)
         is_energy = outer.objective.is_energy
         if is_energy and not outer.is_near:
@@ -227,7 +237,11 @@ class AllAtOnce(Formulation):
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
         own = _options(outer, program.value / pull(begin.gradient), near)
-        limits = {"time_limit_s": max(monitor.remaining, 1e-3), "max_iterations": monitor.iterations_left}
+        left = [most for most in (monitor.iterations_left, most) if most is not None]
+        limits = {
+            "time_limit_s": max(monitor.remaining, 1e-3),
+            "max_iterations": min(left, default=None),
+        }
         with monitor.clock.during("build"):
             solver = MPCCSolver(
                 program.mpcc, **{"relaxation": self.relaxation, **OPTIONS, **own, **limits, **self.options}
