@@ -1,7 +1,8 @@
-"""Outer objectives with kinks: ``nested`` and ``mpcc`` on forty small contact problems, judged alike.
+"""Outer objectives with kinks: ``nested`` and ``mpcc`` on seventy small contact problems, judged alike.
 
-Ten slabs of Example 6.3 with Coulomb friction, four errors of Example 6.1, four seals whose best edges
-just lose contact (``scripts/gallery/seal.py``), and problems of random kind, half with Coulomb friction. Of
+Ten slabs of Example 6.3 with Coulomb friction, four errors of Example 6.1, ten seals whose best edges
+just lose contact (``scripts/gallery/seal.py``), problems of random kind, half with Coulomb friction, and
+random foundations of five to twelve pads, each of which is best where it just touches. Of
 every end that is called stationary all branches of its biactive pairs are searched for a direction of descent
 (:mod:`branches`), with none of the code that gave the label.
 
@@ -20,6 +21,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
 import rmesh_nlp as rm
@@ -48,11 +50,19 @@ COEFFICIENTS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.0, 2.0, 3.0, 5.0)
 ERRORS = ((4, "error-l2"), (5, "error-h1"), (6, "error-l2"), (6, "contact"))
 """Squares a side and objective."""
 
-SEALS = ((4, 1.2, 0.0), (6, 1.2, 0.0), (4, 2.0, 0.3), (6, 1.5, 0.6))
+SEALS = (
+    *((4, 1.2, 0.0), (6, 1.2, 0.0), (4, 2.0, 0.3), (6, 1.5, 0.6)),
+    *((8, 1.2, 0.0), (10, 1.5, 0.0), (12, 1.2, 0.0), (8, 1.5, 0.3), (10, 1.2, 0.6), (12, 2.0, 0.3)),
+)
 """Squares over the height, cost of a gap, Coulomb's coefficient."""
 
 RANDOM = 22
 """Number of problems of random kind."""
+
+PADS = tuple((seed, pads, 0.0) for seed in range(2) for pads in range(5, 13)) + tuple(
+    (seed, pads, 0.5) for seed in range(2) for pads in range(5, 9)
+)
+"""Seed, number of pads, Coulomb's coefficient."""
 
 
 @dataclass(frozen=True)
@@ -89,8 +99,36 @@ def seal(n: int, coulomb: float) -> ContactProblem:
     )
 
 
+def pads(seed: int, n: int, coulomb: float) -> Case:
+    """A block that sags over a foundation of ``n`` pads, one below each node of its lower edge.
+
+    The heights are design variables. It pays to lift a pad, and costs to carry load: nearly all are best
+    where the block just touches them.
+    """
+    rng = np.random.default_rng(seed)
+    mesh = rm.shapes.rectangle(n - 1, 4, x=(0, (n - 1) / 4))
+    heights = [rm.DesignVariable(f"h{k}", -0.02, (-0.04, 0.04)) for k in range(n)]
+
+    def height(x: Any, y: Any) -> Any:
+        return sum(one.symbol * ca.exp(-((4 * x - k) ** 2) * 4) for k, one in enumerate(heights))
+
+    gains = ", ".join(f"{gain:.3f}" for gain in rng.uniform(0.2, 1.0, n)).split(", ")
+    load = (float(rng.uniform(-5.0, 5.0)), float(rng.uniform(-30.0, -5.0)))
+    problem = rm.ContactProblem(
+        mesh=mesh,
+        law=rm.PlaneStrain.from_young(1000.0, 0.3, load),
+        dirichlet=(rm.Dirichlet("top", (0.0, 0.0)),),
+        obstacle=rm.Obstacle.graph("bottom", height, coulomb=coulomb),
+        motion=rm.Motion(0.0),
+        design=tuple(heights),
+        name="pads",
+    )
+    lifted = " + ".join(f"{gain}*h{k}" for k, gain in enumerate(gains))
+    return Case(f"pads-{seed}-{n}-F{coulomb:g}", problem, f"0.01*resultant(bottom) - design({lifted})")
+
+
 def cases() -> Iterator[Case]:
-    """The forty problems, the same ones every time."""
+    """The seventy problems, the same ones every time."""
     for k, coulomb in enumerate(COEFFICIENTS):
         n, objective = [(6, 4), (12, 6), (8, 4)][k % 3], QUANTITIES[0 if k % 2 == 0 else k % len(QUANTITIES)]
         if k == 6:  # where outer solvers zigzagged for 500 iterations
@@ -112,6 +150,8 @@ def cases() -> Iterator[Case]:
             problem = replace(problem, obstacle=replace(problem.obstacle, coulomb=coulomb))
         objective = QUANTITIES[int(rng.integers(len(QUANTITIES)))]
         yield Case(f"random-{seed}-F{coulomb:g}", problem, objective)
+    for given in PADS:
+        yield pads(*given)
 
 
 NAMES = (
@@ -139,7 +179,7 @@ def row(case: Case, formulation: str, seconds: float) -> dict[str, Any]:
     found |= {name: record.get(name) for name in NAMES}
     found["processor_s"] = time.process_time() - began
     outer = Outer(case.problem, case.objective)
-    steep = steepest(outer, outer.variables(np.asarray(solution.mesh.p)))
+    steep = steepest(outer, outer.variables(np.asarray(solution.mesh.p), design=solution.design))
     found["search_s"] = time.process_time() - began - found["processor_s"]
     if steep is not None:
         found |= {"searched": steep.branches, "steepest": steep.rate}

@@ -1,4 +1,4 @@
-"""Outer objectives written as text: ``error-l2 + 0.01*quality``, ``mean(top, -uy)``.
+"""Outer objectives written as text: ``error-l2 + 0.01*quality``, ``0.1*resultant(bottom) - area``.
 
 Named terms are those of :mod:`rmesh_nlp.fem.objectives`. Quantities of interest are
 
@@ -68,7 +68,7 @@ def parse_objective(text: str | Objective) -> Objective:
     """
     if isinstance(text, Objective):
         return text
-    parts = [_weighted(part, text) for part in _split(text, "+")]
+    parts = [_weighted(part, text) for part in _summands(text)]
     return Objective(tuple(term for part in parts for term in part.terms))
 
 
@@ -227,6 +227,19 @@ def _number(text: str, value: str) -> float:
     if not np.isfinite(number):
         raise ValueError(f"{text}: {value!r} is not a finite number")
     return number
+
+
+def _summands(text: str) -> list[str]:
+    """The terms of a sum, those that are subtracted with their sign; the hyphen of a name is no sign."""
+
+    def ends_a_term(before: str) -> bool:
+        return before.rstrip()[-1:] not in ("", *"+-*")
+
+    places = [
+        k for k in _places(text, "+-") if text[k] == "+" or (text[k - 1] in " )" and ends_a_term(text[:k]))
+    ]
+    terms = [text[a:b].strip() for a, b in zip([0, *places], [*places, len(text)], strict=True)]
+    return [term[0].replace("+", "") + term[1:].strip() for term in terms if term] or [""]
 
 
 def _split(text: str, separator: str) -> list[str]:

@@ -169,7 +169,7 @@ def main(n: int = 8, outer_solvers: Sequence[str] = OUTER) -> dict[str, rm.Solut
 
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
     """The objective across the kink, and height, gap and pressure of the seal where each formulation ends."""
-    best, stalled = solutions["mpcc"], solutions["nested, newton"]
+    best, second = solutions["mpcc"], solutions["nested, newton"]
     nodes = seal_nodes(best.problem)
     middle = nodes[len(nodes) // 2]
     shifts = np.linspace(-2e-3, 2e-3, 81)
@@ -184,12 +184,10 @@ def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
     axes[1].set_title("where both vanish")
     axes[1].legend(frameon=False)
     x = best.problem.mesh.p[0, nodes]
-    for name, solution, style in (("mpcc", best, "o-"), ("nested", stalled, "s--")):
-        height, opened = state(solution)
-        color = "#0072B2" if name == "mpcc" else "#D55E00"
-        axes[2].plot(x, 1e3 * height, style, color=color, markersize=5, label=f"height, {name}")
-        if name == "nested":
-            axes[2].plot(x, 1e3 * opened, "^:", color="0.4", markersize=4, label="gap, nested")
+    height, opened = state(best)
+    axes[2].plot(x, 1e3 * height, "o-", color="#0072B2", markersize=5, label="height, mpcc")
+    axes[2].plot(x, 1e3 * state(second)[0], "+", color="#D55E00", markersize=11, label="height, nested")
+    axes[2].plot(x, 1e3 * opened, "^:", color="0.4", markersize=4, label="gap, both")
     axes[2].set(xlabel="x", ylabel="[1e-3]", title="the seal where they end")
     axes[2].legend(frameon=False)
     save(figure, path)

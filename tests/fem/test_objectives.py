@@ -140,6 +140,20 @@ def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem)
         value(plate, f"node({2 - 2.1e-6!r}, 1, x)")
 
 
+def test_terms_are_added_and_subtracted(plate: ContactProblem) -> None:
+    u = linear(plate, 0.3, -0.2)
+    one, two = (value(plate, text, u) for text in ("mean(top, x - ux)", "boundary(right, y)"))
+    for text, expected in {
+        "mean(top, x - ux) - boundary(right, y)": one - two,
+        "-mean(top, x - ux)+2*boundary(right, y)": 2 * two - one,
+        "1e-1*mean(top, x - ux) - 1e+1*boundary(right, y)": 0.1 * one - 10 * two,
+        "boundary(right, y) + -0.5*mean(top, x - ux)": two - 0.5 * one,
+    }.items():
+        assert value(plate, text, u) == pytest.approx(expected, rel=1e-12)
+    with pytest.raises(ValueError, match="unknown objective 'error-l3'"):
+        value(plate, "error-l3 - quality")
+
+
 WRONG = {  # the last ones are told by a problem only: Example 6.2 without an exact solution
     "must be positive and finite": ("inf*quality", "nan*quality", "0*body(x)", "-0.5*quality"),
     "'x' in .* is not a number": ("x*quality",),

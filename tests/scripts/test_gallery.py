@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[2] / "scripts" / "gallery"
@@ -54,6 +55,24 @@ def test_the_shaped_punch_has_a_lower_peak_by_both_formulations(load: Callable[[
     assert nested.extra["objective_value"] == pytest.approx(mpcc.extra["objective_value"], rel=1e-4)
     # the load, and with it the mean, is given: what the middle is spared the rest must carry
     assert nested.pressure.max() < 0.9 * before.pressure.max()
+
+
+@pytest.mark.slow
+def test_a_slab_ends_where_a_node_is_about_to_slide(
+    load: Callable[[str], ModuleType], tmp_path: Path
+) -> None:
+    module = load("coulomb_kink")
+    solutions = module.main(6)
+    module.draw(solutions, tmp_path / "slab.png")
+    assert all(solution.success for solution in solutions.values())
+    assert solutions["nested"].extra["biactive"] >= 1
+    found = module.across(solutions["nested"])
+    middle, tiny = len(found.x) // 2, 1e-6
+    # sticks on one side and slides on the other: neither slip nor reserve is there on both
+    assert max(found.slip[middle], found.reserve[middle]) < tiny
+    assert np.all(np.minimum(found.slip / found.slip.max(), found.reserve / found.reserve.max()) < tiny)
+    left, right = module.slopes(found)
+    assert max(left / right, right / left) > 1.5
 
 
 @pytest.mark.slow
