@@ -23,13 +23,12 @@ where two nodes have the largest pressure. It is minimised exactly, as one numbe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from common import save
-from designs import FINER, SEEDS, Starts, command_line, five_starts, on_finer_meshes, surviving
+from designs import SEEDS, Designed, command_line, designed
 
 import rmesh_nlp as rm
 from rmesh_nlp.meshes import named
@@ -40,13 +39,7 @@ BLUES = plt.get_cmap("Blues")
 
 OBJECTIVE = "max-pressure(bottom)"
 
-
-@dataclass(frozen=True)
-class Seal:
-    """The solves, and the first and the best seal on meshes 1, 2 and 4 times as fine."""
-
-    starts: Starts
-    finer: list[tuple[rm.Solution, rm.Solution]]
+NAMES = ("start", "best")
 
 
 def problem(n: int, order: int = 2) -> rm.ContactProblem:
@@ -73,23 +66,14 @@ def problem(n: int, order: int = 2) -> rm.ContactProblem:
     )
 
 
-def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Seal:
+def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Designed:
     """Design the seal from each start, and measure the gain again on finer meshes."""
-    starts = five_starts(problem(n, order), OBJECTIVE, seeds)
-    meshes = [problem(factor * n, order) for factor in FINER]
-    finer = on_finer_meshes(meshes, OBJECTIVE, starts.best.design)
-    print(starts.table)
-    for (formulation, seed), end in starts.solutions.items():
-        print(formulation, seed, ", ".join(f"{name} = {value:.5f}" for name, value in end.design.items()))
-    for factor, ends in zip(FINER, finer, strict=True):
-        for name, end in zip(("start", "best"), ends, strict=True):
-            peak, force, length = (end.extra[key] for key in ("peak_pressure", "resultant", "contact_length"))
-            print(f"h/{factor}, {name}: peak {peak:.4f}, resultant {force:.4f}, contact {length:.3f}")
-    print(f"gain_surviving {starts.best.extra['gain_surviving']:.4f}, on h/4 {surviving(finer):.4f}")
-    return Seal(starts, finer)
+    found = designed(problem, n, order, OBJECTIVE, seeds)
+    found.show(NAMES, {"peak_pressure": "peak", "resultant": "resultant", "contact_length": "contact"})
+    return found
 
 
-def draw(seal: Seal, path: Path) -> None:
+def draw(seal: Designed, path: Path) -> None:
     """The best seal pressed on its bead, and the pressures of both on two meshes."""
     figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), layout="constrained", width_ratios=(1.1, 1))
     best, design = seal.finer[0][1], seal.starts.best.design
@@ -108,13 +92,8 @@ def draw(seal: Seal, path: Path) -> None:
     ):
         axes[0].text(0.03, height, text, color=color)
     axes[0].set(xlabel="x", ylabel="y", title="the best seal, closed", aspect="equal", ylim=(-0.08, 0.52))
-    for ends, style, fine in ((seal.finer[0], "o", "h"), (seal.finer[-1], "-", "h/4")):
-        for end, color, name in zip(ends, ("#D55E00", "#0072B2"), ("start", "best"), strict=True):
-            nodes = np.unique(end.mesh.facets[:, end.mesh.boundaries["bottom"]])
-            nodes = nodes[np.argsort(end.mesh.p[0, nodes])]
-            at, pressure = end.mesh.p[0, nodes], end.pressure[nodes]
-            axes[1].plot(at, pressure, style, color=color, markersize=3, label=f"{name}, {fine}")
-    axes[1].set(xlabel="x", ylabel="contact pressure", title="pressure", xlim=(0, 0.7), ylim=(0, None))
+    seal.draw_pressures(axes[1], NAMES)
+    axes[1].set_xlim(0, 0.7)
     axes[1].legend(frameon=False)
     save(figure, path)
 

@@ -10,6 +10,10 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
 import rmesh_nlp as rm
 from formulations.mpcc import AllAtOnce
 from rmesh_nlp.fem.objective import Objective
@@ -20,6 +24,9 @@ FORMULATIONS: Mapping[str, str | AllAtOnce] = {"nested": "nested", "mpcc": AllAt
 
 SEEDS = (None, 1, 2, 3, 4)
 """The given start, and four that are drawn from the bounds."""
+
+COLORS = ("#D55E00", "#0072B2")
+"""Of the first and of the best design."""
 
 FINER = (1, 2, 4)
 """Over how many times as fine meshes the gain is measured again."""
@@ -108,6 +115,58 @@ def on_finer_meshes(
         )
         for problem in problems
     ]
+
+
+@dataclass(frozen=True)
+class Designed:
+    """The solves, and the first and the best design on meshes 1, 2 and 4 times as fine."""
+
+    starts: Starts
+    finer: list[tuple[rm.Solution, rm.Solution]]
+
+    @property
+    def surviving(self) -> float:
+        """The gain on the finest mesh in parts of that on the mesh of the design."""
+        return surviving(self.finer)
+
+    def show(self, names: tuple[str, str], figures: Mapping[str, str]) -> None:
+        """Print the table of starts, and of both designs on every mesh these entries of the record."""
+        best = self.starts.best
+        print(self.starts.table)
+        print("design:", ", ".join(f"{name} = {value:.5f}" for name, value in best.design.items()))
+        for factor, ends in zip(FINER, self.finer, strict=True):
+            for name, end in zip(names, ends, strict=True):
+                shown = (f"{text} {end.extra[key]:.5g}" for key, text in figures.items())
+                print(f"h/{factor}, {name}: {', '.join(shown)}")
+        print(f"gain_surviving {best.extra['gain_surviving']:.4f}, on h/4 {self.surviving:.4f}")
+
+    def draw_pressures(self, axis: Axes, names: tuple[str, str]) -> None:
+        """The contact pressures of both along ``bottom``, on the mesh of the design and on that of h/4."""
+        for ends, style, fine in ((self.finer[0], "o", "h"), (self.finer[-1], "-", "h/4")):
+            for end, color, name in zip(ends, COLORS, names, strict=True):
+                nodes = along(end)
+                x, pressure = np.asarray(end.mesh.p)[0, nodes], end.pressure[nodes]
+                axis.plot(x, pressure, style, color=color, markersize=3, label=f"{name}, {fine}")
+        axis.set(xlabel="x", ylabel="contact pressure", title="pressure", ylim=(0, None))
+
+
+def designed(
+    problem: Callable[[int, int], ContactProblem],
+    n: int,
+    order: int,
+    objective: str | Objective,
+    seeds: Sequence[int | None],
+) -> Designed:
+    """Design from each start, and measure the gain again on finer meshes."""
+    starts = five_starts(problem(n, order), objective, seeds)
+    meshes = [problem(factor * n, order) for factor in FINER]
+    return Designed(starts, on_finer_meshes(meshes, objective, starts.best.design))
+
+
+def along(end: rm.Solution, boundary: str = "bottom") -> NDArray[np.int64]:
+    """Vertices of a boundary from left to right."""
+    nodes = np.unique(end.mesh.facets[:, end.mesh.boundaries[boundary]])
+    return np.asarray(nodes[np.argsort(end.mesh.p[0, nodes])])
 
 
 def surviving(pairs: Sequence[tuple[rm.Solution, rm.Solution]]) -> float:

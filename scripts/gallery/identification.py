@@ -29,7 +29,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 from common import save
-from designs import FINER, SEEDS, Starts, command_line, five_starts, on_finer_meshes, surviving
+from designs import FINER, SEEDS, Starts, along, command_line, five_starts, on_finer_meshes, surviving
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -178,13 +178,13 @@ def draw(found: Identified, path: Path) -> None:
             (first, "#D55E00", "--", "start"),
             (last, "#0072B2", "-", "best fit"),
         ):
-            nodes = _along(end, "top")
+            nodes = along(end, "top")
             axis.plot(
                 end.mesh.p[0, nodes], 1e3 * end.displacement[row, nodes], style, color=color, label=name
             )
         axis.set(xlabel="x", ylabel=f"displacement in {component} [1e-3]", title=f"top, along {component}")
         axis.legend(frameon=False)
-    nodes = _along(last, "bottom")
+    nodes = along(last, "bottom")
     at, friction = last.mesh.p[0, nodes], found.starts.best.design["F"]
     axes[2].plot(at, last.pressure[nodes], color="#0072B2", label="pressure p")
     axes[2].plot(at, friction * last.pressure[nodes], "--", color="0.5", label="bound F p")
@@ -194,12 +194,6 @@ def draw(found: Identified, path: Path) -> None:
     axes[2].set(xlabel="x", ylabel="stress", title="foundation at the best fit", ylim=(0, None))
     axes[2].legend(frameon=False)
     save(figure, path)
-
-
-def _along(end: rm.Solution, boundary: str) -> NDArray[np.int64]:
-    """Vertices of a boundary from left to right."""
-    nodes = np.unique(end.mesh.facets[:, end.mesh.boundaries[boundary]])
-    return nodes[np.argsort(end.mesh.p[0, nodes])]
 
 
 if __name__ == "__main__":

@@ -22,13 +22,12 @@ the glued top and the free sides do to the pressure.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 from common import save
-from designs import FINER, SEEDS, Starts, command_line, five_starts, on_finer_meshes, surviving
+from designs import COLORS, SEEDS, Designed, along, command_line, designed
 
 import rmesh_nlp as rm
 
@@ -43,13 +42,7 @@ LEGENDRE = (
 
 OBJECTIVE = "level-pressure(bottom)"
 
-
-@dataclass(frozen=True)
-class Punch:
-    """The solves, and the flat and the best face on meshes 1, 2 and 4 times as fine."""
-
-    starts: Starts
-    finer: list[tuple[rm.Solution, rm.Solution]]
+NAMES = ("flat", "shaped")
 
 
 def problem(n: int, order: int = 2) -> rm.ContactProblem:
@@ -72,47 +65,26 @@ def problem(n: int, order: int = 2) -> rm.ContactProblem:
     )
 
 
-def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Punch:
+def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Designed:
     """Shape the face of the punch from each start, and measure the gain again on finer meshes."""
-    starts = five_starts(problem(n, order), OBJECTIVE, seeds)
-    meshes = [problem(factor * n, order) for factor in FINER]
-    finer = on_finer_meshes(meshes, OBJECTIVE, starts.best.design)
-    print(starts.table)
-    print("design:", ", ".join(f"{name} = {value:.5f}" for name, value in starts.best.design.items()))
-    for factor, ends in zip(FINER, finer, strict=True):
-        for name, end in zip(("flat", "shaped"), ends, strict=True):
-            value, peak, force = (end.extra[key] for key in ("objective_value", "peak_pressure", "resultant"))
-            print(f"h/{factor}, {name}: objective {value:.5g}, peak {peak:.4f}, resultant {force:.4f}")
-    print(f"gain_surviving {starts.best.extra['gain_surviving']:.4f}, on h/4 {surviving(finer):.4f}")
-    return Punch(starts, finer)
+    found = designed(problem, n, order, OBJECTIVE, seeds)
+    found.show(NAMES, {"objective_value": "objective", "peak_pressure": "peak", "resultant": "resultant"})
+    return found
 
 
-def draw(punch: Punch, path: Path) -> None:
+def draw(punch: Designed, path: Path) -> None:
     """The faces, ten times as high, and their pressures on the mesh of the design and on that of h/4."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 3.6), layout="constrained")
-    flat, shaped = punch.finer[0]
-    for end, color, name in ((flat, "#D55E00", "flat"), (shaped, "#0072B2", "shaped")):
-        nodes = _face(end)
+    for end, color, name in zip(punch.finer[0], COLORS, NAMES, strict=True):
+        nodes = along(end)
         x, y = np.asarray(end.mesh.p)[:, nodes]
         axes[0].plot(x, 1e3 * (y - TILT * x), "o-", color=color, markersize=3, label=f"{name} face")
     axes[0].set(xlabel="x", ylabel="distance from the tilted plane [1e-3]", title="face before contact")
-    for ends, style, fine in ((punch.finer[0], "o", "h"), (punch.finer[-1], "-", "h/4")):
-        for end, color, name in zip(ends, ("#D55E00", "#0072B2"), ("flat", "shaped"), strict=True):
-            nodes = _face(end)
-            x, pressure = np.asarray(end.mesh.p)[0, nodes], end.pressure[nodes]
-            axes[1].plot(x, pressure, style, color=color, markersize=3, label=f"{name}, {fine}")
+    punch.draw_pressures(axes[1], NAMES)
     axes[1].axhline(FORCE / 2, color="0.5", linewidth=0.8, linestyle=":", label="mean")
-    axes[1].set(xlabel="x", ylabel="contact pressure", title="pressure", ylim=(0, None))
     for axis in axes:
         axis.legend(frameon=False)
     save(figure, path)
-
-
-def _face(end: rm.Solution) -> np.ndarray:
-    """Vertices of the face from left to right."""
-    mesh = end.mesh
-    nodes = np.unique(mesh.facets[:, mesh.boundaries["bottom"]])
-    return nodes[np.argsort(mesh.p[0, nodes])]
 
 
 if __name__ == "__main__":

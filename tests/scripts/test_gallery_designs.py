@@ -43,7 +43,7 @@ def test_the_face_of_the_punch_levels_its_pressure(load, tmp_path: Path) -> None
         mean = module.FORCE / 2
         assert flat.pressure.max() > 2 * mean
         assert shaped.pressure.max() < 1.05 * mean
-    assert module.surviving(punch.finer) > 0.95
+    assert punch.surviving > 0.95
     module.draw(punch, tmp_path / "it.png")
     assert (tmp_path / "it.png").stat().st_size > 10_000
     assert is_same_at_start("level_punch.toml", module.problem(8), module.OBJECTIVE)
@@ -81,7 +81,7 @@ def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
         assert best.extra["resultant"] == pytest.approx(module.FORCE, rel=5e-3)
     design = seal.starts.best.design
     assert design["lip"] > 9 * design["core"]  # a stiff lip on a soft core
-    assert module.surviving(seal.finer) > 0.95
+    assert seal.surviving > 0.95
     module.draw(seal, tmp_path / "it.png")
     assert (tmp_path / "it.png").stat().st_size > 10_000
     assert is_same_at_start("closing_force.toml", module.problem(8), module.OBJECTIVE)
