@@ -128,7 +128,7 @@ def test_the_length_of_contact_of_the_record_is_the_limit() -> None:
         ("contact-length(contact)", r"expected contact-length\(NAME, P\)"),
         ("resultant()", r"expected resultant\(NAME\)"),
         ("level-pressure(a, b)", r"expected level-pressure\(NAME\)"),
-        ("square(area - x)", "unknown objective 'area - x'"),
+        ("square(area - x)", "unknown objective 'x' in 'area - x'"),
         ("square()", "unknown objective ''"),
         ("square(area - inf)", "needs a finite value, got inf"),
         ("-2*square(area - 1)", "must be positive"),

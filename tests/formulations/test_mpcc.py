@@ -24,6 +24,7 @@ from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step
 from support.designs import LOAD, block
 from support.formulations import joint, mpcc
 from support.solved import example, solved
@@ -237,7 +238,7 @@ def test_the_better_end_of_two_paths_is_kept_for_designs(
     outer, near = Outer(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
-    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor) -> Outcome:
+    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
         near.append(at.is_near)
         return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
 
@@ -247,6 +248,26 @@ def test_the_better_end_of_two_paths_is_kept_for_designs(
     assert found.q is ends[kept]
     assert AllAtOnce(twice=False).run(outer, np.zeros(outer.n), Monitor()).status is Status.CONVERGED
     assert len(near) == 3
+
+
+def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    outer = Outer(block(LOAD), "compliance")
+    start, lower = np.zeros(outer.n), 0.1 * np.ones(outer.n)
+
+    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
+        if most is None:
+            for k in range(1, 6):
+                monitor.note(Step(k, float(-k), 0.0, 0.0, 0.0, 0, 0.0))
+            return Outcome(at, start, Status.CONVERGED)
+        assert most == 3 * 5
+        return Outcome(at, lower, Status.ITERATION_LIMIT)
+
+    monkeypatch.setattr(AllAtOnce, "_path", path)
+    found = AllAtOnce().run(outer, start, Monitor())
+    assert found.status is Status.CONVERGED
+    assert found.q is start
 
 
 def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPatch) -> None:
