@@ -121,7 +121,7 @@ def mpcc_of(rows: Rows, p: Any = None) -> MPCC:
     for i, (bits, j) in rows.complements.items():
         lower = float(rows.lbx[j]) if bits & 1 else -np.inf
         upper = float(rows.ubx[j]) if bits & 2 else np.inf
-        if (bits & 1 and lower == -np.inf) or (bits & 2 and upper == np.inf):
+        if bits and lower == -np.inf and upper == np.inf:  # of two bounds one may be infinite
             raise ValueError(
                 f"row {i} ({rows.row_names[i]}) complements an infinite bound of {named(rows.x, j)}"
             )
