@@ -49,15 +49,9 @@ def test_nl_file_with_complementarity_rows(nl):
 @pytest.mark.parametrize(
     ("bits", "bound", "G", "H"),
     [
-        (1, "2 0", 4, 1),
-        (1, "0 0 7", 4, 1),
-        (2, "1 3", -4, 2),
-        (2, "0 0 3", -4, 2),
-        (3, "4 1", None, None),
-        (3, "2 0", 4, 1),
-        (3, "1 3", -4, 2),
-        (0, "3", None, None),
-    ],  # fmt: skip
+        *((1, "2 0", 4, 1), (1, "0 0 7", 4, 1), (2, "1 3", -4, 2), (2, "0 0 3", -4, 2)),
+        *((3, "2 0", 4, 1), (3, "1 3", -4, 2), (3, "4 1", None, None), (0, "3", None, None)),
+    ],
 )
 def test_bits_of_a_complementarity_row_say_which_bound_takes_part(bits, bound, G, H, nl):
     """The row is >= 0 at a lower bound of y and <= 0 at an upper one; x + y = 4 at (3, 1)."""
