@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.clock import LimitReachedError
 from rmesh_nlp.mpcc.curvature import descent_of_curvature
-from rmesh_nlp.mpcc.diagnosis import where_not_finite
+from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
@@ -301,12 +301,14 @@ def _result(
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in run.steps:
         phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
-    message = status.message
+    where = ""
     if status is Status.EVALUATION_ERROR:
-        message = f"{message} {where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])}".strip()
+        where = where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])
+    elif status in (Status.INFEASIBLE, Status.INACCURATE):
+        where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
-        message=message, lower_level=check, curvature=curvature,
+        message=f"{status.message} {where}".strip(), lower_level=check, curvature=curvature,
         **vars(res),
         stationarity="" if found is None else found.label,
         b_stationary=None if found is None else found.b_stationary,
