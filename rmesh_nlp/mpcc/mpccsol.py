@@ -46,7 +46,7 @@ _OF_FUNCTIONS = (
 """Options of any CasADi Function."""
 _KEPT = 8  # solvers with bounds of their own
 
-_alive: list[ca.Callback] = []
+_alive: dict[int, ca.Callback] = {}
 """Callbacks in expressions: CasADi does not own them, and they must live as long as the expression."""
 
 
@@ -76,9 +76,6 @@ class MPCCFunction(ca.Function):
             If CasADi refuses the arguments, or with ``error_on_fail`` if the solve did not succeed.
         """
         solve = self._solve
-        given = [*arguments, *keywords.values()]
-        if any(isinstance(value, ca.MX) for value in given) and solve not in _alive:
-            _alive.append(solve)
         solve.error, solve.is_called = None, True
         try:
             answer = super().__call__(*arguments, **keywords)
@@ -86,6 +83,8 @@ class MPCCFunction(ca.Function):
             solve.is_called = False
         if solve.error is not None:
             raise solve.error
+        if isinstance(next(iter(answer.values() if isinstance(answer, dict) else answer)), ca.MX):
+            _alive[id(solve)] = solve
         return answer
 
     def stats(self) -> dict[str, Any]:

@@ -103,10 +103,10 @@ def _place(i: int, n: int) -> int:
 
 
 def _names(path: Path, ending: str, n: int) -> list[str]:
-    """The first n names of a file beside ``path``, or none."""
+    """The names of a file beside ``path`` if it is of this model; after the rows it may name objectives."""
     beside = path.with_suffix(ending)
     names = beside.read_text(encoding="utf-8", errors="replace").splitlines() if beside.is_file() else []
-    return names[:n] if len(names) >= n else []
+    return names[:n] if len(names) == n or (ending == ".row" and len(names) > n) else []
 
 
 class _Reader:

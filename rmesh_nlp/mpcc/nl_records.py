@@ -73,9 +73,9 @@ class TextRecords:
         """The words of a line as numbers."""
         words = (self._open or self._next()).split()
         self._open = ""
-        if len(words) < len(kinds):
+        if len(words) != len(kinds):
             raise ValueError(f"{len(kinds)} numbers are expected, got {' '.join(words)!r}")
-        return [_CONVERSIONS[kind](word) for kind, word in zip(kinds, words, strict=False)]
+        return [_CONVERSIONS[kind](word) for kind, word in zip(kinds, words, strict=True)]
 
     def _next(self) -> str:
         if not self._lines:

@@ -110,6 +110,7 @@ def test_every_operation_of_an_nl_file(nl, code):
         ("g3 1 1 0", "z3 1 1 0", "the binary form 'z' is not read"),
         ("g3 1 1 0", "hello", "must begin with 'g'"),
         ("0 0.5", "0", "2 numbers are expected, got '0'"),
+        ("J0 2\n0 0", "J0 2\n0 0 1", "2 numbers are expected, got '0 0 1'"),  # old files without segment k
         ("C0", "L0", "logical rows .segment L."),
         ("o44", "f0 1", "line 29: imported functions"),
         ("o44", "h3:abc", "strings are not supported"),
