@@ -32,6 +32,7 @@ def test_seed_determines_the_problem() -> None:
     assert random_design(6).feasible != one.feasible
 
 
+@pytest.mark.slow
 def test_kinds_of_problems() -> None:
     problems = [random_design(seed).problem for seed in range(20)]
     obstacles = [problem.contact_sets[0].obstacle for problem in problems]

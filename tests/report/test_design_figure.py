@@ -113,6 +113,7 @@ bow = { boundary = "bottom", motion = ["0", "x*(4-x)/4"], bounds = [-0.02, 0.03]
 """
 
 
+@pytest.mark.slow
 def test_a_kept_design_is_drawn_again_from_its_folder(tmp_path: Path) -> None:
     path, folder = tmp_path / "my.toml", tmp_path / "out"
     path.write_text(FILE)

@@ -18,6 +18,7 @@ def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return importlib.import_module("benchmark_designs")
 
 
+@pytest.mark.slow
 def test_one_problem_by_both_from_both_starts(
     script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
