@@ -9,6 +9,7 @@ version, ``-=`` the names of the options.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import fields
@@ -51,17 +52,14 @@ def run(arguments: Sequence[str]) -> int:
         print("\n".join([*_keys(), "outlev", "ipopt.NAME"]))
         return 0
     flags = [argument for argument in arguments if argument.startswith("-")]
-    stubs = [argument for argument in arguments if not argument.startswith("-") and "=" not in argument]
+    stub, *assignments = [argument for argument in arguments if not argument.startswith("-")] or [""]
     unknown = [flag for flag in flags if flag not in _FLAGS]
     if unknown:
         raise ValueError(f"unknown flag {unknown[0]!r}; there are {', '.join(_FLAGS)}")
-    if len(stubs) != 1:
-        raise ValueError(f"one stub is expected, got {' '.join(stubs) or 'none'}")
-    options, level = _options([
-        *shlex.split(os.environ.get(VARIABLE, "")),
-        *(argument for argument in arguments if "=" in argument),
-    ])  # fmt: skip
-    stub = stubs[0].removesuffix(".nl")
+    if not stub:
+        raise ValueError("no stub given: the model's file without .nl")
+    options, level = _options([*_assignments(os.environ.get(VARIABLE, "")), *assignments])
+    stub = stub.removesuffix(".nl")
     problem = read_nl(Path(f"{stub}.nl"))
     show = partial(print, flush=True) if level > 0 else False  # whoever reads a pipe sees each line at once
     result = solve(problem.mpcc, problem.x0, options=options, progress=show)
@@ -69,6 +67,14 @@ def run(arguments: Sequence[str]) -> int:
     if "-AMPL" not in arguments:  # AMPL shows the message of the file
         print(message(problem, result))
     return 0
+
+
+def _assignments(text: str) -> list[str]:
+    """The options of the environment, ``key=value``, ``key = value`` or ``key value``, as ``key=value``."""
+    words, found = iter(shlex.split(re.sub(r"\s*=\s*", "=", text))), []
+    for word in words:
+        found.append(word if "=" in word else f"{word}={next(words, '')}")
+    return found
 
 
 def _keys() -> list[str]:

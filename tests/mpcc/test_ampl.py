@@ -2,20 +2,24 @@
 
 import re
 import subprocess
+from importlib import import_module
+from pathlib import Path
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from rmesh_nlp import __version__
+from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.mpcc import ampl, read, solve
 from rmesh_nlp.mpcc.__main__ import main
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
 from rmesh_nlp.optimize.status import Status
-from support.asl import environment, install, read_sol
+from support.asl import EXECUTABLE, environment, install, read_sol
 from support.nl_files import NL, SOLUTION, binary
 
+ROOT = Path(__file__).resolve().parents[2]
 ACTIVE = NL.replace("1 5\nb", "1 2.5\nb")
 """With x + z <= 2.5, which is active at the minimum: its dual is not zero."""
 MAXIMUM = ACTIVE.replace("O0 0", "O0 1").replace("o0	#+\no76", "o16\no0\no76").replace("2 -2\n", "2 2\n")
@@ -100,6 +104,13 @@ def test_code_is_in_the_hundred_of_its_kind(status):
     assert solve_code(status) // 100 == (kinds | limits).get(status.value, 5)
 
 
+def test_folder_with_an_equals_sign(tmp_path):
+    folder = tmp_path / "n=3"
+    folder.mkdir()
+    (folder / "model.nl").write_text(NL)
+    assert called(folder / "model").code == 0
+
+
 def test_failed_solve_is_a_solution_file_without_duals(stub):
     sol = called(stub(), "max_iterations=2")
     assert (sol.code, sol.duals, len(sol.x)) == (400, [], 3)
@@ -122,6 +133,17 @@ def test_options_come_from_the_environment_and_then_from_the_command(stub, monke
     assert read_sol(path.with_suffix(".sol")).code == 0
 
 
+@pytest.mark.parametrize("text", ["t0=0.5 relaxation=l1-penalty", "t0 0.5 relaxation = 'l1-penalty'"])
+def test_options_of_the_environment_are_written_as_ampl_writes_them(text):
+    assert ampl._assignments(text) == ["t0=0.5", "relaxation=l1-penalty"]
+
+
+def test_console_script_is_the_command():
+    scripts = read_toml(ROOT / "pyproject.toml")["project"]["scripts"]
+    module, _, name = scripts[EXECUTABLE].partition(":")
+    assert getattr(import_module(module), name) is main
+
+
 def test_words_of_options_become_numbers_and_names():
     given = ("relaxation=l1-penalty", "time_limit_s=5", "second_path=no", "ipopt.tol=1e-9", "outlev=0")
     options, level = ampl._options(given)
@@ -134,8 +156,8 @@ def test_words_of_options_become_numbers_and_names():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["-AMPL"], "one stub is expected, got none"),
-        (["one", "two", "-AMPL"], "one stub is expected, got one two"),
+        (["-AMPL"], "no stub given"),
+        (["one", "two", "-AMPL"], "option 'two' is not of the form key=value"),
         (["absent", "-AMPL"], "absent.nl"),
         (["x", "-AMPL", "tt0=1"], "unknown option 'tt0'"),
         (["x", "-AMPL", "t0=small"], "t0 must be positive and finite, got 'small'"),
