@@ -11,7 +11,8 @@ from __future__ import annotations
 import sys
 from typing import Any
 
-from pyomo.core.base import Constraint, Var, value
+from pyomo.core.base import Constraint, Objective, Var, value
+from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
 from pyomo.mpec.plugins.mpec4 import MPEC4_Transformation
 from pyomo.opt import SolverFactory
@@ -28,6 +29,11 @@ _ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
 class _Transformation(MPEC4_Transformation):
     """Pyomo's ``mpec.nl``, with mixed conditions, and again for a model that it was applied to before."""
 
+    def _apply_to(self, instance: Any, **keywords: Any) -> None:
+        parts = instance.component_data_objects((Constraint, Objective), active=True, descend_into=True)
+        self._used = {id(one) for part in parts for one in identify_variables(part.expr, include_fixed=False)}
+        super()._apply_to(instance, **keywords)
+
     def to_common_form(self, cdata: Any, free_vars: dict[int, Any]) -> None:
         """Write a condition as a constraint ``c`` that complements a variable."""
         for name in _ADDED:
@@ -36,6 +42,9 @@ class _Transformation(MPEC4_Transformation):
         if len(cdata._args) != 2:
             raise ValueError(f"the condition {cdata.name} is not a pair")
         members = [cdata._canonical_expression(member) for member in cdata._args]
+        for member in members:  # the writer knows only variables that are in a row or the objective
+            if id(member[1]) not in self._used:
+                free_vars.pop(id(member[1]), None)
         bare = [len(member) == 3 and member[0] is None and member[2] is None for member in members]
         both = [len(member) == 3 and member[0] is not None and member[2] is not None for member in members]
         if (bare[0] and both[1]) or (bare[1] and both[0]):

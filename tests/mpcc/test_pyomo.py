@@ -56,13 +56,15 @@ def test_registered_solver_takes_mixed_conditions_again_and_again(monkeypatch, c
     m.del_component("least")
     m.z.setlb(-5)
     m.mixed = mpec.Complementarity(expr=mpec.complements(pe.inequality(0, m.z, 2), m.z - m.x + 1))
+    m.elsewhere = pe.Var(initialize=0.5)  # in no row, nor in the objective
+    m.other = mpec.Complementarity(expr=mpec.complements(m.z + 1 >= 0, m.elsewhere >= 0))
     solver = pe.SolverFactory(EXECUTABLE)
     for limit, condition in ((60, "optimal"), (1e-6, "maxIterations")):
         found = solver.solve(m, timelimit=limit, symbolic_solver_labels=True)
         assert found.solver.termination_condition == condition
         assert (m.mixed.ctype, m.z.bounds) == (mpec.Complementarity, (-5, None))
         if condition == "optimal":
-            assert [m.x(), m.y(), m.z()] == pytest.approx([1.5, 0.0, 0.5], abs=1e-6)
+            assert [m.x(), m.y(), m.z(), m.elsewhere()] == pytest.approx([1.5, 0.0, 0.5, 0.0], abs=1e-6)
             assert not caplog.records
     m.z.setlb(3)
     m.z.setub(1)
