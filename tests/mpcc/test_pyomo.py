@@ -1,7 +1,6 @@
 """Pyomo models with ``pyomo.mpec``, solved through the executable and through the registered solver."""
 
 import os
-import sys
 
 import pytest
 
@@ -47,28 +46,48 @@ def test_values_and_duals_of_a_model_that_calls_the_executable(on_path, capfd):
     assert (m.pair.ctype, m.pair.active) == (mpec.Complementarity, True)
 
 
-def test_registered_solver_takes_mixed_conditions_again_and_again(monkeypatch, caplog):
-    """0 <= z <= 2 _|_ z - x + 1: between the bounds z = x - 1, least (x - 2)^2 + 1 + x - 1 at x = 1.5."""
-    import rmesh_nlp.mpcc.pyomo_solver  # noqa: F401 registers the solver
+@pytest.fixture
+def registered(monkeypatch):
+    """The solver of this name is ours."""
+    import rmesh_nlp.mpcc.pyomo_solver  # noqa: F401
 
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
+    monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
+    return pe.SolverFactory(EXECUTABLE)
+
+
+def mixed():
+    """0 <= z <= 2 _|_ z - x + 1 in place of the row, and a condition on a variable that is nowhere else.
+
+    Between the bounds z = x - 1, least (x - 2)^2 + 1 + x - 1 at x = 1.5.
+    """
     m = model()
     m.del_component("least")
     m.z.setlb(-5)
     m.mixed = mpec.Complementarity(expr=mpec.complements(pe.inequality(0, m.z, 2), m.z - m.x + 1))
-    m.elsewhere = pe.Var(initialize=0.5)  # in no row, nor in the objective
+    m.elsewhere = pe.Var(initialize=0.5)
     m.other = mpec.Complementarity(expr=mpec.complements(m.z + 1 >= 0, m.elsewhere >= 0))
-    solver = pe.SolverFactory(EXECUTABLE)
-    for limit, condition in ((60, "optimal"), (1e-6, "maxIterations")):
-        found = solver.solve(m, timelimit=limit, symbolic_solver_labels=True)
+    return m
+
+
+def test_registered_solver_takes_mixed_conditions(registered):
+    m = mixed()
+    assert registered.solve(m, timelimit=60).solver.termination_condition == "optimal"
+    assert [m.x(), m.y(), m.z(), m.elsewhere()] == pytest.approx([1.5, 0.0, 0.5, 0.0], abs=1e-6)
+    assert (m.mixed.ctype, m.z.bounds) == (mpec.Complementarity, (-5, None))
+
+
+@pytest.mark.slow
+def test_registered_solver_leaves_the_model_as_it_was(registered, caplog):
+    """Solved again, stopped by the time limit, and refused for bounds that it names."""
+    m = mixed()
+    for limit, condition in ((60, "optimal"), (60, "optimal"), (1e-6, "maxIterations")):
+        assert not caplog.records
+        found = registered.solve(m, timelimit=limit)
         assert found.solver.termination_condition == condition
         assert (m.mixed.ctype, m.z.bounds) == (mpec.Complementarity, (-5, None))
-        if condition == "optimal":
-            assert [m.x(), m.y(), m.z(), m.elsewhere()] == pytest.approx([1.5, 0.0, 0.5, 0.0], abs=1e-6)
-            assert not caplog.records
     m.z.setlb(3)
     m.z.setub(1)
     with pytest.raises(common.errors.ApplicationError):
-        solver.solve(m, symbolic_solver_labels=True)
+        registered.solve(m, symbolic_solver_labels=True)
     assert "(z) = 3.0" in caplog.text
     assert m.mixed.ctype is mpec.Complementarity
