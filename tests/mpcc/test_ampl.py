@@ -56,6 +56,55 @@ def test_executable_is_called_as_jump_calls_it(stub, tmp_path):
     assert "stationarity S" in sol.message
 
 
+JUMP = """g3 1 1 0
+ 2 1 1 0 0 0
+ 0 1
+ 0 0
+ 0 2 0
+ 0 0 0 1
+ 0 0 0 0 0
+ 1 2
+ 0 0
+ 0 0 0 0 0
+C0
+n0
+O0 0
+o0
+o5
+o1
+v0
+n3
+n2
+o5
+o1
+v1
+n1
+n2
+x2
+0 1
+1 0.1
+r
+5 1 2
+b
+2 0
+2 0
+k1
+1
+J0 1
+0 1
+G0 2
+0 0
+1 0
+"""
+"""Least (x - 3)^2 + (y - 1)^2 on 0 <= x _|_ y >= 0 in the layout of MathOptInterface, without names."""
+
+
+def test_model_in_the_layout_of_jump(stub):
+    sol = called(stub(JUMP))
+    assert (sol.code, sol.x) == (0, pytest.approx([3, 0], abs=1e-6))
+    assert sol.suffixes["ipopt_zL_out"][1] == pytest.approx(-2, abs=1e-5)  # y >= 0 is y = 0 on this branch
+
+
 @pytest.mark.parametrize("text", [ACTIVE, MAXIMUM])
 def test_duals_of_rows_and_bounds_make_up_the_gradient(stub, text):
     """The signs of AMPL: gradient of f = sum of dual times gradient of row + zL + zU, minimum or maximum."""
