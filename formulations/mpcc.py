@@ -214,7 +214,10 @@ class AllAtOnce(Formulation):
             return first
         most = SECOND * (monitor.iterations - before)
         second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
-        return first if second is None or second.status in LIMITS else min((first, second), key=_rank)
+        if second is not None and second.status not in LIMITS and _rank(second) < _rank(first):
+            return second
+        monitor.track(outer).exact(0, first.q)  # the history ends where the solve does
+        return first
 
     def _path(self, outer: Outer, q: Array, monitor: Monitor, most: int | None = None) -> Outcome:
         start, begin = q, outer.energy(q)

@@ -265,9 +265,11 @@ def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
         return Outcome(at, lower, Status.ITERATION_LIMIT)
 
     monkeypatch.setattr(AllAtOnce, "_path", path)
-    found = AllAtOnce().run(outer, start, Monitor())
+    monitor = Monitor()
+    found = AllAtOnce().run(outer, start, monitor)
     assert found.status is Status.CONVERGED
     assert found.q is start
+    assert monitor.steps[-1].objective == pytest.approx(outer.function(start).value)
 
 
 def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPatch) -> None:
