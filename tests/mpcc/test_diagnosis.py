@@ -1,6 +1,7 @@
 """What a failed solve says of the place where it failed."""
 
 import re
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
+from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.optimize.status import Status
 
 gap, force, speed = (ca.SX.sym(name) for name in ("gap", "force", "speed"))
@@ -37,6 +39,13 @@ def as_mx():
 def test_first_value_that_is_not_finite_is_named_with_its_unknowns(f, g, words):
     found = where_not_finite(MPCC(X, f, g, gap, force), np.array([1.0, 0.0, -4.0]), NONE)
     assert re.fullmatch(words, found)
+
+
+def test_assembled_model_names_the_function_alone():
+    mpcc = MPCC(X, ca.log(force), None, gap, force)
+    mpcc = replace(mpcc, derivatives=lift(mpcc).base)
+    assert where_not_finite(mpcc, np.array([1.0, 0.0, 0.0]), NONE) == "f is -inf."
+    assert where_not_finite(mpcc, np.array([1.0, 1.0, 0.0]), NONE) == ""
 
 
 @pytest.mark.parametrize(
