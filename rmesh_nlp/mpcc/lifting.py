@@ -133,7 +133,7 @@ def on_side(first: BoolArray) -> BoolArray:
 def lift(mpcc: MPCC) -> Lifted:
     """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place."""
     x, p, column, f = _pure(mpcc)
-    base = mpcc.derivatives or automatic_derivatives(x, p, f, column)
+    base = mpcc.derivatives or mpcc.derived or automatic_derivatives(x, p, f, column)
     n_x, n_g, n_pairs = mpcc.n_x, mpcc.n_g, mpcc.n_pairs
     plain = _plain_unknowns(base, n_x, n_g)
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict

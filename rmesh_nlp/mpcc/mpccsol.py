@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -107,7 +108,7 @@ class _Solve(ca.Callback):
         self, name: str, problem: dict[str, Any], options: Options, error_on_fail: bool, own: dict[str, Any]
     ) -> None:
         ca.Callback.__init__(self)
-        self._problem, mpcc = problem, MPCC(**problem)
+        self._mpcc = mpcc = MPCC(**problem)
         self._name, self._options, self._error_on_fail = name, options, error_on_fail
         self._lam_p = _derivative_by_parameters(mpcc)
         self._solvers: dict[tuple[bytes, ...], MPCCSolver] = {}
@@ -162,7 +163,7 @@ class _Solve(ca.Callback):
             for keys, m in ((_INPUTS, 1), (_OUTPUTS, 1), (seeded, n))
         )
         arguments = [*given.values(), *found.values(), *seeds.values()]
-        results = rule(MPCC(**self._problem), given, found, seeds)
+        results = rule(self._mpcc, given, found, seeds)
         return ca.Function(name, arguments, results, *names_and_options)
 
     def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
@@ -186,13 +187,13 @@ class _Solve(ca.Callback):
         lam_p = self._lam_p(result.x, given["p"], result.lam_g, result.lam_G, result.lam_H)
         return [lam_p if name == "lam_p" else getattr(result, name) for name in _OUTPUTS]
 
-    def _solver(self, bounds: dict[str, Array]) -> MPCCSolver:
-        """The solver for these bounds; those of the last calls are kept."""
+    def _solver(self, bounds: dict[str, Any]) -> MPCCSolver:
+        """The solver for these bounds; those of the last calls are kept, and CasADi's derivatives."""
         key = tuple(bound.tobytes() for bound in bounds.values())
         solver = self._solvers.pop(key, None)
         if solver is None:
-            mpcc = MPCC(**{**self._problem, **bounds})
-            solver = MPCCSolver(mpcc, self._options)
+            solver = MPCCSolver(replace(self._mpcc, **bounds), self._options)
+            self._mpcc = replace(self._mpcc, derived=solver.nlps.lifted.base)
         self._solvers[key] = solver
         if len(self._solvers) > _KEPT:
             del self._solvers[next(iter(self._solvers))]

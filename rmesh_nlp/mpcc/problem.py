@@ -55,6 +55,8 @@ class MPCC:
     lower_level : LowerLevel, optional
         The lower level whose KKT conditions these are, see :func:`rmesh_nlp.mpcc.bilevel`. A start may then
         be given for the upper level's variables alone, which come first.
+    derived : Derivatives, optional
+        What CasADi has derived of the same expressions before, for other bounds: ``Lifted.base``.
 
     Raises
     ------
@@ -77,6 +79,7 @@ class MPCC:
     completion: ca.Function | None = None
     parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
     lower_level: LowerLevel | None = None
+    derived: Derivatives | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
@@ -190,6 +193,7 @@ class MPCC:
             lbx=longer(self.lbx, lbx, new_x), ubx=longer(self.ubx, ubx, new_x),
             lbg=longer(self.lbg, lbg, rows[0]), ubg=longer(self.ubg, ubg, rows[0]),
             derivatives=_extended_derivatives(self, new_x, new_p, kind(f), rows), completion=None,
+            derived=None,
         )  # fmt: skip
 
     @classmethod
