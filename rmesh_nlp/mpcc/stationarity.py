@@ -247,7 +247,7 @@ def strongest(
 def _search(
     programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float
 ) -> tuple[Multipliers | None, bool]:
-    """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair.
+    """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair, nearest first.
 
     Also whether the search was complete.
     """
@@ -264,8 +264,13 @@ def _search(
         if not np.any(outside):
             return found[0], True
         k = int(np.argmax(np.where(outside, np.minimum(np.abs(G), np.abs(H)), -1.0)))
-        stack.extend({**node, k: piece} for piece in reversed(pieces))
+        nearest = sorted(pieces, key=lambda piece: _distance(G[k], piece[0]) + _distance(H[k], piece[1]))
+        stack.extend({**node, k: piece} for piece in reversed(nearest))
     return None, not stack and programs.decided
+
+
+def _distance(value: float, within: Range) -> float:
+    return float(max(within[0] - value, value - within[1], 0.0))
 
 
 def _inside(value: Array, within: Range, zero: float) -> BoolArray:
