@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,7 +17,9 @@ from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.clock import within
+from rmesh_nlp.mpcc.lifting import IntArray
 
+T = TypeVar("T")
 _LARGE = 2000  # rows of a system whose dense rows cost more than the border
 _DENSE = 20.0  # entries of a dense row, in units of the mean
 _MOST = 200  # dense rows of a border
@@ -24,24 +27,38 @@ _REFINEMENTS = 3
 _ROUNDED = 1e-12  # residual, relative, that needs no refinement
 
 
-def factorised(system: sp.csc_matrix, seconds: float = np.inf) -> Callable[[Array], Array]:
-    """The solution for a right side, as a function.
+Solve = Callable[[Array], Array]
+"""The solution for a right side."""
+
+
+def factorised(system: sp.csc_matrix, use: Callable[[Solve], T], seconds: float = np.inf) -> T:
+    """What ``use`` makes of the factors, in ``seconds`` at most.
+
+    SuperLU's memory is given back only in the thread in which it was taken, so the factors stay in there:
+    ``use`` must not keep the function that it is given.
 
     Raises
     ------
     RuntimeError
         If the matrix, or its sparse block, is exactly singular.
     LimitReachedError
-        If the factorisation takes longer than ``seconds``.
+        If it takes longer than ``seconds``.
     """
+    return within(seconds, lambda: use(_solution(system)))
+
+
+def _solution(system: sp.csc_matrix) -> Solve:
     counts = np.diff(system.indptr)
     is_dense = counts > max(_DENSE * system.nnz / max(counts.size, 1), 100.0)
     if system.shape[0] < _LARGE or not 0 < np.count_nonzero(is_dense) <= _MOST:
-        factors = within(seconds, lambda: _lu(system))
+        factors = _lu(system)
         return lambda right: np.asarray(factors.solve(right))
-    inner, outer = np.flatnonzero(~is_dense), np.flatnonzero(is_dense)
+    return _bordered(system, np.flatnonzero(~is_dense), np.flatnonzero(is_dense))
+
+
+def _bordered(system: sp.csc_matrix, inner: IntArray, outer: IntArray) -> Solve:
     sparse, border = system[inner][:, inner].tocsc(), system[inner][:, outer].toarray()
-    factors = within(seconds, lambda: _lu(sparse))
+    factors = _lu(sparse)
     through = factors.solve(border)
     complement = system[outer][:, outer].toarray() - border.T @ through
 

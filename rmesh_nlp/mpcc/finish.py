@@ -112,7 +112,7 @@ def polished(
     """
     zero, near = run.lifted.smaller(z), np.max(z[run.lifted.pairs], axis=0) <= corner
     if run.lifted.source.n_pairs >= LARGE:
-        return _polished(run, z, warm, zero | near, ceiling, release=True)
+        return _polished(run, z, warm, zero, ceiling, release=True)
     found = _polished(run, z, warm, zero, ceiling)
     if (found is not None and found.solved) or not np.any(near):
         return found

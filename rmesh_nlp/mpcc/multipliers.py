@@ -12,7 +12,7 @@ Linear programs over the same columns (see ``stationarity``) decide the cases th
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -123,11 +123,10 @@ def by_least_squares(
     s_rise = columns.may_rise.copy()
     s_rise[s_rise.size - columns.corner.size :] &= ~columns.corner
     try:
-        solve = _factorised(scaled, seconds)
         random = np.random.default_rng(0).normal(size=size.size)
-        again = solve(-(scaled @ random), np.zeros(size.size))
+        gradients = (-(scaled @ random), lin.gradient)
+        again, values = _least_squares(scaled, gradients, np.zeros(size.size), seconds)
         unique = bool(np.max(np.abs(again - random)) <= _RECOVERED)
-        values = solve(lin.gradient, np.zeros(size.size))
         if unique:
             signed = _signed(values / size, columns.may_fall, columns.may_rise)
             if np.max(np.abs(lin.gradient + matrix @ signed), initial=0.0) > slack:
@@ -140,20 +139,23 @@ def by_least_squares(
     return None if found is None else LeastSquares(columns.scattered(found / size), True, False)
 
 
-def _factorised(matrix: sp.csc_matrix, seconds: float) -> Callable[[Array, Array], Array]:
-    """``(gradient, start) -> multipliers`` of least squares, by refinements from a start."""
+def _least_squares(
+    matrix: sp.csc_matrix, gradients: Sequence[Array], start: Array, seconds: float
+) -> list[Array]:
+    """Multipliers for each gradient, by refinements from a start, with one factorisation."""
     n, k = matrix.shape
     system = sp.bmat([[sp.identity(n), matrix], [matrix.T, -_PROXIMAL * sp.identity(k)]], format="csc")
-    solution = factorised(system, seconds)
 
-    def solve(gradient: Array, start: Array) -> Array:
-        values = start
+    def refined(solve: Callable[[Array], Array]) -> list[Array]:
+        found = [start for _ in gradients]
         for _ in range(_REFINEMENTS):
-            right = np.append(-(gradient + matrix @ values), np.zeros(k))
-            values = values + solution(right)[n:]
-        return values
+            rights = [
+                np.append(-(g + matrix @ v), np.zeros(k)) for g, v in zip(gradients, found, strict=True)
+            ]
+            found = [v + solve(right)[n:] for v, right in zip(found, rights, strict=True)]
+        return found
 
-    return solve
+    return factorised(system, refined, seconds)
 
 
 def _signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
@@ -176,5 +178,5 @@ def _with_signs(
             return None
         kept &= ~wrong
         values = np.where(kept, values, 0.0)
-        values[kept] = _factorised(matrix[:, kept], seconds)(gradient, values[kept])
+        values[kept] = _least_squares(matrix[:, kept], [gradient], values[kept], seconds)[0]
     return None

@@ -24,7 +24,10 @@ from rmesh_nlp.mpcc.run import Run
 Active = NDArray[np.int8]
 """Of each row, then of each unknown: -1 at the lower bound, 1 at the upper, 0 at none; equations at -1."""
 
-_STEPS, _STEPS_OF_LARGE = 12, 25
+_STEPS, _STEPS_OF_LARGE = 12, 40
+# A large active set is left if it moves layer by layer: more than this share of the pairs changes, and more
+# than half as many as some steps before. A smaller t costs less.
+_SHARE_OF_PAIRS, _SLOW = 2e-3, 4
 _REACH = 1.0  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
 # Added to the Hessian: small, so that flat objectives end sharp, then larger, for directions without
 # curvature in which rounding of the gradient would be a long step.
@@ -60,17 +63,18 @@ class _Branch:
         self.places = self.n_rows + lifted.pairs
 
     def release(self, active: Active, lam: Array, tolerance: float) -> Active:
-        """Let a member with a multiplier of the wrong sign leave zero where both members of a pair are fixed.
+        """Let a member with a multiplier of the wrong sign leave zero where both members of a pair are there.
 
-        f falls along it. Of two such members the one with the larger multiplier leaves.
+        f falls along it; the other member becomes the fixed one. Of two such members the one with the larger
+        multiplier leaves.
         """
-        places = self.places[:, np.all(self.equal[self.places], axis=0)]
-        values = lam[places]
-        leaves = np.max(values, axis=0, initial=-np.inf) > tolerance
-        at = places[np.argmax(values, axis=0), np.arange(places.shape[1])][leaves]
-        self.equal[at], self.upper[at] = False, self.uppermost[at]
+        places = self.places[:, np.all(active[self.places] == -1, axis=0)]
+        first = lam[places[0]] > lam[places[1]]
+        places = np.where(first, places, places[::-1])[:, np.max(lam[places], axis=0) > tolerance]
+        leaves, stays = places
         after = active.copy()
-        after[at] = 0
+        self.equal[leaves], self.upper[leaves], after[leaves] = False, self.uppermost[leaves], 0
+        self.equal[stays], self.upper[stays], after[stays] = True, 0.0, -1
         return after
 
     def first_active(self, values: Array, lam: Array, size: Array) -> Active:
@@ -117,7 +121,7 @@ class _Branch:
         if not np.all(np.isfinite(system.data)) or not np.all(np.isfinite(right)):
             return None
         try:
-            solution = factorised(system, seconds)(right)
+            solution = factorised(system, lambda solve: solve(right), seconds)
         except RuntimeError:  # exactly singular
             return None
         step[free] = solution[: free.size]
@@ -147,8 +151,8 @@ def polish(
 ) -> Polished | None:
     """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``.
 
-    ``release`` lets members of pairs that are fixed on both sides leave zero where f falls along them. It is
-    tried with the least regularisation only.
+    ``release`` lets members leave zero where both of a pair are there and f falls along them. It is tried
+    with the least regularisation only.
     """
     if run.lifted.hessian is None:
         return None
@@ -171,13 +175,13 @@ def _newton(
     size = np.append(steepness(jacobian), np.ones(z.size))
     active = branch.first_active(np.append(rows, z), np.append(lam_rows, lam_z) / unit, size)
     lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
-    last = np.inf
+    last, changes = np.inf, [float(np.inf)] * _SLOW
     for _ in range(_STEPS_OF_LARGE if release else _STEPS):
         run.check()
         hessian = lifted.curvature(z, run.p, lam_rows)
         slope = gradient + jacobian.T @ lam_rows
         step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal, run.seconds_left)
-        if step is None or not (_is_short(step[0], origin) if release else _is_near(z + step[0], origin)):
+        if step is None or not (release or _is_near(z + step[0], origin)):
             return None
         before, z, lam_rows = f, z + step[0], lam_rows + step[1]
         f, gradient, rows, jacobian = lifted.linearise(z, run.p)
@@ -193,14 +197,12 @@ def _newton(
         still = worst > 0.1 * last and abs(f - before) <= _STILL * (1 + abs(f))
         if np.array_equal(after, active) and (worst <= _SHARP or (worst <= 1.0 and still)):
             return Polished(z, f, lam_rows, np.where(held, lam_z, 0.0))
+        changes.append(float(np.count_nonzero(after != active)))
+        if release and changes[-1] > max(0.5 * changes[-1 - _SLOW], _SHARE_OF_PAIRS * lifted.pairs.shape[1]):
+            return None
         active, last = after, worst
         lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
     return None
-
-
-def _is_short(step: Array, origin: Array) -> bool:
-    """Whether a step is of the size of the point: an active set that runs away converges to nothing."""
-    return bool(np.max(np.abs(step), initial=0.0) <= _REACH * (1 + np.max(np.abs(origin), initial=0.0)))
 
 
 def _is_near(z: Array, origin: Array) -> bool:
