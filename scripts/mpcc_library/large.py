@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 
 import casadi as ca
@@ -41,8 +42,11 @@ def obstacle_control(size: int, seed: int) -> Problem:
     return Problem(f"obstacle-control-{size}-{seed}", mpcc, np.zeros(3 * size))
 
 
-def membrane(size: int, seed: int) -> Problem:
-    """Stiffnesses of 3 by 3 parts of a membrane over a foundation, of mean at most 1, for a wanted shape."""
+def membrane(size: int, seed: int, *, of_pressure: bool = False) -> Problem:
+    """Stiffnesses of 3 by 3 parts of a membrane over a foundation, of mean at most 1, for a wanted shape.
+
+    ``of_pressure``: for a wanted contact pressure that no stiffness reaches, since it has no gap at the rim.
+    """
     m, h, x, y = _grid(size)
     differences = _differences(m)
     places = np.vstack([x, y])
@@ -56,7 +60,8 @@ def membrane(size: int, seed: int) -> Problem:
     stiffness, u, force = ca.vertsplit(v, [0, 9, 9 + size, 9 + 2 * size])
     D = ca.DM(differences)
     balance = ca.mtimes(D.T, ca.mtimes(ca.DM(part), stiffness) * ca.mtimes(D, u)) - load - force
-    cost = h**2 * ca.sumsqr(u + 0.04 + 0.02 * x) + 1e-3 / 9 * ca.sumsqr(stiffness - 1)
+    miss = force / h**2 - (1.0 + x) if of_pressure else u + 0.04 + 0.02 * x
+    cost = h**2 * ca.sumsqr(miss) + 1e-3 / 9 * ca.sumsqr(stiffness - 1)
     lower = np.append(np.full(9, 0.2), np.full(2 * size, -np.inf))
     upper = np.append(np.full(9, 5.0), np.full(2 * size, np.inf))
     none = np.zeros(size)
@@ -64,10 +69,12 @@ def membrane(size: int, seed: int) -> Problem:
         v, cost, ca.vertcat(balance, ca.sum1(stiffness) / 9), force, u - ground,
         lbx=lower, ubx=upper, lbg=np.append(none, 0.0), ubg=np.append(none, 1.0),
     )  # fmt: skip
-    return Problem(f"membrane-{size}-{seed}", mpcc, np.append(np.ones(9), np.zeros(2 * size)))
+    name = "membrane-pressure" if of_pressure else "membrane"
+    return Problem(f"{name}-{size}-{seed}", mpcc, np.append(np.ones(9), np.zeros(2 * size)))
 
 
 LARGE: dict[str, tuple[Callable[[int, int], Problem], tuple[int, ...]]] = {
     "obstacle-control": (obstacle_control, (400, 1600, 4900, 10_000, 40_000, 99_856)),
     "membrane": (membrane, (400, 1600, 4900, 10_000)),
+    "membrane-pressure": (functools.partial(membrane, of_pressure=True), (400, 1600, 3600, 10_000)),
 }
