@@ -4,15 +4,15 @@
 """
 
 from rmesh_nlp.mpcc.bilevel import bilevel
-from rmesh_nlp.mpcc.interfaces import MultiStart, multistart
 from rmesh_nlp.mpcc.lower_level import LowerLevel, LowerLevelCheck
 from rmesh_nlp.mpcc.mpccsol import mpccsol
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
-from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
-from rmesh_nlp.mpcc.solver import MPCCSolver, solve
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Step
+from rmesh_nlp.mpcc.solver import MPCCSolver, multistart, solve
+from rmesh_nlp.mpcc.starts import MultiStart
 from rmesh_nlp.mpcc.stationarity import Classification, classify
 
 __all__ = [
@@ -28,6 +28,7 @@ __all__ = [
     "MultiStart",
     "Options",
     "Problem",
+    "Reached",
     "Step",
     "bilevel",
     "classify",

@@ -17,8 +17,9 @@ from scipy.sparse.linalg import spsolve
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
-from rmesh_nlp.mpcc.lpec import Direction, Linearisation, linearise, nearest_branch
+from rmesh_nlp.mpcc.lpec import Direction, Linearisation, linearise
 from rmesh_nlp.mpcc.options import LARGE
+from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.polish import polish, project
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
@@ -27,7 +28,7 @@ from rmesh_nlp.optimize.status import Status
 
 _FAITHFUL = 1e-2
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
-_REACHES = (2.0, 20.0)  # radii of the search for a feasible branch, in units of the largest min(G, H)
+_REACH = 2.0  # first radius of the search for a feasible branch, in units of the largest min(G, H)
 _SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
 _REGULAR, _CONSISTENT = 1e-10, 1e-3
 _TRUST = (None, 1e-1, 1e-3)  # relative radii within which a lower point of the descent branch is sought
@@ -191,21 +192,18 @@ def _projected(run: Run, z: Array, end: Finish) -> Finish:
 
 
 def _other_branch(run: Run, z: Array, zero: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
-    """A feasible branch near the relaxed point: first by signs, which is cheap, then by elastic LPECs."""
+    """A feasible branch near the relaxed point: first by signs, which is cheap, then by phase I."""
     by_signs = _follow_signs(run, z, zero)
     if by_signs is not None:
         return by_signs
     distance = float(np.max(np.min(z[run.lifted.pairs], axis=0), initial=0.0))
-    for reach in _REACHES:
-        radius = reach * max(distance, run.options.corner)
-        near = nearest_branch(run.lifted, z, run.p, radius, run.seconds_left)
-        if near is None or np.array_equal(near[1], zero):
-            continue
-        zero = near[1]
-        result = run.branch(near[0], zero)
-        if run.exact(result.x):
-            break
-    return result, zero
+    near = phase_one(run, z, radius=_REACH * max(distance, run.options.corner))
+    if near.status is not Status.CONVERGED:
+        return result, zero
+    better = run.branch(near.z, near.zero)
+    if not run.exact(better.x):
+        better = replace(better, x=near.z, f=run.objective(near.z))
+    return better, near.zero
 
 
 def _follow_signs(run: Run, z: Array, zero: BoolArray) -> tuple[NLPResult, BoolArray] | None:

@@ -8,6 +8,7 @@ it: where they are not lower there than the first trajectory, the two are one, a
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -26,7 +27,7 @@ _FALLS, _STUCK = 0.9, 3  # products that fall by less than a tenth, so many time
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
-_SAME = 1e-4  # relaxed solutions that are not lower than this, relative, end no lower either
+_SAME = 1e-4  # relaxed solutions that are not lower by this, relative, end no lower; nearer ones are one
 
 
 @dataclass(eq=False)
@@ -35,18 +36,22 @@ class Path:
 
     ``finish`` is the best so far, ``relaxed`` the last relaxed solution, or the failed one if there is none,
     and ``failure`` says why the last step failed, if it did. ``levels`` are the weighted objectives of the
-    relaxed solutions, by t.
+    relaxed solutions, by t. ``joined`` is the number of the former trajectory that this one came upon.
     """
 
     finish: Finish | None = None
     relaxed: NLPResult | None = None
     failure: Status | None = None
     levels: dict[float, float] = field(default_factory=dict)
+    joined: int | None = None
 
     @property
     def ended(self) -> bool:
-        """Whether nothing more is to be tried: stationary, or unbounded."""
-        return self.finish is not None and (self.finish.solved or self.finish.status is Status.UNBOUNDED)
+        """Whether nothing more is to be tried: stationary, unbounded, or one with a former trajectory."""
+        end = self.finish
+        return self.joined is not None or (
+            end is not None and (end.solved or end.status is Status.UNBOUNDED)
+        )
 
     def keep(self, end: Finish) -> bool:
         """Take an end if it is better than the one there is; whether it is stationary."""
@@ -64,13 +69,14 @@ def follow(
     first: NLPResult | None = None,
     *,
     patience: int = RETREATS,
+    former: Sequence[Mapping[float, float]] = (),
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
     If a step fails, t retreats half of the way (in its logarithm) and goes down by a smaller factor from
     there, ``patience`` times; a step that is locally infeasible counts twice. A penalty whose products do not
     fall any more has ended at a violation. ``first`` holds multipliers of the lifted problem for the first
-    step.
+    step, ``former`` the levels of trajectories that this one may join.
     """
     options = run.options
     t, factor, retreats, stuck, product, corner = t0, options.factor, 0, 0, np.inf, 0.0
@@ -85,6 +91,10 @@ def follow(
             stuck = stuck + 1 if run.steps[-1].product > max(_FALLS * product, 10 * t) else 0
             product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
             path.levels[t] = objective
+            same = (k for k, levels in enumerate(former) if _is_level(objective, levels.get(t, np.inf)))
+            path.joined = next(same, None)
+            if path.joined is not None:
+                return
             if stuck >= _STUCK:
                 path.failure = Status.INFEASIBLE
                 break
@@ -115,6 +125,17 @@ def follow(
             t = t / factor
     if path.finish is None and path.relaxed is not None and np.all(np.isfinite(path.relaxed.x)):
         path.finish = finish(run, path.relaxed.x, search=last is not None)
+
+
+def first_t(run: Run, z0: Array) -> float:
+    """``t0``, or of a large problem the product of the largest members at the start, if that is smaller.
+
+    A relaxation far above the products does not act, and the first one of a large problem is long.
+    """
+    options, scale = run.options, 0.0
+    if run.lifted.source.n_pairs >= LARGE:
+        scale = float(np.prod(np.max(np.abs(z0[run.lifted.pairs]), axis=1)))
+    return float(np.clip(scale, options.t_final, options.t0)) if scale > 0 else options.t0
 
 
 def _step(
@@ -165,6 +186,10 @@ def _outlook(run: Run, warm: NLPResult) -> float:
 def _at_the_limit(finished: float, expected: float, gap: float) -> bool:
     """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
     return finished - expected <= gap * max(abs(finished), abs(expected)) + _GAP_FLOOR
+
+
+def _is_level(objective: float, known: float) -> bool:
+    return abs(objective - known) <= _SAME * (1 + abs(known)) if np.isfinite(known) else False
 
 
 def _settled(before: BoolArray, sides: BoolArray) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any
@@ -12,7 +13,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Evaluator
 from rmesh_nlp.mpcc.lifting import BoolArray, Lifted, lift, warm_start
-from rmesh_nlp.mpcc.options import DEPENDENT, Options
+from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
@@ -28,8 +29,8 @@ class CompiledNLPs:
 
     Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
     fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
-    ``dependent`` says to reckon with equations that follow from each other, ``only_clock`` that the monitor
-    looks at nothing but the clock.
+    ``extra`` are Ipopt options of rescues, below those of the user; ``only_clock`` says that the monitor looks
+    at nothing but the clock.
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
@@ -40,7 +41,8 @@ class CompiledNLPs:
         self._relaxations: dict[str, tuple[NLP, Evaluator]] = {}
         self._solvers: dict[tuple[Any, ...], _AnySize] = {}
         self.watch = Watch()
-        self.dependent = self.only_clock = False
+        self.extra: Mapping[str, Any] = {}
+        self.only_clock = False
         self.build_seconds = time.perf_counter() - began
 
     @cached_property
@@ -56,10 +58,9 @@ class CompiledNLPs:
         # iterations of a small problem are shorter than a callback: its clock is looked at now and then
         every = int(np.clip(_CLOCK // max(nlp.n_x, 1), 1, 20)) if self.only_clock else 1
         watch = None if self.watch.monitor is None else self.watch
-        key = (*key, watch is None, every, self.dependent)
+        key = (*key, watch is None, every, *self.extra)
         if key not in self._solvers:
             began = time.perf_counter()
-            options = {**DEPENDENT, **options} if self.dependent else options
             self._solvers[key] = _AnySize(nlp, options, watch, every)
             self.build_seconds += time.perf_counter() - began
         return self._solvers[key]
@@ -73,7 +74,7 @@ class CompiledNLPs:
         """
         nlp, _ = self._relaxed(name)
         first = first and warm is None
-        options = self.options.relaxed(nlp.n_x, warm is not None, first)
+        options = self.options.relaxed(nlp.n_x, warm is not None, first, self.extra)
         solver = self._solver((name, warm is not None, first), nlp, options)
         return solver(z, p=np.append(p, t), **_multipliers(warm))
 
@@ -114,7 +115,7 @@ class CompiledNLPs:
             lower[lifted.member] = -np.inf
         fixed = lifted.pairs[zero]
         lower[fixed] = upper[fixed] = 0.0
-        options = self.options.exact(lifted.nlp.n_x, warm is not None)
+        options = self.options.exact(lifted.nlp.n_x, warm is not None, self.extra)
         solver = self._solver(("branch", warm is not None), lifted.nlp, options)
         return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **_multipliers(warm))
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
-from rmesh_nlp.settings import Count, Part, Positive, Seconds, Settings, check_positive
+from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings, check_positive
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 _ADAPTIVE = {"mu_strategy": "adaptive", "mu_oracle": "quality-function"}
@@ -31,6 +31,8 @@ DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
 
 Without them its multipliers grow until it calls a point that is not stationary acceptable."""
 
+NONE: Mapping[str, Any] = {}
+
 
 @dataclass(frozen=True)
 class Options(Settings):
@@ -45,7 +47,12 @@ class Options(Settings):
         it starts lower if the members at the start are small.
     rescues : tuple of (str, float)
         Further homotopies, relaxation and t0 of each, tried in turn while no stationary point is found. They
-        reckon with equations that follow from each other.
+        reckon with equations that follow from each other. Phase I comes after them.
+    moves : int
+        Last rescues, below ``LARGE`` pairs: the homotopy from so many moved starts.
+    starts, seed : int
+        The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it has
+        the objective of a former one at the same t. Limits hold for all starts together.
     crossover : float
         The exact finish is tried from the first ``t <= crossover`` at which the sides of all
         pairs are those of the step before, and anyway at ``t_final``.
@@ -92,6 +99,9 @@ class Options(Settings):
         ("scholtes", 1e-3),
         ("l1-penalty", 1.0),
     )
+    moves: Limit = 4
+    starts: Count = 1
+    seed: Limit = 0
     crossover: Positive = 1e-2
     warm_duals: bool = False
     newton_finish: bool = True
@@ -114,22 +124,26 @@ class Options(Settings):
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
-    def relaxed(self, n: int, warm: bool, first: bool = False) -> dict[str, Any]:
+    def relaxed(
+        self, n: int, warm: bool, first: bool = False, extra: Mapping[str, Any] = NONE
+    ) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
+
+        ``extra`` ones override the defaults, and the user's override all.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
         """
         own = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **(_FIRST if first else {})}
-        return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
+        return {**own, **extra, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 
     def unlifted(self, n: int) -> dict[str, Any]:
         """Ipopt options of the second trajectory of ``n`` unknowns: its defaults."""
         return {"max_iter": _iterations(n), **_UNLIFTED}
 
-    def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
+    def exact(self, n: int, warm: bool = False, extra: Mapping[str, Any] = NONE) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        return {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {}), **self.ipopt_exact}
+        return {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {}), **extra, **self.ipopt_exact}
 
 
 def with_ipopt(given: Mapping[str, Any]) -> dict[str, Any]:

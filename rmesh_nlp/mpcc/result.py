@@ -140,6 +140,19 @@ class Duals:
     lam_H: Array  # noqa: N815
 
 
+@dataclass(frozen=True)
+class Reached:
+    """Where some of several starts ended: objective (NaN without success), status, number of starts."""
+
+    f: float
+    status: Status
+    starts: int
+
+    def __str__(self) -> str:
+        where = "" if np.isnan(self.f) else f"f = {self.f:.8g}, "
+        return f"{self.starts} {where}{self.status.value}"
+
+
 @dataclass(frozen=True, eq=False)
 class MPCCResult:
     """A solution of an MPCC and everything that was measured on it.
@@ -185,6 +198,9 @@ class MPCCResult:
         Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
         saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with
         slacks, no Hessian, or more than eight constraints without multipliers).
+    reached : tuple of Reached
+        Of several starts: what they ended at, the lowest first. The result itself is the best one;
+        ``counts`` and ``seconds`` are sums over all starts.
     lower_level : LowerLevelCheck, optional
         Of a bilevel program: whether its lower level is at a minimum. Without success where it is not.
     """
@@ -212,6 +228,7 @@ class MPCCResult:
     seconds: Mapping[str, float]
     lower_level: LowerLevelCheck | None = None
     curvature: str = "not tested"
+    reached: tuple[Reached, ...] = ()
 
     @property
     def n_biactive(self) -> int:
@@ -236,4 +253,5 @@ class MPCCResult:
             f"{self.status.value}: f = {self.f:.10g}, violation {self.constraint_violation:.1e}, "
             f"complementarity {self.complementarity:.1e}, stationarity {self.label}"
             + ("" if self.lower_level is None else f"; lower level: {self.lower_level}")
+            + ("" if not self.reached else f"; starts: {'; '.join(map(str, self.reached))}")
         )

@@ -20,6 +20,8 @@ from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 Progress = Callable[[str], None]
+Watchers = tuple[Progress | None, Callable[[Step], None] | None, Callable[[Iterate], None] | None]
+"""Who is told of lines, of steps and of iterations."""
 
 
 class Run:
@@ -45,6 +47,7 @@ class Run:
         on_step: Callable[[Step], None] | None = None,
         on_iteration: Callable[[Iterate], None] | None = None,
         spent: float = 0.0,
+        iterations: int = 0,
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
         self.p = np.append(p, weight)
@@ -53,7 +56,8 @@ class Run:
         self.nearest: tuple[Array, float, float] | None = None
         self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
         self._deadline = time.monotonic() + self.options.time_limit_s - spent
-        self._most = self.options.max_iterations
+        most = self.options.max_iterations
+        self._most = None if most is None else most - iterations
         nlps.only_clock = on_iteration is None and self._most is None
         if progress is not None:
             progress(Step.HEADER)
@@ -117,10 +121,19 @@ class Run:
 
     def check(self) -> None:
         """Raise LimitReachedError if the time or the iterations are used up."""
-        if time.monotonic() > self._deadline:
+        if self._is_late:
             raise LimitReachedError(Status.TIME_LIMIT)
-        if self._most is not None and self.iterations >= self._most:
+        if self.is_over:
             raise LimitReachedError(Status.ITERATION_LIMIT)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the time or the iterations are used up."""
+        return self._is_late or (self._most is not None and self.iterations >= self._most)
+
+    @property
+    def _is_late(self) -> bool:
+        return time.monotonic() > self._deadline
 
     @property
     def seconds_left(self) -> float:

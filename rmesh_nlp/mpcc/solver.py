@@ -5,29 +5,25 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import islice
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.clock import LimitReachedError
-from rmesh_nlp.mpcc.curvature import descent_of_curvature
-from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
-from rmesh_nlp.mpcc.finish import Finish, finish, polished
-from rmesh_nlp.mpcc.homotopy import RETREATS, Path, follow, second_path
+from rmesh_nlp.mpcc.finish import finish, polished
+from rmesh_nlp.mpcc.homotopy import Path, first_t, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
-from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import LARGE, Options
+from rmesh_nlp.mpcc.outcome import end_of, is_infeasible, leave_saddles, result_of
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.rescues import rescue
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
-from rmesh_nlp.mpcc.run import Progress, Run
-from rmesh_nlp.mpcc.violation import is_locally_infeasible
+from rmesh_nlp.mpcc.run import Progress, Run, Watchers
+from rmesh_nlp.mpcc.starts import MultiStart, moved_starts
+from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
-
-_LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
-_SADDLES, _LENGTHS = 4, (0.1, 1e-2, 1e-3)  # saddles left, by steps of these lengths, relative
-_HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 
 
 class MPCCSolver:
@@ -57,41 +53,71 @@ class MPCCSolver:
         spent: float = 0.0,
     ) -> MPCCResult:
         """Solve from ``x0`` with parameters ``p``; see :func:`solve`. ``spent`` seconds count too."""
-        began = time.perf_counter()
-        nlps, lifted, built = self.nlps, self.nlps.lifted, self.nlps.build_seconds
+        show = print if progress is True else (progress or None)
+        many = self._several(x0, p, start, (show, on_step, on_iteration), spent)
+        return many.results[0] if self.options.starts == 1 else many.summary()
+
+    def several(self, x0: ArrayLike, *, p: ArrayLike = (), progress: Progress | bool = False) -> MultiStart:
+        """Solve from ``x0`` and from ``starts - 1`` others; the results of all."""
+        show = print if progress is True else (progress or None)
+        return self._several(x0, p, None, (show, None, None), 0.0)
+
+    def _several(
+        self, x0: ArrayLike, p: ArrayLike, start: MPCCResult | Duals | None, watchers: Watchers, spent: float
+    ) -> MultiStart:
+        began, options, iterations = time.perf_counter(), self.options, 0
+        self.nlps.extra = {}
         parameters = self.mpcc.parameters(p)
         given = self.mpcc.start(x0, parameters)
-        z0, weight = lifted.start(given, parameters), lifted.weight(given, parameters)
-        first = None if start is None else warm_start(lifted, z0, weight, start)
-        show = print if progress is True else (progress or None)
-        run = Run(nlps, parameters, weight, show, on_step, on_iteration, time.perf_counter() - began + spent)
-        paths: list[Path] = []
+        weight = self.nlps.lifted.weight(given, parameters)
+        first = None
+        if start is not None:
+            first = warm_start(self.nlps.lifted, self.nlps.lifted.start(given, parameters), weight, start)
+        results: list[MPCCResult] = []
+        joined: list[int | None] = []
+        former: list[dict[float, float]] = []
+        others = islice(moved_starts(self.mpcc, given, options.seed), options.starts - 1)
+        starts = [given, *others]
+        for x in starts:
+            used = time.perf_counter() - began + spent
+            run = Run(self.nlps, parameters, weight, *watchers, used, iterations)
+            result, path = self._one(run, x, first, former)
+            iterations += run.iterations
+            joined.append(path.joined)
+            results.append(result if path.joined is None else results[path.joined])
+            former.append(path.levels if result.success else {})
+            if run.is_over:
+                break
+        return MultiStart(tuple(results), tuple(starts[: len(results)]), options.seed, tuple(joined))
+
+    def _one(
+        self, run: Run, given: Array, first: NLPResult | None, former: Sequence[dict[float, float]]
+    ) -> tuple[MPCCResult, Path]:
+        """Solve from one start; also the trajectory of the homotopy, which may have joined a former one."""
+        began, nlps, built = time.perf_counter(), self.nlps, self.nlps.build_seconds
+        z0, is_first = nlps.lifted.start(given, run.p[:-1]), not former
+        paths, main = [], Path()
         limit, rescues, infeasible, curvature = None, 0, False, "not tested"
-        nlps.dependent = False
         try:
-            if first is not None:
+            if first is not None and is_first:
                 paths.append(Path(finish=polished(run, z0, first)))
-            for number, (relaxation, t0) in enumerate(self._attempts(z0)):
-                if any(path.ended for path in paths):
-                    break
-                hopeless = number > 0 and all(path.failure is Status.INFEASIBLE for path in paths)
-                if hopeless and relaxation == self.options.relaxation:
-                    continue  # a smaller set of what was empty
-                rescues = number
-                nlps.dependent = number > 0
-                path = Path()
-                paths.append(path)
-                follow(run, path, relaxation, z0, t0, first, patience=0 if hopeless else RETREATS)
+            if not any(path.ended for path in paths):
+                paths.append(main)
+                t0 = first_t(run, z0)
+                follow(run, main, self.options.relaxation, z0, t0, first if is_first else None, former=former)
                 used = time.perf_counter() - began + nlps.build_seconds
-                if number == 0 and self._looks_twice(path) and run.seconds_left > used:
+                if is_first and self._looks_twice(main) and run.seconds_left > used:
                     paths.append(Path())
-                    second_path(run, paths[-1], given, path)
-            curvature = _leave_saddles(run, paths)
-            infeasible = _is_infeasible(run, paths, z0)
+                    second_path(run, paths[-1], given, main)
+            if is_first:
+                rescues = rescue(run, paths, given, z0)
+            if main.joined is None:
+                curvature = leave_saddles(run, paths)
+                infeasible = is_infeasible(run, paths, z0)
         except LimitReachedError as stop:
             limit = stop.status
-        total, end = time.perf_counter() - began, _end(run, paths, z0, limit, infeasible)
-        return _result(run, end, nlps.build_seconds - built, total, rescues, curvature)
+        total, end = time.perf_counter() - began, end_of(run, paths, z0, limit, infeasible)
+        return result_of(run, end, nlps.build_seconds - built, total, rescues, curvature), main
 
     def finish(self, x0: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
@@ -108,7 +134,7 @@ class MPCCSolver:
         except LimitReachedError as stop:
             limit = stop.status
         total = time.perf_counter() - began
-        return _result(run, _end(run, [path], z0, limit), self.nlps.build_seconds - built, total, 0)
+        return result_of(run, end_of(run, [path], z0, limit), self.nlps.build_seconds - built, total, 0)
 
     def _looks_twice(self, path: Path) -> bool:
         """Whether another trajectory may end lower, and can be had."""
@@ -116,21 +142,6 @@ class MPCCSolver:
         has_expressions = self.mpcc.derivatives is None
         is_short = 0 < self.mpcc.n_pairs < LARGE
         return self.options.second_path and has_expressions and is_short and not unbounded
-
-    def _attempts(self, z0: Array) -> list[tuple[str, float]]:
-        """The homotopy asked for, then the rescues; a rescue by the same relaxation and t is left out."""
-        first = (self.options.relaxation, self._first_t(z0))
-        return [first, *(rescue for rescue in self.options.rescues if rescue != first)]
-
-    def _first_t(self, z0: Array) -> float:
-        """``t0``, or of a large problem the product of the largest members at the start, if that is smaller.
-
-        A relaxation far above the products does not act, and the first one of a large problem is long.
-        """
-        options, scale = self.options, 0.0
-        if self.mpcc.n_pairs >= LARGE:
-            scale = float(np.prod(np.max(np.abs(z0[self.nlps.lifted.pairs]), axis=1)))
-        return float(np.clip(scale, options.t_final, options.t0)) if scale > 0 else options.t0
 
 
 def solve(
@@ -189,135 +200,25 @@ def solve(
     return replace(result, seconds=seconds)
 
 
-def _leave_saddles(run: Run, paths: list[Path]) -> str:
-    """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
-    word = "not tested"
-    for _ in range(_SADDLES):
-        here = _choose(paths)
-        if here is None or not here.solved:
-            return word
-        word, d = descent_of_curvature(run, here)
-        if d is None:
-            return word
-        lower = _beyond(run, here, d)
-        if lower is None:
-            return word
-        paths.append(Path(finish=lower))
-    return word
 
 
-def _beyond(run: Run, here: Finish, d: Array) -> Finish | None:
-    """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
-    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(here.z)))
-    for length in _LENGTHS:
-        z = np.clip(here.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
-        found = finish(run, z, search=False)
-        if found.solved and _beats(found, here):
-            return found
-    return None
+def multistart(
+    mpcc: MPCC,
+    x0: ArrayLike,
+    *,
+    n: int = 10,
+    seed: int = 0,
+    p: ArrayLike = (),
+    options: Options | None = None,
+    progress: Progress | bool = False,
+    **changes: object,
+) -> MultiStart:
+    """Solve from ``x0`` and from ``n - 1`` seeded random starts around it; the results of all.
 
-
-def _is_infeasible(run: Run, paths: Sequence[Path], z0: Array) -> bool:
-    """Whether a local minimum of the violation is certified, where no end is feasible or ran out."""
-    z, _, excess = run.nearest or (z0, np.nan, np.inf)
-    ends = [path.finish.status for path in paths if path.finish is not None]
-    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
-    if excess <= 1.0 or over & {*ends, *(path.failure for path in paths)}:
-        return False
-    return is_locally_infeasible(run, z)
-
-
-def _end(
-    run: Run, paths: Sequence[Path], z0: Array, limit: Status | None, infeasible: bool = False
-) -> Finish:
-    """The best point of all homotopies, and why the solve stopped there."""
-    end = _choose(paths)
-    if end is not None and end.solved:
-        return end if run.exact(end.z) else replace(end, status=Status.INACCURATE)
-    if end is not None and end.stationarity is not None:  # exact, but not shown to be stationary
-        return replace(end, status=limit or end.status)
-    z, f, excess = run.nearest or (z0, np.nan, np.inf)
-    if limit is not None:
-        return Finish(z, f, limit)
-    tried = [path.relaxed.x for path in paths if path.relaxed is not None]
-    tried += [path.finish.z for path in paths if path.finish is not None]
-    for point in [z, *tried]:
-        f = run.nlps.measure(point, run.p)[0]
-        if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
-            return Finish(point, f, Status.UNBOUNDED)
-    return Finish(z, f, _failure(paths, excess, infeasible))
-
-
-def _choose(paths: Sequence[Path]) -> Finish | None:
-    """The lowest stationary end, the earlier of equals; an unbounded one if none is stationary."""
-    best: Finish | None = None
-    for end in (path.finish for path in paths if path.finish is not None):
-        if best is None or _beats(end, best):
-            best = end
-    return best
-
-
-def _beats(end: Finish, best: Finish) -> bool:
-    if end.solved and best.solved:
-        return end.f < best.f - _LOWER * (1 + abs(best.f))
-    if end.solved != best.solved:
-        return end.solved
-    return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)
-
-
-def _failure(paths: Sequence[Path], excess: float, infeasible: bool) -> Status:
-    """Why no exact point was found: INFEASIBLE only if a local minimum of the violation was certified."""
-    ends = [path.failure for path in paths if path.failure is not None]
-    ends += [path.finish.status for path in paths if path.finish is not None]
-    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
-        return next((status for status in ends if status is not Status.INFEASIBLE), Status.STALLED)
-    others = set(ends) - {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
-    if infeasible:
-        return Status.INFEASIBLE
-    return next((status for status in ends if status in others), Status.STALLED if ends else Status.FAILED)
-
-
-def _result(
-    run: Run, end: Finish, build: float, total: float, rescues: int, curvature: str = "not tested"
-) -> MPCCResult:
-    """Measure the point on the source problem and put everything together."""
-    lifted, mpcc = run.lifted, run.lifted.source
-    f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
-    found = end.stationarity
-    column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
-    lam_x = np.full(mpcc.n_x, np.nan)
-    if found is not None and found.multipliers is not None:
-        own = found.multipliers
-        column[mpcc.n_g :] = own.pairs.ravel()  # of members that keep their place
-        column[lifted.rows] = own.rows
-        column /= run.p[-1]
-        lam_x = own.z[: mpcc.n_x] / run.p[-1]
-    lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
-    level, check, status = mpcc.lower_level, None, end.status
-    if level is not None and level.nlp.n_x <= DENSE:
-        check = level.check(end.z[: mpcc.n_x], p=run.p[:-1])
-        if end.solved and check.verdict == "no minimum":
-            status = Status.NO_MINIMUM
-    phases = {"homotopy": 0.0, "finish": 0.0}
-    for step in run.steps:
-        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
-    where = ""
-    if status is Status.EVALUATION_ERROR:
-        where = where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])
-    elif status in (Status.INFEASIBLE, Status.INACCURATE):
-        where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
-    return MPCCResult(
-        x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
-        message=f"{status.message} {where}".strip(), lower_level=check, curvature=curvature,
-        **vars(res),
-        stationarity="" if found is None else found.label,
-        b_stationary=None if found is None else found.b_stationary,
-        lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
-        biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
-        history=tuple(run.steps),
-        counts={
-            "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
-            "pivots": end.pivots, "lpecs": end.lpecs, "rescues": rescues,
-        },
-        seconds={"build": build, **phases, "total": total},
-    )  # fmt: skip
+    ``solve(..., starts=n, seed=seed)`` returns the best of them. Starts are uniform between the bounds where both
+    are near enough, else normal around ``x0``, clipped to the bounds. The same seed gives the same starts. A
+    start whose trajectory comes upon a former one has that one's result. Limits hold for all starts together.
+    """
+    if n < 1:
+        raise ValueError(f"n = {n} starts: at least 1 is needed")
+    return MPCCSolver(mpcc, options, **{**changes, "starts": n, "seed": seed}).several(x0, p=p, progress=progress)

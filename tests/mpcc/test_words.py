@@ -14,7 +14,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import _PIECES, stationarity
-from rmesh_nlp.mpcc.violation import is_locally_infeasible
+from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.optimize.status import Status
 
 z = ca.SX.sym("z", 4)

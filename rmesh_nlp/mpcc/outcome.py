@@ -1,0 +1,157 @@
+"""The end of a solve: the best point of all trajectories, why it stopped there, and the measured result."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.curvature import descent_of_curvature
+from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
+from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.homotopy import Path
+from rmesh_nlp.mpcc.lower_level import DENSE
+from rmesh_nlp.mpcc.phase_one import phase_one
+from rmesh_nlp.mpcc.result import MPCCResult
+from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.optimize.status import Status
+
+_LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
+_SADDLES, _LENGTHS = 4, (0.1, 1e-2, 1e-3)  # saddles left, by steps of these lengths, relative
+_HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
+
+
+def leave_saddles(run: Run, paths: list[Path]) -> str:
+    """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
+    word = "not tested"
+    for _ in range(_SADDLES):
+        here = _choose(paths)
+        if here is None or not here.solved:
+            return word
+        word, d = descent_of_curvature(run, here)
+        if d is None:
+            return word
+        lower = _beyond(run, here, d)
+        if lower is None:
+            return word
+        paths.append(Path(finish=lower))
+    return word
+
+
+def _beyond(run: Run, here: Finish, d: Array) -> Finish | None:
+    """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
+    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(here.z)))
+    for length in _LENGTHS:
+        z = np.clip(here.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
+        found = finish(run, z, search=False)
+        if found.solved and _beats(found, here):
+            return found
+    return None
+
+
+def is_infeasible(run: Run, paths: Sequence[Path], z0: Array) -> bool:
+    """Whether a local minimum of the violation is certified, where no end is feasible or ran out."""
+    z, _, excess = run.nearest or (z0, np.nan, np.inf)
+    ends = [path.finish.status for path in paths if path.finish is not None]
+    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
+    if excess <= 1.0 or over & {*ends, *(path.failure for path in paths)}:
+        return False
+    return phase_one(run, z, only_violation=True).status is Status.INFEASIBLE
+
+
+def end_of(
+    run: Run, paths: Sequence[Path], z0: Array, limit: Status | None, infeasible: bool = False
+) -> Finish:
+    """The best point of all homotopies, and why the solve stopped there."""
+    end = _choose(paths)
+    if end is not None and end.solved:
+        return end if run.exact(end.z) else replace(end, status=Status.INACCURATE)
+    if end is not None and end.stationarity is not None:  # exact, but not shown to be stationary
+        return replace(end, status=limit or end.status)
+    z, f, excess = run.nearest or (z0, np.nan, np.inf)
+    if limit is not None:
+        return Finish(z, f, limit)
+    tried = [path.relaxed.x for path in paths if path.relaxed is not None]
+    tried += [path.finish.z for path in paths if path.finish is not None]
+    for point in [z, *tried]:
+        f = run.nlps.measure(point, run.p)[0]
+        if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
+            return Finish(point, f, Status.UNBOUNDED)
+    return Finish(z, f, _failure(paths, excess, infeasible))
+
+
+def _choose(paths: Sequence[Path]) -> Finish | None:
+    """The lowest stationary end, the earlier of equals; an unbounded one if none is stationary."""
+    best: Finish | None = None
+    for end in (path.finish for path in paths if path.finish is not None):
+        if best is None or _beats(end, best):
+            best = end
+    return best
+
+
+def _beats(end: Finish, best: Finish) -> bool:
+    if end.solved and best.solved:
+        return end.f < best.f - _LOWER * (1 + abs(best.f))
+    if end.solved != best.solved:
+        return end.solved
+    return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)
+
+
+def _failure(paths: Sequence[Path], excess: float, infeasible: bool) -> Status:
+    """Why no exact point was found: INFEASIBLE only if a local minimum of the violation was certified."""
+    ends = [path.failure for path in paths if path.failure is not None]
+    ends += [path.finish.status for path in paths if path.finish is not None]
+    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
+        return next((status for status in ends if status is not Status.INFEASIBLE), Status.STALLED)
+    others = set(ends) - {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
+    if infeasible:
+        return Status.INFEASIBLE
+    return next((status for status in ends if status in others), Status.STALLED if ends else Status.FAILED)
+
+
+def result_of(
+    run: Run, end: Finish, build: float, total: float, rescues: int, curvature: str = "not tested"
+) -> MPCCResult:
+    """Measure the point on the source problem and put everything together."""
+    lifted, mpcc = run.lifted, run.lifted.source
+    f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
+    found = end.stationarity
+    column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
+    lam_x = np.full(mpcc.n_x, np.nan)
+    if found is not None and found.multipliers is not None:
+        own = found.multipliers
+        column[mpcc.n_g :] = own.pairs.ravel()  # of members that keep their place
+        column[lifted.rows] = own.rows
+        column /= run.p[-1]
+        lam_x = own.z[: mpcc.n_x] / run.p[-1]
+    lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
+    level, check, status = mpcc.lower_level, None, end.status
+    if level is not None and level.nlp.n_x <= DENSE:
+        check = level.check(end.z[: mpcc.n_x], p=run.p[:-1])
+        if end.solved and check.verdict == "no minimum":
+            status = Status.NO_MINIMUM
+    phases = {"homotopy": 0.0, "finish": 0.0}
+    for step in run.steps:
+        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
+    where = ""
+    if status is Status.EVALUATION_ERROR:
+        where = where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])
+    elif status in (Status.INFEASIBLE, Status.INACCURATE):
+        where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
+    return MPCCResult(
+        x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
+        message=f"{status.message} {where}".strip(), lower_level=check, curvature=curvature,
+        **vars(res),
+        stationarity="" if found is None else found.label,
+        b_stationary=None if found is None else found.b_stationary,
+        lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
+        biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
+        history=tuple(run.steps),
+        counts={
+            "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
+            "pivots": end.pivots, "lpecs": end.lpecs, "rescues": rescues,
+        },
+        seconds={"build": build, **phases, "total": total},
+    )  # fmt: skip
