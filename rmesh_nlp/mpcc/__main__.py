@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from rmesh_nlp.mpcc import ampl
@@ -35,6 +37,13 @@ def parser() -> argparse.ArgumentParser:
     add("--relaxation", default="scholtes", choices=list(RELAXATIONS))
     add("--time-limit", type=float, default=float("inf"), metavar="S", help="seconds per problem (none)")
     add("--max-iterations", type=int, metavar="N", help="Ipopt iterations per problem (no limit)")
+    add(
+        "--starts",
+        type=int,
+        default=1,
+        metavar="N",
+        help="the lowest of N starts: the file's, random ones (1)",
+    )
     add("--log", action="store_true", help="a line per nonlinear program")
     add("--json", action="store_true", help="a JSON object per problem, with the solution")
     return options
@@ -51,8 +60,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return ampl.run(words)
         given = parser().parse_args(words)
         settings = Options(
-            relaxation=given.relaxation, max_iterations=given.max_iterations, time_limit_s=given.time_limit
-        )
+            relaxation=given.relaxation, max_iterations=given.max_iterations, time_limit_s=given.time_limit,
+            starts=given.starts,
+        )  # fmt: skip
         if not given.paths:
             raise ValueError("no file given; see rmesh mpcc --help")
         return max(_solve(path, given, settings) for path in given.paths)
@@ -69,6 +79,7 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
     problem = read(path)
     result = solve(problem.mpcc, problem.x0, p=problem.p0, options=settings, progress=given.log)
     mpcc, f, seconds = problem.mpcc, problem.sign * result.f, result.seconds["total"]
+    reached = [replace(end, f=problem.sign * end.f) for end in result.reached]
     iterations, solves = result.counts["ipopt_iterations"], result.counts["nlp_solves"]
     if given.json:
         words = {
@@ -76,6 +87,10 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
             "constraint_violation": result.constraint_violation, "complementarity": result.complementarity,
             "stationarity": result.stationarity, "n_biactive": result.n_biactive,
             "b_stationary": result.b_stationary, "iterations": iterations, "seconds": seconds,
+            "starts": [
+                {"f": None if math.isnan(end.f) else end.f, "status": end.status.value, "number": end.starts}
+                for end in reached
+            ],
             "x": result.x[: mpcc.n_own].tolist(),
         }  # fmt: skip
         print(json.dumps(words))
@@ -86,6 +101,8 @@ def _solve(path: Path, given: argparse.Namespace, settings: Options) -> int:
         print(f"  objective        {f:.12g}")
         print(f"  stationarity     {result.label}")
         print(f"  residuals        violation {violation:.1e}, min(G, H) {complementarity:.1e}")
+        if reached:
+            print(f"  starts           {'; '.join(map(str, reached))}")
         print(f"  cost             {iterations} iterations in {solves} steps, {seconds:.2f} s")
     return 0 if result.success else 1
 

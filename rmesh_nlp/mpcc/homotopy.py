@@ -49,15 +49,20 @@ class Path:
     def ended(self) -> bool:
         """Whether nothing more is to be tried: stationary, unbounded, or one with a former trajectory."""
         end = self.finish
-        return self.joined is not None or (
-            end is not None and (end.solved or end.status is Status.UNBOUNDED)
-        )
+        return self.joined is not None or (end is not None and (end.solved or end.status is Status.UNBOUNDED))
 
     def keep(self, end: Finish) -> bool:
         """Take an end if it is better than the one there is; whether it is stationary."""
         if self.finish is None or end.rank > self.finish.rank:
             self.finish = end
         return end.solved
+
+
+def ran_out(paths: Sequence[Path]) -> bool:
+    """Whether a limit, an error or a missing bound ended one of the paths, and not a violation."""
+    ends = {path.finish.status for path in paths if path.finish is not None}
+    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
+    return bool(over & {*ends, *(path.failure for path in paths)})
 
 
 def follow(

@@ -29,8 +29,8 @@ class CompiledNLPs:
 
     Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
     fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
-    ``extra`` are Ipopt options of rescues, below those of the user; ``only_clock`` says that the monitor looks
-    at nothing but the clock.
+    ``extra`` are Ipopt options of rescues, below those of the user; ``only_clock`` says that the monitor
+    looks at nothing but the clock.
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:

@@ -51,8 +51,8 @@ class Options(Settings):
     moves : int
         Last rescues, below ``LARGE`` pairs: the homotopy from so many moved starts.
     starts, seed : int
-        The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it has
-        the objective of a former one at the same t. Limits hold for all starts together.
+        The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it
+        has the objective of a former one at the same t. Limits hold for all starts together.
     crossover : float
         The exact finish is tried from the first ``t <= crossover`` at which the sides of all
         pairs are those of the step before, and anyway at ``t_final``.
@@ -99,7 +99,7 @@ class Options(Settings):
         ("scholtes", 1e-3),
         ("l1-penalty", 1.0),
     )
-    moves: Limit = 4
+    moves: Limit = 6
     starts: Count = 1
     seed: Limit = 0
     crossover: Positive = 1e-2
@@ -143,7 +143,13 @@ class Options(Settings):
 
     def exact(self, n: int, warm: bool = False, extra: Mapping[str, Any] = NONE) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        return {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {}), **extra, **self.ipopt_exact}
+        return {
+            "max_iter": _iterations(n),
+            **_EXACT,
+            **(_WARM_EXACT if warm else {}),
+            **extra,
+            **self.ipopt_exact,
+        }
 
 
 def with_ipopt(given: Mapping[str, Any]) -> dict[str, Any]:

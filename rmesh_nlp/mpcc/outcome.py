@@ -11,7 +11,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish
-from rmesh_nlp.mpcc.homotopy import Path
+from rmesh_nlp.mpcc.homotopy import Path, ran_out
 from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.result import MPCCResult
@@ -54,9 +54,7 @@ def _beyond(run: Run, here: Finish, d: Array) -> Finish | None:
 def is_infeasible(run: Run, paths: Sequence[Path], z0: Array) -> bool:
     """Whether a local minimum of the violation is certified, where no end is feasible or ran out."""
     z, _, excess = run.nearest or (z0, np.nan, np.inf)
-    ends = [path.finish.status for path in paths if path.finish is not None]
-    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
-    if excess <= 1.0 or over & {*ends, *(path.failure for path in paths)}:
+    if excess <= 1.0 or ran_out(paths):
         return False
     return phase_one(run, z, only_violation=True).status is Status.INFEASIBLE
 

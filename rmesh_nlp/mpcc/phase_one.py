@@ -3,9 +3,9 @@
 The sum of the violations of all rows is minimised over complementary points, as MPECopt does: a linear
 program with equilibrium constraints (LPEC) gives a step and a branch within a trust region. The region
 shrinks where the step does not lower the violation as it was predicted, and grows where it does, or where
-no complementary point is within reach. Where the linearised violation is closed, Newton steps go onto the branch.
-Where no branch lowers it, the point is a local minimum of the violation to first order: this is what
-"locally infeasible" rests on. A solver that stops at a violation proves nothing.
+no complementary point is within reach. Where the linearised violation is closed, Newton steps go onto the
+branch. Where no branch lowers it, the point is a local minimum of the violation to first order: "locally
+infeasible" rests on this. A solver that stops at a violation proves nothing.
 A. Nurkanovic and S. Leyffer, A globally convergent method for computing B-stationary points of mathematical
 programs with equilibrium constraints, arXiv 2501.13835, 2025; R. Fletcher, S. Leyffer, D. Ralph, S. Scholtes,
 Local convergence of SQP methods for MPECs, SIAM J. Optim. 17 (2006).
@@ -47,9 +47,7 @@ class Feasibility:
     status: Status
 
 
-def phase_one(
-    run: Run, z: Array, *, radius: float = np.inf, only_violation: bool = False
-) -> Feasibility:
+def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: bool = False) -> Feasibility:
     """Look for a feasible complementary point near ``z``, from a trust region of ``radius``.
 
     An infinite radius is the largest unknown. Of steps that lower the violation alike that with the lowest
@@ -59,10 +57,11 @@ def phase_one(
     size = 1.0 + float(np.max(np.abs(z), initial=0.0))
     radius, least, zero = min(radius, size), np.inf, lifted.smaller(z)
     smallest, refused = _SMALLEST * radius, np.inf
-    if not np.all(np.isfinite(z)):
-        return Feasibility(z, zero, Status.STALLED)
     for _ in range(_STEPS):
         run.check()
+        _, gradient, rows, jacobian = lifted.linearise(z, run.p)
+        if not all(np.all(np.isfinite(part)) for part in (z, gradient, rows, jacobian.data)):
+            break
         near = nearest_branch(lifted, z, run.p, radius, run.seconds_left, only_violation=only_violation)
         if near is None or radius < smallest:
             break
@@ -72,7 +71,6 @@ def phase_one(
             radius *= _REACH
             continue
         trial[at] = 0.0
-        _, _, rows, jacobian = lifted.linearise(z, run.p)
         predicted = _sum(rows + jacobian @ (trial - z), nlp.lbg, nlp.ubg)
         if predicted <= _CLOSED * size:
             exact = project(run, trial, sides)
@@ -83,7 +81,9 @@ def phase_one(
             if _REACH * radius < min(refused, _REACH * size):
                 radius *= _REACH
             elif only_violation:
-                return Feasibility(z, zero, Status.INFEASIBLE if _is_violated(run, z, least) else Status.STALLED)
+                return Feasibility(
+                    z, zero, Status.INFEASIBLE if _is_violated(run, z, least) else Status.STALLED
+                )
             else:  # a minimum of the violation is shown without the objective
                 only_violation = True
         elif not np.isfinite(least) or least - found >= _ACCEPTED * decrease:

@@ -1,18 +1,19 @@
 """What is tried, in turn, while no stationary point is found: other relaxations, phase I, other starts.
 
-The relaxations of ``Options.rescues`` begin at the given start and reckon with dependent equations. Phase I begins
-at the point nearest to a solution so far. Last come homotopies from moved starts, as an end may lie in the
-start itself: functions that are not defined beside it, or a valley that leads to a violation.
+The relaxations of ``Options.rescues`` begin at the given start and reckon with dependent equations. Phase I
+begins at the point nearest to a solution so far. Last come homotopies from moved starts, as the cause may
+be the start itself: functions that are not defined beside it, or a valley that leads to a violation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import islice
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish
-from rmesh_nlp.mpcc.homotopy import RETREATS, Path, first_t, follow
+from rmesh_nlp.mpcc.homotopy import RETREATS, Path, first_t, follow, ran_out
 from rmesh_nlp.mpcc.options import DEPENDENT, LARGE
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.run import Run
@@ -47,14 +48,20 @@ def _attempts(run: Run, paths: list[Path], x0: Array, z0: Array) -> Iterator[Cal
             run.nlps.extra = DEPENDENT
             yield homotopy(relaxation, z0, t0)
     run.nlps.extra = {}
-    yield lambda path: _from_phase_one(run, path, z0)
-    if lifted.source.n_pairs < LARGE:
-        for x in islice(moved_starts(lifted.source, x0, options.seed), options.moves):
-            yield homotopy(*asked[:1], lifted.start(x, run.p[:-1]), options.t0)
+    yield lambda path: _from_phase_one(run, path, z0 if run.nearest is None else run.nearest[0])
+    # from a minimum of the violation on, NLPs are solved only where a feasible point was found before
+    is_minimum = paths[-1].failure is Status.INFEASIBLE and not ran_out(paths)
+    moves = options.moves if lifted.source.n_pairs < LARGE else 0
+    for x in islice(moved_starts(lifted.source, x0, options.seed), moves):
+        z = lifted.start(x, run.p[:-1])
+        if is_minimum:
+            yield partial(_from_phase_one, run, z=z)
+        else:
+            yield homotopy(options.relaxation, z, options.t0)
 
 
-def _from_phase_one(run: Run, path: Path, z0: Array) -> None:
-    near = phase_one(run, z0 if run.nearest is None else run.nearest[0])
+def _from_phase_one(run: Run, path: Path, z: Array) -> None:
+    near = phase_one(run, z)
     if near.status is Status.CONVERGED:
         path.keep(finish(run, near.z, search=False))
     else:

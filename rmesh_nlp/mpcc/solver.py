@@ -200,8 +200,6 @@ def solve(
     return replace(result, seconds=seconds)
 
 
-
-
 def multistart(
     mpcc: MPCC,
     x0: ArrayLike,
@@ -215,10 +213,13 @@ def multistart(
 ) -> MultiStart:
     """Solve from ``x0`` and from ``n - 1`` seeded random starts around it; the results of all.
 
-    ``solve(..., starts=n, seed=seed)`` returns the best of them. Starts are uniform between the bounds where both
-    are near enough, else normal around ``x0``, clipped to the bounds. The same seed gives the same starts. A
-    start whose trajectory comes upon a former one has that one's result. Limits hold for all starts together.
+    ``solve(..., starts=n, seed=seed)`` returns the best of them. Starts are uniform between the bounds where
+    both are near enough, else normal around ``x0`` and around 0, clipped to the bounds. The same seed gives
+    the same starts. A start whose trajectory comes upon a former one has that one's result. Limits hold for
+    all starts together.
     """
     if n < 1:
         raise ValueError(f"n = {n} starts: at least 1 is needed")
-    return MPCCSolver(mpcc, options, **{**changes, "starts": n, "seed": seed}).several(x0, p=p, progress=progress)
+    return MPCCSolver(mpcc, options, **{**changes, "starts": n, "seed": seed}).several(
+        x0, p=p, progress=progress
+    )

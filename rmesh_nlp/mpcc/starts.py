@@ -1,7 +1,8 @@
-"""Starts away from the given one, for rescues and for the best of several; and what several starts reached."""
+"""Starts away from the given one, for rescues and for the best of several; what several starts reached."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -19,15 +20,16 @@ _SAME = 1e-4  # ends whose objectives differ by less, relative, are one
 def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:
     """Seeded random starts without end, within the bounds.
 
-    An unknown is uniform between its bounds where these are near each other, else normal around x0.
+    An unknown is uniform between its bounds where these are near each other, else normal around x0 and, in
+    turn, around 0: a given start may itself be far away from everything.
     """
-    lower, upper, unit = np.asarray(mpcc.lbx), np.asarray(mpcc.ubx), 1 + np.abs(x0)
-    near = (upper - lower) <= _NEAR * unit
-    random = np.random.default_rng(seed)
-    while True:
+    lower, upper, random = np.asarray(mpcc.lbx), np.asarray(mpcc.ubx), np.random.default_rng(seed)
+    for centre in itertools.cycle((x0, np.zeros_like(x0))):
+        unit = 1 + np.abs(centre)
+        near = (upper - lower) <= _NEAR * unit
         share = random.uniform(size=x0.size)
         spread = 10.0 ** random.uniform(*_SPREADS)
-        around = np.clip(x0 + spread * unit * random.normal(size=x0.size), lower, upper)
+        around = np.clip(centre + spread * unit * random.normal(size=x0.size), lower, upper)
         inside = np.where(near, lower, 0.0) + share * np.where(near, upper - lower, 0.0)
         yield np.where(near, inside, around)
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
-from rmesh_nlp.mpcc import MPCC, bilevel, classify, solve, solver
+from rmesh_nlp.mpcc import MPCC, bilevel, classify, outcome, solve
 from rmesh_nlp.optimize.status import Status
 
 INF = np.inf
@@ -345,7 +345,7 @@ def test_local_minimum_that_is_not_global_is_found_out():
 
 
 def test_large_lower_level_is_checked_on_request_only(monkeypatch):
-    monkeypatch.setattr(solver, "DENSE", 0)
+    monkeypatch.setattr(outcome, "DENSE", 0)
     mpcc = projection()
     result = solve(mpcc, 0.5)
     assert (result.success, result.lower_level) == (True, None)

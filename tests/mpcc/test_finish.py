@@ -10,6 +10,7 @@ from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc import finish as finishing
 from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lpec import Direction
+from rmesh_nlp.mpcc.phase_one import Feasibility
 from rmesh_nlp.mpcc.polish import Polished
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
@@ -268,10 +269,8 @@ class TestOtherBranch:
 
     @pytest.fixture
     def nearest(self, monkeypatch):
-        self.answer, self.by_signs, radii = (np.array([2.0, 0.0]), ON_H), None, []
-        monkeypatch.setattr(
-            finishing, "nearest_branch", lambda lifted, z, p, radius, _: radii.append(radius) or self.answer
-        )
+        self.near, self.by_signs, radii = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED), None, []
+        monkeypatch.setattr(finishing, "phase_one", lambda run, z, radius: radii.append(radius) or self.near)
         monkeypatch.setattr(finishing, "_follow_signs", lambda *_: self.by_signs)
         return radii
 
@@ -279,19 +278,19 @@ class TestOtherBranch:
     def other(run, *z):
         return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], S.INFEASIBLE))
 
-    def test_it_is_sought_at_a_distance_like_that_of_the_pairs_then_further(self, nearest):
+    def test_it_is_solved_from_the_end_of_phase_one_near_the_point(self, nearest):
         result, zero = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
         assert (list(result.x), zero, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
-        bad = scripted(ended([1.0, 1.0]), exact=False)
-        self.other(bad, 0.5, 0.3)
-        assert nearest[1:] == pytest.approx([0.6, 6.0])
-        assert len(bad.branch_calls) == 1  # the second time it is the same branch again
-        self.other(bad, 0.0, 1.0)  # a point on its branch: units of the corner's size
-        assert nearest[3:] == pytest.approx([2e-6, 2e-5])
+        self.other(scripted(ended([2.0, 0.0])), 0.0, 1.0)  # a point on its branch: units of the corner's size
+        assert nearest[1:] == pytest.approx([2e-6])
 
-    @pytest.mark.parametrize("answer", [None, (np.array([2.0, 0.0]), ON_G)])
-    def test_branch_that_is_known_to_fail_is_not_solved_again(self, answer, nearest):
-        self.answer, run = answer, scripted(ended([2.0, 0.0]))
+    def test_feasible_point_is_kept_if_its_branch_is_not_solved(self, nearest):
+        result, zero = self.other(scripted(ended([1.0, 1.0]), exact=False), 0.3, 0.5)
+        assert (list(result.x), zero) == ([2.0, 0.0], ON_H)
+
+    @pytest.mark.parametrize("status", [S.INFEASIBLE, S.STALLED])
+    def test_without_a_feasible_point_no_branch_is_solved(self, status, nearest):
+        self.near, run = Feasibility(np.array([2.0, 0.0]), ON_H, status), scripted(ended([2.0, 0.0]))
         result, zero = self.other(run, 0.3, 0.5)
         assert (run.branch_calls, list(result.x), zero) == ([], [9.0, 9.0], ON_G)
 

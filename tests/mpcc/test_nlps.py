@@ -6,6 +6,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.options import DEPENDENT
 from rmesh_nlp.mpcc.result import excess, residuals
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import CORNER, ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
@@ -125,7 +126,7 @@ def test_nothing_is_compiled_twice(monkeypatch):
     assert len(made) == 5
     assert [options.get("mu_strategy") for options in made] == ["monotone", None, *["adaptive"] * 3]
     assert ["warm_start_init_point" in options for options in made] == [False] * 4 + [True]
-    own.dependent = True
+    own.extra = DEPENDENT
     own.relaxed("scholtes", result.x, ONE, 1e-3)
     assert [options.get("perturb_always_cd") for options in made] == [None] * 5 + ["yes"]
 

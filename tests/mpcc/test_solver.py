@@ -4,15 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, solve
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, outcome, rescues, solve
 from rmesh_nlp.mpcc import solver as solving
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.solver import _choose, _end, _failure
+from rmesh_nlp.mpcc.outcome import _choose, _failure
+from rmesh_nlp.mpcc.phase_one import Feasibility
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
+from support.scripted_run import CORNER, ON_H, START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 from support.switch_detection import switch_detection
 
 KINDS = [ca.SX, ca.MX]
@@ -60,7 +61,7 @@ class TestEnd:
     """The point and the status that are returned."""
 
     def end(self, path, limit=None, run=None, **names):
-        return _end(run or ScriptedRun(**names), [path], START, limit)
+        return outcome.end_of(run or ScriptedRun(**names), [path], START, limit)
 
     @pytest.mark.parametrize(
         ("path", "limit", "exact", "said"),
@@ -138,17 +139,21 @@ class TestAttempts:
 
     @pytest.fixture
     def attempts(self, monkeypatch):
-        calls, self.ends, self.looks = [], {}, 0
+        calls, self.ends, self.looks, self.starts = [], {}, 0, []
+        self.near = Feasibility(np.zeros(2), CORNER, S.STALLED)
 
-        def follow(run, path, name, z0, t0, first, *, patience):
-            calls.append((name, t0, run.nlps.dependent, patience))
+        def follow(run, path, name, z0, t0, first=None, *, patience=3, former=()):
+            calls.append((name, t0, bool(run.nlps.extra), patience))
+            self.starts.append(z0)
             known = self.ends.get(name, Path(failure=S.STALLED))
             path.finish, path.failure = known.finish, known.failure
 
         def look(run, path, x0, first):
             self.looks += 1
 
-        monkeypatch.setattr(solving, "follow", follow)
+        for module in (solving, rescues):
+            monkeypatch.setattr(module, "follow", follow)
+        monkeypatch.setattr(rescues, "phase_one", lambda run, z: self.near)
         monkeypatch.setattr(solving, "second_path", look)
         return calls
 
@@ -170,9 +175,19 @@ class TestAttempts:
     ):
         self.ends["scholtes"] = Path(failure=failure)
         looks = failure is S.STALLED
-        result = self.solved(rescues=tuple(rescues), second_path=looks)
+        result = self.solved(rescues=tuple(rescues), second_path=looks, moves=0)
         assert (attempts, self.looks) == (expected, looks)  # a look after the first path alone
-        assert result.counts["rescues"] == 2
+        assert result.counts["rescues"] == len(expected)  # the last one is phase I
+
+    def test_phase_one_and_then_moved_starts_come_last(self, attempts):
+        result = self.solved(rescues=(), moves=3)
+        assert attempts == [("scholtes", 1.0, False, 3)] * 4
+        assert len({tuple(z) for z in self.starts}) == 4
+        assert result.counts["rescues"] == 4
+        self.near = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED)
+        result = self.solved(rescues=(), moves=3)
+        assert (len(attempts), result.counts["rescues"]) == (5, 1)
+        assert (result.status, result.f) == (S.CONVERGED, pytest.approx(1.0))
 
     @pytest.mark.parametrize(
         ("end", "status", "looks"), [(end_of(1.0), S.CONVERGED, 1), (UNBOUNDED, S.UNBOUNDED, 0)]
@@ -194,7 +209,10 @@ class TestAttempts:
         assert self.looks == 0
 
     def test_known_multipliers_are_tried_at_once_and_an_end_is_the_answer(self, attempts, monkeypatch):
-        known, solver = Duals(*map(np.zeros, (2, 0, 1, 1))), MPCCSolver(two_minima(), Options(rescues=()))
+        known, solver = (
+            Duals(*map(np.zeros, (2, 0, 1, 1))),
+            MPCCSolver(two_minima(), Options(rescues=(), moves=0)),
+        )
         for end, tried in ((end_of(1.0).finish, []), (None, ["scholtes"])):
             monkeypatch.setattr(solving, "polished", lambda *_, end=end: end)
             result = solver([2.0, 0.0], start=known)
@@ -314,7 +332,7 @@ def test_solution_of_closed_form(mpcc, start, x_end):
 @pytest.mark.parametrize(
     ("mpcc", "start", "status"),
     [
-        (MPCC(XY, ca.log(x - 1) ** 2 + y, None, x, y), [0, 1], S.EVALUATION_ERROR),
+        (MPCC(XY, ca.log(-1 - x**2) + y, None, x, y), [0, 1], S.EVALUATION_ERROR),
         (MPCC(XY, x, None, x, y, ubx=[-1, np.inf]), [-2, 1], S.INFEASIBLE),
         *(pytest.param(*case, marks=pytest.mark.slow) for case in (
             (MPCC(XY, x + y, XY, x, y, lbg=1), [2, 1], S.INFEASIBLE),

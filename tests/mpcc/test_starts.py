@@ -1,0 +1,134 @@
+"""Many starts, and the generated families of the benchmark."""
+
+from itertools import islice
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from mpcc_library.families import FAMILIES
+from rmesh_nlp.mpcc import MPCC, MultiStart, multistart, solve
+from rmesh_nlp.mpcc.starts import moved_starts
+from rmesh_nlp.optimize.status import Status
+from support.scripted_run import XY, x, y
+
+p = ca.SX.sym("p")
+
+
+def end(success, f=0.0, violation=0.0, complementarity=0.0):
+    residuals = {"constraint_violation": violation, "complementarity": complementarity}
+    return SimpleNamespace(success=success, f=f, **residuals)
+
+
+@pytest.mark.parametrize(
+    ("ends", "best", "spread"),
+    [
+        ([end(True, 2.0), end(True, 1.0), end(False, -9.0)], 1, (1.0, 2.0)),
+        # the most nearly feasible one
+        ([end(False, 0, 0, 1), end(False, 0, 0.1), end(False, -9, 0.2)], 1, (np.nan, np.nan)),
+    ],
+)
+def test_best_is_the_lowest_success_else_the_most_feasible(ends, best, spread):
+    many = MultiStart(tuple(ends), (), 0)
+    assert many.best is ends[best]
+    assert many.spread == pytest.approx(spread, nan_ok=True)
+    assert f"{sum(e.success for e in ends)} of 3 starts succeeded" in str(many)
+
+
+def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_origin():
+    """x in [-2, 3] is drawn between its bounds, y around 700 and around 0 but not below -1e3."""
+    mpcc = MPCC(XY, x, None, None, None, lbx=[-2, -1e3], ubx=[3, np.inf])
+    drawn, again, other = (
+        np.array(list(islice(moved_starts(mpcc, np.array([1.5, 700.0]), seed), 200))) for seed in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(drawn, again)
+    assert not np.any(np.all(drawn == other, axis=1))
+    assert (drawn[:, 0].min(), drawn[:, 0].max()) == (pytest.approx(-2, abs=0.2), pytest.approx(3, abs=0.2))
+    assert drawn[:, 0].mean() == pytest.approx(0.5, abs=0.3)
+    assert drawn[:, 1].min() >= -1e3
+    assert np.median(drawn[1::2, 1]) == pytest.approx(0, abs=8)
+    assert 0.5 < np.median(np.abs(drawn[1::2, 1])) < 8  # 10^-1 to 10^1.5
+    assert np.median(np.abs(drawn[::2, 1] - 700)) > 100
+
+
+def test_start_of_a_mixed_problem_is_completed_with_its_parameters():
+    """-1 <= y <= 2 _|_ x - p: at x = 1 and p = 3 the new unknowns are 0 and 2."""
+    mpcc = MPCC.mixed(XY, x**2 + y**2, None, x - p, y, lbH=-1, ubH=2, p=p)
+    assert list(multistart(mpcc, [1, 0], n=2, p=3).starts[0]) == [1, 0, 0, 2]
+
+
+ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3)
+"""Minima (1, 0) with f = 1 and (0, 1.05) with f = 0.8975; from t0 = 1e-4 each start keeps its arm."""
+
+
+def test_best_of_several_starts_says_what_they_reached():
+    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+    best = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
+    assert best.x == pytest.approx([0, 1.05], abs=1e-7)
+    assert many.spread == pytest.approx((0.8975, 1.0), abs=1e-6)
+    assert [end.f for end in best.reached] == pytest.approx([0.8975, 1.0], abs=1e-6)
+    assert sum(end.starts for end in best.reached) == 8
+    assert "starts: " in str(best)
+    assert np.array_equal(best.x, many.best.x)
+    assert not solve(ARMS, [1.5, 0], t0=1e-4).reached
+
+
+def test_trajectory_that_comes_upon_a_former_one_has_its_result():
+    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+    followed = [k for k, former in enumerate(many.joined) if former is None]
+    assert many.joined[0] is None
+    assert 2 <= len(followed) < 8
+    for k, former in enumerate(many.joined):
+        if former is not None:
+            assert former in followed[: followed.index(former) + 1]
+            assert many.results[k] is many.results[former]
+    own = [many.results[k] for k in followed]
+    assert many.summary().counts["nlp_solves"] == sum(r.counts["nlp_solves"] for r in own)
+
+
+def test_limits_hold_for_all_starts_together():
+    alone = solve(ARMS, [1.5, 0], t0=1e-4).counts["ipopt_iterations"]
+    many = multistart(ARMS, [1.5, 0], n=50, t0=1e-4, max_iterations=alone + 5)
+    assert 2 <= len(many.results) == len(many.starts) < 50
+    assert many.best.success
+    late = multistart(ARMS, [1.5, 0], n=50, time_limit_s=1e-9)
+    assert [r.status for r in late.results] == [Status.TIME_LIMIT]
+
+
+@pytest.mark.parametrize("options", [{"starts": 0}, {"starts": 2.5}, {"seed": -1}, {"moves": -1}])
+def test_bad_numbers_of_starts_are_named(options):
+    ((name, value),) = options.items()
+    with pytest.raises(ValueError, match=f"{name} must be .* got {value}"):
+        solve(ARMS, [1.5, 0], **options)
+
+
+def test_rescue_from_a_moved_start_where_the_given_one_leads_nowhere():
+    """log(x) is not defined between the bounds next to the given start: Ipopt gives up at once."""
+    mpcc = MPCC(XY, (x - 2) ** 2 + y, ca.log(x - 0.5), x, y, lbg=-5, lbx=0, ubx=9)
+    alone = solve(mpcc, [0.1, 1.0], moves=0)
+    rescued = solve(mpcc, [0.1, 1.0])
+    assert not alone.success
+    assert rescued.success
+    assert rescued.x == pytest.approx([2, 0], abs=1e-6)
+    assert rescued.counts["rescues"] > alone.counts["rescues"]
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_generated_problem_is_that_of_its_seed_and_is_solved(name):
+    make, sizes = FAMILIES[name]
+    one, again, other = (make(sizes[0], seed) for seed in (0, 0, 1))
+    assert (one.name, again.name) == (f"{name}-{sizes[0]}-0",) * 2
+    point = np.linspace(0.1, 0.9, one.mpcc.n_x)
+
+    def value(instance):
+        mpcc = instance.mpcc
+        column = ca.vertcat(mpcc.f, mpcc.g, mpcc.G, mpcc.H)
+        return ca.Function("value", [mpcc.x], [column])(point).full().ravel()
+
+    assert np.array_equal(value(one), value(again), equal_nan=True)
+    assert other.mpcc.n_x != point.size or not np.array_equal(value(one), value(other))
+    result = solve(one.mpcc, one.x0)
+    assert result.success
+    assert result.complementarity <= 1e-8
+    assert result.constraint_violation <= 1e-7
