@@ -261,6 +261,11 @@ def test_command_solves_files(nl, capsys):
     row = json.loads(capsys.readouterr().out)
     assert row["success"]
     assert row["x"] == pytest.approx(SOLUTION[0], abs=1e-6)
+    assert row["starts"] == []
+    assert main([str(path), "--json", "--starts", "3"]) == 0
+    ends = json.loads(capsys.readouterr().out)["starts"]
+    assert sum(end["number"] for end in ends) == 3
+    assert ends[0]["f"] == pytest.approx(-3, abs=1e-6)  # the sign of the file
     assert main([str(path), "--max-iterations", "2"]) == 1
     assert "iteration_limit" in capsys.readouterr().out
 
@@ -271,6 +276,7 @@ def test_command_solves_files(nl, capsys):
         ([], "no file given"),
         (["absent.nl"], "absent.nl"),
         (["x.gms"], "unknown format"),
+        (["x.nl", "--starts", "0"], "starts must be positive and finite, got 0"),
         (["x.nl", "--time-limit", "0"], "time_limit_s must be positive and finite, got 0"),
     ],
 )
