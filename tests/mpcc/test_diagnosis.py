@@ -66,7 +66,7 @@ def test_largest_residual_is_named(x, words):
 
 def test_message_of_a_failed_solve_names_the_unknown():
     x, gap, force, speed = as_mx()
-    start = solve(MPCC(x, ca.log(speed - 2), None, gap, force), 0.0)
+    start = solve(MPCC(x, ca.log(speed - 2), None, gap, force), 0.0, moves=0)
     assert start.status is Status.EVALUATION_ERROR
     assert "f is nan at x[2] (speed) = 0." in start.message
     never = solve(MPCC(x, gap, gap**2 + 1, gap, force, ubg=0), 0.5)
