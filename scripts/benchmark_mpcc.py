@@ -9,8 +9,8 @@ with is measured by the problem's expressions, not taken from the solver: solved
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
 build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
-DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control and membrane (not in "all") also
-DIR/size.png, time against pairs.
+DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure (not
+in "all") also DIR/size.png, time against pairs. ``--resume`` keeps the rows in DIR.
 """
 
 from __future__ import annotations
@@ -38,6 +38,7 @@ from rmesh_nlp.mpcc import MPCC, Problem, read
 from rmesh_nlp.mpcc.reading import READERS
 
 SOLVED, LOWEST = 1e-6, 1e-4
+COLOURS = ("#0072B2", "#D55E00", "#009E73")  # told apart by the colour-blind: Okabe and Ito (2008)
 
 
 @dataclass(frozen=True)
@@ -145,22 +146,51 @@ def table(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def figure(rows: Sequence[Row], path: Path) -> None:
-    """Processor time against the size of generated problems, a line for each family and solver."""
-    lines: dict[tuple[str, str], dict[int, list[float]]] = {}
+def by_size(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, float]]:
+    """Of each large family and solver the median time for a number of pairs, of solved problems."""
+    found: dict[tuple[str, str], dict[int, list[float]]] = {}
     for row in rows:
         size = row.problem.split("-")[-2:-1]
         if row.group in LARGE and size and row.violation <= SOLVED:
-            own = lines.setdefault((row.group, row.solver), {})
-            own.setdefault(int(size[0]), []).append(row.seconds)
-    if not lines:
+            found.setdefault((row.group, row.solver), {}).setdefault(int(size[0]), []).append(row.seconds)
+    return {
+        key: {size: float(np.median(own[size])) for size in sorted(own)}
+        for key, own in sorted(found.items(), key=lambda item: list(LARGE).index(item[0][0]))
+    }
+
+
+def size_table(rows: Sequence[Row]) -> str:
+    """Time against pairs, a line for each size and a column for each solver, in Markdown."""
+    times = by_size(rows)
+    solvers = list(dict.fromkeys(row.solver for row in rows))
+    lines = [
+        f"| problem | pairs | {' | '.join(f'{s} [s]' for s in solvers)} |",
+        "|---|" + "--:|" * (len(solvers) + 1),
+    ]
+    for group in dict.fromkeys(group for group, _ in times):
+        own = [times.get((group, solver), {}) for solver in solvers]
+        for size in sorted(set().union(*own)):
+            cells = [f"{one[size]:.1f}" if size in one else "-" for one in own]
+            lines.append(f"| {group} | {size:,} | {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Processor time against pairs: a colour for each family, solid for ours and dashed for others."""
+    times = by_size(rows)
+    if not times:
         return
-    drawing, axes = plt.subplots(figsize=(5, 3.6), layout="constrained")
-    for (group, solver), own in lines.items():
-        sizes = sorted(own)
-        style = "o-" if solver == next(iter(SOLVERS)) else "s--"
-        axes.loglog(sizes, [np.median(own[size]) for size in sizes], style, label=f"{group}, {solver}")
-    axes.set(xlabel="pairs", ylabel="processor time [s]")
+    drawing, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    for (group, solver), own in times.items():
+        line, marker = ("-", "o") if solver == next(iter(SOLVERS)) else ("--", "s")
+        colour = COLOURS[list(LARGE).index(group) % len(COLOURS)]
+        fill = colour if line == "-" else "white"
+        axes.loglog(
+            list(own), list(own.values()), color=colour, linestyle=line, marker=marker, markerfacecolor=fill,
+            label=f"{group}, {solver}",
+        )  # fmt: skip
+    axes.set(xlabel="complementarity pairs", ylabel="processor time [s]")
+    axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
     drawing.savefig(path, dpi=150)
     plt.close(drawing)
@@ -180,6 +210,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
     parser.add_argument("--out", type=Path, default=Path("results/mpcc"))
+    parser.add_argument("--resume", action="store_true", help="solve only what --out has no row of")
     given = parser.parse_args(arguments)
     names = given.families.split(",") if given.families else []
     try:
@@ -192,17 +223,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warm = ca.SX.sym("warm")  # loading Ipopt's library is nobody's cost
     ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": {"print_level": 0, "sb": "yes"}})(x0=1)
     given.out.mkdir(parents=True, exist_ok=True)
-    rows: list[Row] = []
-    with (given.out / "rows.jsonl").open("w", encoding="utf-8") as file:
+    path = given.out / "rows.jsonl"
+    kept = path.read_text(encoding="utf-8").splitlines() if given.resume and path.is_file() else []
+    rows = [Row(**json.loads(line)) for line in kept]
+    with path.open("a" if given.resume else "w", encoding="utf-8") as file:
+        done = {(row.problem, row.solver) for row in rows}
         for (group, problem), solver in ((one, solver) for one in known for solver in there):
+            if (problem.name, solver) in done:
+                continue
             rows.append(solved(group, problem, solver, given.limit))
             file.write(json.dumps(asdict(rows[-1])) + "\n")
             file.flush()
             last = rows[-1]
             print(f"{last.problem:26} {solver:20} {last.status[:24]:24} {last.f:<14.8g} {last.seconds:.2f} s")
-    (given.out / "table.md").write_text(table(rows), encoding="utf-8")
+    tables = table(rows) + ("\n" + size_table(rows) if by_size(rows) else "")
+    (given.out / "table.md").write_text(tables, encoding="utf-8")
     figure(rows, given.out / "size.png")
-    print("\n" + table(rows))
+    print("\n" + tables)
     mine = [row for row in rows if row.solver == next(iter(SOLVERS))]
     return 0 if all(row.violation <= SOLVED for row in mine) else 1
 

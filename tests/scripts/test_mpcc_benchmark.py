@@ -103,5 +103,19 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
         )
     benchmark.figure(rows, tmp_path / "size.png")
     assert (tmp_path / "size.png").stat().st_size > 0
+    assert "| membrane | 16 | 1.0 |" in benchmark.size_table(rows)
     benchmark.figure([], tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
+
+
+def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
+    same = ["--families", "membrane", "--sizes", "1", "--seeds", "1", "--out", str(tmp_path)]
+    rows = tmp_path / "rows.jsonl"
+    assert benchmark.main([*same, "--solvers", "rmesh_nlp.mpcc"]) == 0
+    (first,) = rows.read_text(encoding="utf-8").splitlines()
+    both = ["--solvers", "rmesh_nlp.mpcc", "plain Scholtes loop", "--resume"]
+    assert benchmark.main([*same, *both]) == 0
+    again, added = rows.read_text(encoding="utf-8").splitlines()
+    assert again == first
+    assert "plain" in added
+    assert "| membrane | 400 |" in (tmp_path / "table.md").read_text(encoding="utf-8")
