@@ -141,3 +141,38 @@ def test_projection_is_the_nearest_point_of_the_branch():
     assert project(run, np.array([0.1, 0.8, 0.4]), ON_G) == pytest.approx([0, 0.75, 0.25], abs=1e-8)
     circle = run_of(MPCC(XYW, 0, y**2 + w**2, x, y, lbg=1, ubg=1))
     assert project(circle, np.array([0.1, 0.66, 0.88]), ON_G) == pytest.approx([0, 0.6, 0.8], abs=1e-6)
+
+
+def towards_x():
+    """Minimum (2, 0): on the branch x = 0 the member y is driven to zero, and f falls along x from there."""
+    return MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y)
+
+
+@pytest.mark.parametrize(("release", "end"), [(True, [2.0, 0.0]), (False, [0.0, 0.0])])
+def test_pair_at_its_corner_changes_sides_where_the_objective_falls(release, end):
+    run = run_of(towards_x())
+    found = polish(run, np.array([0.0, 0.1]), ON_G, np.zeros(0), np.zeros(2), release=release)
+    assert found.z == pytest.approx(end, abs=1e-7)
+    assert np.max(found.lam_z) == pytest.approx(0.0 if release else 4.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lam", "equal"),
+    [
+        ([0.5, -1.0], [False, True]),  # x leaves, y is fixed
+        ([-1.0, 0.5], [True, False]),
+        ([0.5, 0.7], [True, False]),  # of two the larger
+        ([-1.0, -1.0], [True, False]),  # none: x stays fixed, as the branch has it
+    ],
+)
+@pytest.mark.parametrize("is_active", [True, False])
+def test_release_swaps_the_fixed_member_only_at_the_corner(lam, equal, is_active):
+    found = _Branch(run_of(towards_x()).lifted, ON_G)
+    active = np.array([-1, -1 if is_active else 0], dtype=np.int8)
+    after = found.release(active, np.array(lam), 1e-6)
+    if not is_active:
+        equal = [True, False]
+    assert list(found.equal) == equal
+    leaves = is_active and max(lam) > 0
+    assert list(after) == ([-1 if held else 0 for held in equal] if leaves else list(active))
+    assert list(np.isinf(found.upper)) == [not held for held in equal]

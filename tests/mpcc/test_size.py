@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 
 import casadi as ca
@@ -36,6 +37,14 @@ def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
     system = sp.bmat([[line, border], [border.T, None]], format="csc")
     right = random.normal(size=n + 2)
     assert np.max(np.abs(system @ factorised(system, lambda solve: solve(right)) - right)) <= 1e-10
+
+
+def test_factors_stay_in_the_thread_that_made_them():
+    """SuperLU does not give back memory in another one."""
+    eye = sp.identity(3, format="csc")
+    solved, at = factorised(eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), 60.0)
+    assert list(solved) == [1, 1, 1]
+    assert at != threading.get_ident()
 
 
 def corners(slopes_G, slopes_H, g=None):
