@@ -174,6 +174,71 @@ def tolls(size: int, seed: int) -> Problem:
     return b.done(f"tolls-{size}-{seed}", f)
 
 
+def prices(size: int, seed: int) -> Problem:
+    """A generating firm in a power network of ``size`` nodes, whose operator clears the market.
+
+    Given the firm's amounts x the operator maximises welfare with competitors' amounts y, demands d and
+    angles of a direct-current network whose lines are limited; the multipliers of the balances are the
+    prices. The firm wants profit. B. Hobbs, C. Metzler, J.-S. Pang, Strategic gaming analysis for electric
+    power systems: an MPEC approach, IEEE Trans. Power Syst. 15 (2000) 638-645.
+    """
+    random = np.random.default_rng([50, size, seed])
+    lines = [(i, (i + 1) % size) for i in range(size)]
+    lines += [tuple(random.choice(size, 2, replace=False)) for _ in range(size // 2)]
+    incidence = np.zeros((size, len(lines)))
+    for k, (i, j) in enumerate(lines):
+        incidence[i, k], incidence[j, k] = 1.0, -1.0
+    susceptance, limit = random.uniform(0.5, 2, len(lines)), random.uniform(1, 6, len(lines))
+    capacity = random.uniform(5, 15, size) * (random.uniform(size=size) < 0.5)
+    own, cost, slope = random.uniform(1, 4, size), random.uniform(2, 8, size), random.uniform(0.2, 1, size)
+    top, fall = random.uniform(10, 25, size), random.uniform(0.5, 2, size)
+    b = Builder()
+    x = b.unknown(size, 0.0, capacity, 0.5 * capacity)
+    y, d = b.unknown(size, 0.0, INF, 1.0), b.unknown(size, 0.0, INF, 1.0)
+    angle, price = b.unknown(size - 1), b.unknown(size, start=10.0)
+    over, under = b.unknown(len(lines), 0.0), b.unknown(len(lines), 0.0)
+    drop = ca.mtimes(incidence.T, ca.vertcat(angle, 0))
+    flow = susceptance * drop
+    b.constrain(x + y - d - ca.mtimes(incidence, flow))
+    rent = susceptance * (ca.mtimes(incidence.T, price) + over - under)
+    b.constrain(ca.mtimes(incidence, rent)[:-1])
+    b.pair(ca.vertcat(y, d), ca.vertcat(cost + slope * y - price, price - top + fall * d))
+    b.pair(ca.vertcat(over, under), ca.vertcat(limit - flow, limit + flow))
+    return b.done(f"prices-{size}-{seed}", ca.dot(own - price, x))
+
+
+def hopper(size: int, seed: int) -> Problem:
+    """A body on a foot crosses a floor with Coulomb friction in ``size`` steps, contact times not given.
+
+    Leg and hip forces act between the two; impulses and slip of the foot are unknowns of each time step.
+    M. Posa, C. Cantu, R. Tedrake, A direct method for trajectory optimization of rigid bodies through
+    contact, Int. J. Robot. Res. 33 (2014) 69-81.
+    """
+    random = np.random.default_rng([51, size, seed])
+    h, gravity, friction = 1.5 / size, 9.81, random.uniform(0.4, 1.0)
+    body, foot, goal = 1.0, random.uniform(0.1, 0.4), random.uniform(0.2, 0.8)
+    b = Builder()
+    z, zf, x, xf = ca.SX(1.0), ca.SX(0.0), ca.SX(0.0), ca.SX(0.0)
+    v, f = ca.SX.zeros(4), ca.SX(0)
+    for _ in range(size):
+        leg, hip = b.unknown(1, 0.0, 40.0, 10.0), b.unknown(1, -5.0, 5.0)
+        v_next, q = b.unknown(4), b.unknown(4, start=[1.0, 0.0, 0.0, 0.0])
+        normal, forth, back, slip = (b.unknown(lower=0.0) for _ in range(4))
+        b.constrain(body * (v_next[0] - v[0]) - h * (leg - body * gravity))
+        b.constrain(foot * (v_next[1] - v[1]) + h * (leg + foot * gravity) - normal)
+        b.constrain(body * (v_next[2] - v[2]) - h * hip)
+        b.constrain(foot * (v_next[3] - v[3]) + h * hip - forth + back)
+        b.constrain(q - ca.vertcat(z, zf, x, xf) - h * v_next)
+        b.constrain(ca.vertcat(q[0] - q[1], q[2] - q[3]), [0.5, -0.4], [1.5, 0.4])
+        b.pair(ca.vertcat(normal, slip), ca.vertcat(q[1], friction * normal - forth - back))
+        b.pair(ca.vertcat(forth, back), ca.vertcat(slip + v_next[3], slip - v_next[3]))
+        f += h * (1e-3 * leg**2 + 1e-2 * hip**2)
+        z, zf, x, xf = ca.vertsplit(q)
+        v = v_next
+    end = 10 * ((x - goal) ** 2 + (xf - goal) ** 2 + (z - 1) ** 2) + ca.sumsqr(v)
+    return b.done(f"hopper-{size}-{seed}", f + end)
+
+
 FAMILIES: dict[str, tuple[Callable[[int, int], Problem], tuple[int, ...]]] = {
     "lpec": (lpec, (4, 10, 30, 100)),
     "bouncing": (bouncing, (10, 30, 100, 300)),
@@ -181,5 +246,7 @@ FAMILIES: dict[str, tuple[Callable[[int, int], Problem], tuple[int, ...]]] = {
     "cournot": (cournot, (4, 10, 30, 100)),
     "markets": (markets, (2, 5, 15, 60)),
     "tolls": (tolls, (3, 6, 12, 40)),
+    "prices": (prices, (4, 10, 30, 100)),
+    "hopper": (hopper, (10, 30, 100, 300)),
 }
 """Makers, of a size and a seed, and sizes from tiny to a few thousand unknowns."""
