@@ -4,7 +4,9 @@
 
 A collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with ``x f g G H lbx
 ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
-NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own. What it ends
+NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own; with
+--together all are solved in this one, one after the other, which is fairer to the time of small problems:
+a forked process copies each page of memory that it touches, most of them Python's. What a solver ends
 with is measured by the problem's expressions, not taken from the solver: solved is a point whose constraint
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
@@ -98,8 +100,8 @@ def measured(problem: Problem, x: Array) -> tuple[float, float]:
     return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
 
 
-def solved(group: str, problem: Problem, solver: str, limit: float) -> Row:
-    """Solve one problem in a process of its own."""
+def solved(group: str, problem: Problem, solver: str, limit: float, together: bool = False) -> Row:
+    """Solve one problem in a process of its own, or ``together`` with the others in this one."""
 
     def work() -> Row:
         began = time.process_time()
@@ -109,7 +111,7 @@ def solved(group: str, problem: Problem, solver: str, limit: float) -> Row:
         return Row(*key, end.status, f, violation, problem.target, end.iterations, seconds)
 
     key = (group, problem.name, solver)
-    row = isolated(work, limit)
+    row = work() if together else isolated(work, limit)
     return Row(*key, row.why, seconds=limit) if isinstance(row, Failed) else row
 
 
@@ -209,6 +211,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=4, help="problems of each size")
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
+    parser.add_argument("--together", action="store_true", help="in this process, without a limit")
     parser.add_argument("--out", type=Path, default=Path("results/mpcc"))
     parser.add_argument("--resume", action="store_true", help="solve only what --out has no row of")
     given = parser.parse_args(arguments)
@@ -231,7 +234,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for (group, problem), solver in ((one, solver) for one in known for solver in there):
             if (problem.name, solver) in done:
                 continue
-            rows.append(solved(group, problem, solver, given.limit))
+            rows.append(solved(group, problem, solver, given.limit, given.together))
             file.write(json.dumps(asdict(rows[-1])) + "\n")
             file.flush()
             last = rows[-1]

@@ -30,8 +30,8 @@ print("x, y:", result.x[:2], "stationarity:", result.stationarity, "B:", result.
 # %%
 # A local solver depends on its start; several starts tell how much.
 
-many = rm.mpcc.multistart(program, 0.5, n=5, seed=0)
-print("best", many.best.f, "spread", many.spread)
+best = rm.solve_mpcc(program, 0.5, starts=5)
+print("best", best.f, "reached", *best.reached)
 
 # %%
 # ``rm.mpcc.bilevel`` writes the KKT conditions itself. Its results say whether the follower is at a
