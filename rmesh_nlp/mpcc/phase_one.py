@@ -54,6 +54,7 @@ def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: boo
     linearised objective is taken; ``only_violation`` leaves the objective out.
     """
     lifted, nlp = run.lifted, run.lifted.nlp
+    z = np.clip(z, nlp.lbx, nlp.ubx)  # relaxed solutions may lie outside, then no step is complementary
     size = 1.0 + float(np.max(np.abs(z), initial=0.0))
     radius, least, zero = min(radius, size), np.inf, lifted.smaller(z)
     smallest, refused = _SMALLEST * radius, np.inf

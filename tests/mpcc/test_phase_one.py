@@ -56,6 +56,13 @@ def test_local_minimum_of_the_violation_is_certified(only_violation):
     assert np.min(end.z[run.lifted.pairs]) == 0
 
 
+def test_point_outside_its_bounds_is_put_into_them():
+    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=0.5))
+    assert phase_one(run, np.array([-0.1, -0.2])).status is S.INFEASIBLE
+    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=1.5))
+    assert phase_one(run, np.array([-0.1, -0.2])).status is S.CONVERGED
+
+
 @pytest.mark.parametrize("start", [[np.nan, 0.0], [np.inf, 0.0]])
 def test_point_that_is_not_finite_proves_nothing(start):
     run = run_of(MPCC(XY, x, x + y, x, y, lbg=1))
