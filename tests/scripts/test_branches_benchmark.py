@@ -1,4 +1,4 @@
-"""The benchmark of kinks: seventy problems, both formulations side by side with a search of their ends."""
+"""The benchmark of kinks: 68 problems, both formulations side by side with a search of their ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_ends_at_kinks_are_searched_branch_by_branch(
     monkeypatch.syspath_prepend(str(SCRIPTS))
     script = importlib.import_module("benchmark_branches")
     every = [case.name for case in script.cases()]
-    assert len(every) == len(set(every)) == 70
+    assert len(every) == len(set(every)) == 68
     rows = tmp_path / "rows.jsonl"
     assert script.main(["--only", "seal-4-2", "--out", str(rows)]) == 0
     said = capsys.readouterr().out
