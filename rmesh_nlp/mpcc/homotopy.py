@@ -27,6 +27,7 @@ _FALLS, _STUCK = 0.9, 3  # products that fall by less than a tenth, so many time
 _PIVOT, _NEAR = 1e-4, 0.05  # from this t on branches are descended over, from points not worse than this
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
+_SMALL = 0.5  # first products of a large problem that are smaller lower the last t with them
 _SAME = 1e-4  # relaxed solutions that are not lower by this, relative, end no lower; nearer ones are one
 
 
@@ -104,7 +105,7 @@ def follow(
                 path.failure = Status.INFEASIBLE
                 break
             if is_large and sides is None:  # the products of a fine mesh are small at any t
-                t_final *= min(1.0, max(product, options.t_final))
+                t_final *= max(product, options.t_final) if product < _SMALL else 1.0
             before, sides = sides, run.lifted.smaller(result.x)
             warm, corner = run.nlps.without_relaxation(relaxation, result, t), CORNER * np.sqrt(t)
             if run.exact(result.x) or t <= t_final:
