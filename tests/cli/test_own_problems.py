@@ -20,6 +20,7 @@ from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.assess import Assessment
+from support.designs import FILE
 
 BLOCK = """
 [mesh]
@@ -281,24 +282,7 @@ def test_measurements_are_beside_the_problem_file(rmesh, formulation: str) -> No
     assert "data/measured.csv: cannot be read" in said.err
 
 
-DESIGN = """
-[mesh]
-shape = "rectangle"
-nx = 6
-ny = 2
-x = [0.0, 4.0]
-[material]
-law = "plane-strain"
-young = "1000*E"
-poisson = 0.3
-[dirichlet]
-top = [0.0, -0.02]
-[contact]
-boundary = "bottom"
-height = "h - 0.002*(x - 2)**2"
-[design]
-E = { start = 1.0, bounds = [0.5, 2.0] }
-h = { start = 0.0, bounds = [-0.02, 0.02] }
+DESIGN = f"""{FILE}
 [[constraints]]
 value = "max-pressure(bottom)"
 bounds = [-inf, 40.0]

@@ -18,7 +18,7 @@ from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page
 from rmesh_nlp.study.plan import planned
 from rmesh_nlp.study.runner import perform
-from support.designs import BOW, H0, E, block
+from support.designs import BOW, FILE, H0, E, block
 from support.formulations import nested
 from support.reporting import designed
 
@@ -90,33 +90,16 @@ def test_pictures_are_of_the_first_and_the_last_design() -> None:
     assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)
 
 
-FILE = """
-[mesh]
-shape = "rectangle"
-nx = 6
-ny = 2
-x = [0.0, 4.0]
-[material]
-law = "plane-strain"
-young = "1000*E"
-poisson = 0.3
-[dirichlet]
-top = [0.0, -0.02]
-[contact]
-boundary = "bottom"
-height = "h"
-[design]
-E = { start = 1.0, bounds = [0.5, 2.0] }
-h = { start = 0.0, bounds = [-0.02, 0.02] }
+BOWED = f"""{FILE}
 [design.shapes]
-bow = { boundary = "bottom", motion = ["0", "x*(4-x)/4"], bounds = [-0.02, 0.03] }
+bow = {{ boundary = "bottom", motion = ["0", "x*(4-x)/4"], bounds = [-0.02, 0.03] }}
 """
 
 
 @pytest.mark.slow
 def test_a_kept_design_is_drawn_again_from_its_folder(tmp_path: Path) -> None:
     path, folder = tmp_path / "my.toml", tmp_path / "out"
-    path.write_text(FILE)
+    path.write_text(BOWED)
     folder.mkdir()
     done = perform(planned(load_problem(path), "nested", {"objective": "square(resultant(bottom) - 30)"}))
     kept_problem.keep(path, read_table(path), folder)

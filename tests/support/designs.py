@@ -19,6 +19,27 @@ E, F, H0, LOAD = (
         ("load", 1.0, (0.5, 1.5)),
     )
 )
+FILE = """
+[mesh]
+shape = "rectangle"
+nx = 6
+ny = 2
+x = [0.0, 4.0]
+[material]
+law = "plane-strain"
+young = "1000*E"
+poisson = 0.3
+[dirichlet]
+top = [0.0, -0.02]
+[contact]
+boundary = "bottom"
+height = "h - 0.002*(x - 2)**2"
+[design]
+E = { start = 1.0, bounds = [0.5, 2.0] }
+h = { start = 0.0, bounds = [-0.02, 0.02] }
+"""
+"""A block that is pressed onto a foundation, as a problem file."""
+
 BOW = Shape("bow", "bottom", (0.0, lambda x, y: x * (4 - x) / 4), (-0.05, 0.05))
 
 
