@@ -218,7 +218,8 @@ class AllAtOnce(Formulation):
         second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
         if second is not None and second.status not in LIMITS and _rank(second) < _rank(first):
             return second
-        monitor.track(outer).exact(0, first.q)  # the history ends where the solve does
+        if outer.is_valid(first.q):
+            monitor.track(outer).exact(0, first.q)  # the history ends where the solve does
         return first
 
     def _path(self, outer: Outer, q: Array, monitor: Monitor, most: int | None = None) -> Outcome:

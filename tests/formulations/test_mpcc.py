@@ -25,7 +25,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
-from support.designs import LOAD, block
+from support.designs import BOW, LOAD, block
 from support.formulations import joint, mpcc
 from support.solved import example, solved
 
@@ -270,6 +270,21 @@ def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
     assert found.status is Status.CONVERGED
     assert found.q is start
     assert monitor.steps[-1].objective == pytest.approx(outer.function(start).value)
+
+
+def test_a_first_path_that_ends_at_no_mesh_is_returned_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    outer = Outer(block(LOAD, BOW), "compliance")
+    flat = np.zeros(outer.n)
+    flat[-1] = 1e3 * outer.discretisation.mesh_map.upper[-1]
+    assert not outer.is_valid(flat)
+
+    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
+        return Outcome(at, flat, Status.STALLED if most is None else Status.ITERATION_LIMIT)
+
+    monkeypatch.setattr(AllAtOnce, "_path", path)
+    monitor = Monitor()
+    assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).status is Status.STALLED
+    assert not monitor.steps  # no contact solution there
 
 
 def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPatch) -> None:
