@@ -57,9 +57,9 @@ Objective = Annotated[
     Option(
         "--objective",
         metavar="TERMS",
-        help="Outer objective: energy (default), certificate (the guaranteed bound of the error, scalar "
-        "problems, nested), error-energy, error-l2, error-h1, contact, quality, compliance, area, a quantity "
-        "such as 'mean(top, -uy)' or 'level-pressure(bottom)', or a sum such as error-l2+0.01*quality.",
+        help="Outer objective: energy (default), error-energy, error-l2, error-h1, contact, quality, "
+        "compliance, area, a quantity such as 'mean(top, -uy)' or 'level-pressure(bottom)', or a sum such "
+        "as error-l2+0.01*quality.",
     ),
 ]
 Objectives = Annotated[

@@ -21,7 +21,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint, outer_function
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     Constraint,
@@ -216,7 +216,7 @@ class _Known:
 
     def value(self, text: str) -> float:
         """Value of an objective."""
-        return float(outer_function(self.energy, parse_objective(text))(self.point.q).value)
+        return float(ReducedObjective(self.energy, parse_objective(text))(self.point.q).value)
 
     def largest_pressure(self) -> float:
         """Over all contact nodes."""

@@ -7,8 +7,6 @@ Errors are measured against the problem's exact solution u:
 ``error-h1``      squared H1 seminorm of u_h - u
 ``contact``       I2 of (4.2), the work of the exact contact stress on the discrete gap
 ``friction``      I3 of (4.2), what friction takes on the discrete slip less the work of the exact stress
-``certificate``   guaranteed bound of half the squared error in the energy norm of a scalar problem, see
-                  :mod:`rmesh_nlp.models.reduced_model`; no exact solution is needed
 ``compliance``    work of the loads, ``f . u``
 ``area``          of the body, in the positions alone; beside curves that of the polygon
 ``quality``, ``shape-size``, ``elastic``
@@ -130,11 +128,6 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
     return on.integral("contact_error", edges, ERROR_DEGREE, density, kind=exact.symbol)
 
 
-def _certificate(on: Fields) -> list[ElementGroup]:
-    """Not a sum of element functions: the lower bound is a maximum over all of the mesh."""
-    raise ValueError("the objective 'certificate' is minimised by nested only")
-
-
 def _distortion(name: str, on: Fields) -> list[ElementGroup]:
     return [distortion_group(on.problem, on.positions, name)]
 
@@ -171,7 +164,6 @@ def _terms() -> dict[str, Term]:
     terms = [
         Term("energy", _energy, minimised_only=True),
         *(Term(name, groups, needs_exact=True, minimised_only=True) for name, groups in errors.items()),
-        Term("certificate", _certificate, minimised_only=True),
         Term("compliance", _compliance),
         Term("area", _area, of_positions=True),
         *(

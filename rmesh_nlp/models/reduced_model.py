@@ -4,11 +4,6 @@ Each value is an exact contact solve, u(X(q)) = argmin J(u; X(q)).
 
 - :class:`ReducedEnergy` is L(q) = min_u J(u; X(q)), what ``nested`` minimises.
 - :class:`ReducedObjective` is any other F(X, u(X), forces(X)), with its gradient by the adjoint.
-- :class:`ReducedCertificate` has the guaranteed bound of the error among its terms, the upper less the lower
-  bound of the least energy. The upper one is the energy of the displacement by the rule of the assessment,
-  the lower one the dual energy of a flux in equilibrium (:mod:`rmesh_nlp.certificate.lower_bound`). Half the
-  square of the error in the energy norm is at most their difference. Both are minima or maxima over the mesh,
-  and are differentiated with what attains them fixed.
 """
 
 from __future__ import annotations
@@ -21,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.assessor import Assessor
-from rmesh_nlp.certificate.lower_bound import DEGREE, LowerBound
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
@@ -29,7 +23,6 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, Block, Evaluator
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.contact_terms import coefficient_terms
-from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_upright
@@ -263,60 +256,5 @@ class ReducedObjective:
         return np.asarray(total)
 
 
-CERTIFICATE = "certificate"
-"""Of the term in an objective."""
-
-
-class ReducedCertificate:
-    """An outer objective with the bound of the error among its terms, times ``weight``.
-
-    ``energy`` is that of the problem with its own rule, ``upper`` by the rule of the assessment. Raises a
-    ValueError if the problem is not scalar, or is of a kind for which no certificate is known.
-    """
-
-    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
-        self.energy, self.objective = energy, objective
-        self.upper = ReducedEnergy.of(energy.model.with_rule(DEGREE))
-        self._lower = LowerBound(energy.relocation.problem, self.upper.relocation.discretisation.space)
-        self.weight = sum(weight for weight, term in objective.terms if term.name == CERTIFICATE)
-        others = tuple((weight, term) for weight, term in objective.terms if term.name != CERTIFICATE)
-        self._others = ReducedObjective(energy, Objective(others)) if others else None
-
-    def is_defined(self, q: Array) -> bool:
-        """Whether a distortion in the objective is defined: no element is inverted."""
-        return self._others is None or self._others.is_defined(q)
-
-    def __call__(self, q: Array) -> ReducedPoint:
-        """Evaluate at ``q``."""
-        return self.of(self.energy(q))
-
-    def of(self, inner: ReducedPoint) -> ReducedPoint:
-        """The objective where the energy and its contact solution are known."""
-        q, upper, rel = inner.q, self.upper(inner.q), self.upper.relocation
-        displacement = rel.displacement.values(self.upper.point(q, upper.equilibrium))
-        lower, slope = self._lower(rel.nodes(q), displacement)
-        positions = rel.mesh_map.positions
-        moving = positions.index != CONSTANT
-        of_lower = np.bincount(
-            positions.index[moving], (slope * positions.slopes(q))[moving], minlength=q.size
-        )
-        value, gradient = self.weight * (upper.value - lower), self.weight * (upper.gradient - of_lower)
-        if self._others is not None:
-            rest = self._others.of(inner)
-            value, gradient = value + rest.value, gradient + rest.gradient
-        return replace(inner, value=value, gradient=gradient, is_energy=False)
-
-
-Reduced = ReducedEnergy | ReducedObjective | ReducedCertificate
+Reduced = ReducedEnergy | ReducedObjective
 """An outer objective as a function of q alone."""
-
-
-def has_certificate(objective: Objective) -> bool:
-    """Whether the bound of the error is among the terms of an objective."""
-    return any(term.name == CERTIFICATE for _, term in objective.terms)
-
-
-def outer_function(energy: ReducedEnergy, objective: Objective) -> ReducedObjective | ReducedCertificate:
-    """Any outer objective but the energy by itself."""
-    kind = ReducedCertificate if has_certificate(objective) else ReducedObjective
-    return kind(energy, objective)

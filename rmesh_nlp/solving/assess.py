@@ -18,7 +18,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import kkt_unknowns
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedObjective, ReducedPoint
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import multipliers, size_of
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
@@ -278,10 +278,8 @@ def _decrease(ends: _Ends) -> tuple[float, float]:
         one, two = ends.start.energy, ends.after.energy
         if same:
             one, two = one + outer.energy.of_positions(zero), two + outer.energy.of_positions(q)
-    elif not same or isinstance(function, ReducedCertificate):
-        # on another mesh by the objective's own rule, which of a certificate is the assessment's
-        given = function if same else begin.minimising(outer.objective).function
-        one, two = given(zero).value, function(q).value
+    elif not same:  # on another mesh by the objective's own rule
+        one, two = begin.minimising(outer.objective).function(zero).value, function(q).value
     else:
         one, two = (
             objective_value(

@@ -129,7 +129,7 @@ def solve_by_options(
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
     """Raise a BadInputError where an energy is to be minimised that there is not."""
-    energies = [term.name for _, term in objective.terms if term.name in ("energy", "certificate")]
+    energies = [term.name for _, term in objective.terms if term.name == "energy"]
     if not (energies and formulation.relocates):
         return
     example = (

@@ -27,7 +27,6 @@ from rmesh_nlp.models.reduced_model import (
     ReducedEnergy,
     ReducedObjective,
     ReducedPoint,
-    outer_function,
 )
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
@@ -125,7 +124,7 @@ class Outer:
     @cached_property
     def function(self) -> Reduced:
         """The objective as a function of the outer variables, each value an exact contact solve."""
-        return self.energy if self.objective.collapses else outer_function(self.energy, self.objective)
+        return self.energy if self.objective.collapses else ReducedObjective(self.energy, self.objective)
 
     @cached_property
     def residual(self) -> OuterResidual:

@@ -13,7 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.reduced_model import Reduced, outer_function
+from rmesh_nlp.models.reduced_model import Reduced, ReducedObjective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import ACCURATE
 from rmesh_nlp.solving.outer import Outer
@@ -111,7 +111,7 @@ def verify_gradient(
         If the objective is unknown or does not suit the problem, or no node may move.
     """
     outer, asked = Outer(problem), parse_objective(objective)
-    function: Reduced = outer.energy if asked.is_energy else outer_function(outer.energy, asked)
+    function: Reduced = outer.energy if asked.is_energy else ReducedObjective(outer.energy, asked)
     n = outer.n
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")

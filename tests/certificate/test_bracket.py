@@ -16,7 +16,6 @@ from rmesh_nlp.certificate.conditions import NotCertifiableError, conditions_of
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.integrals import integrals, loads
 from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
-from rmesh_nlp.certificate.lower_bound import LowerBound
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
@@ -83,15 +82,12 @@ def test_the_lower_bound_is_exact_where_the_flux_is_linear(sign: float, end: flo
     assert found.why == ()
     assert found.upper > energy + 1e-2
     adds_up(found)
-    u = guess_on(problem).displacement
-    assert LowerBound(problem)(mesh.p, u)[0] == pytest.approx(energy, rel=1e-12)
     # a traction does what the obstacle did
     pulled = replace(
         problem, obstacle=(), tractions=(Traction("right", (sign * (k * (end - start) - f / 2),)),)
     )
     work = (k * (end - start) - f / 2) * end
     assert bracket_of(pulled).lower == pytest.approx(energy - work, rel=1e-12)
-    assert LowerBound(pulled)(mesh.p, u)[0] == pytest.approx(energy - work, rel=1e-12)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -107,7 +103,6 @@ def test_the_lower_bound_is_exact_where_an_obstacle_in_the_interior_carries_all(
     assert found.lower == pytest.approx(energy, rel=1e-10)
     assert found.upper == pytest.approx(energy, rel=1e-10)
     assert found.why == ()
-    assert LowerBound(problem)(mesh.p, u)[0] == pytest.approx(energy, rel=1e-10)
     assert np.max(np.abs(found.local)) < 1e-10
 
 

@@ -21,7 +21,7 @@ from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_model import ReducedEnergy, outer_function
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -211,7 +211,7 @@ class TestGradients:
     @pytest.mark.parametrize("coulomb", [0.4, lambda x, y: 0.8 + 0.1 * x + 0.05 * y])
     def test_by_the_adjoint_are_those_of_differences(self, coulomb, order: int) -> None:
         energy = ReducedEnergy.of(ContactSolver(slab(coulomb, order=order)))
-        function = outer_function(energy, parse_objective(SAG))
+        function = ReducedObjective(energy, parse_objective(SAG))
         rng, n = np.random.default_rng(3), energy.relocation.n_q
         q, d = 0.2 * rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
         here = function(q)

@@ -177,7 +177,6 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
     "mean": ("mean(top, __import__('os'))",),
     "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)",),
     "needs an exact or reference solution": ("error-l2", "friction"),
-    "minimised by nested only": ("certificate",),
 }
 
 
@@ -223,7 +222,6 @@ FLAGS = {  # is_energy, collapses, has_barrier, needs_exact, the terms in the po
     "3*elastic": (False, False, True, False, "3*elastic"),
     "-2*body(x)": (False, False, False, False, ""),
     "body(x) + error-l2": (False, False, False, True, ""),
-    "certificate": (False, False, False, False, ""),
     **{name: (False, False, False, True, "") for name in TERMS if name[:5] in ("error", "conta", "frict")},
 }
 

@@ -132,7 +132,6 @@ def test_the_length_of_contact_of_the_record_is_the_limit() -> None:
         ("square()", "unknown objective ''"),
         ("square(area - inf)", "needs a finite value, got inf"),
         ("-2*square(area - 1)", "must be positive"),
-        ("square(certificate - 1)", "minimised by nested only"),
     ],
 )
 def test_what_does_not_suit_is_said(text: str, said: str) -> None:

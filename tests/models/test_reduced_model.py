@@ -9,17 +9,14 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.certificate.lower_bound import DEGREE, LowerBound
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedEnergy, ReducedObjective, outer_function
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Motion
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
+from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, plate, spline_of_the_hole
-from support.formulations import fixed, joint, mpcc, nested
 from support.orders import QUICK as QUICK_2
 from support.orders import slow_but
 from support.reduced import CONTACTS, QUADRATIC, reduced
@@ -99,45 +96,6 @@ def test_the_adjoint_gradient_has_rate_2(name: str, objective: str) -> None:
 def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -> None:
     problem = plate({"hole": curve}, delta=0.4, load=BENT_LOAD)
     assert np.min(rm.verify_gradient(problem).orders) > 1.99
-
-
-def scalar(kind: str) -> ContactProblem:
-    return replace(random_problem(2, kind=kind), motion=Motion(delta=0.05))
-
-
-def hole() -> ContactProblem:
-    motion = Motion(delta=rm.Relative(0.3), curves={"hole": CURVES["circle"]})
-    return rm.ContactProblem(plate({}).mesh, rm.Laplace(source=-1.0), ("left",), motion=motion)
-
-
-@pytest.mark.parametrize(
-    ("make", "objective"),
-    [
-        (lambda: scalar("scalar"), "2*certificate + 0.01*quality"),
-        (lambda: scalar("membrane"), "certificate"),
-        (hole, "certificate"),
-        pytest.param(lambda: scalar("membrane"), "2*certificate + 0.01*quality", marks=pytest.mark.slow),
-    ],
-)
-def test_the_gradient_of_the_bound_of_the_error_has_rate_2(make: Any, objective: str) -> None:
-    assert rm.verify_gradient(make(), objective, seed=1).order > 1.9
-
-
-def test_the_bound_of_the_error_is_the_upper_less_the_lower_one_by_the_rule_of_the_assessment() -> None:
-    problem = replace(scalar("scalar"), quadrature=2)
-    energy, accurate = reduced(problem), ContactSolver(replace(problem, quadrature=DEGREE))
-    function = outer_function(energy, parse_objective("2*certificate + 0.5*certificate + 3*quality"))
-    assert isinstance(function, ReducedCertificate)
-    q = np.random.default_rng(0).uniform(-0.5, 0.5, energy.relocation.n_q)
-    nodes = energy.relocation.nodes(q)
-    upper = accurate.solve(nodes)
-    lower, _ = LowerBound(problem)(nodes, accurate.displacement.values(upper.u))
-    quality = reduced(problem, "energy + 3*quality").of_positions(q)
-    assert function(q).value == pytest.approx(2.5 * (upper.energy - lower) + quality, rel=1e-9)
-    assert upper.energy != pytest.approx(energy(q).value, rel=1e-6)
-    for text in ("certificate + quality", "quality"):
-        barred = outer_function(energy, parse_objective(text))
-        assert [barred.is_defined(q), barred.is_defined(20 * (-1.0) ** np.arange(q.size))] == [True, False]
 
 
 def test_weights_that_do_not_move_would_be_noticed() -> None:
@@ -224,32 +182,3 @@ def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inve
     assert [energy.is_defined(at) for energy in (plain, mixed) for at in (q, inverted)] == [True] * 3 + [
         False
     ]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["scalar", "membrane"])
-def test_nested_lowers_the_bound_from_the_given_mesh_and_from_that_of_least_energy(kind: str) -> None:
-    problem = scalar(kind)
-    by_energy = nested.solve(problem)
-    for start in (None, by_energy):
-        found = nested.solve(problem, objective="certificate", start=start)
-        assert found.success
-        record, certificate = found.record(), rm.certify(found)
-        assert record["objective_value"] < record["objective_initial"]
-        assert certificate.guaranteed_lower
-        assert certificate.error_bound < certificate.error_bound_initial
-        # what is minimised is a bound as well, and close to that of the certificate
-        half_square = certificate.error_bound**2 / 2
-        assert record["objective_value"] == pytest.approx(half_square, rel=0.05)
-    # with its own lower bound, not the better one of the given mesh
-    assert half_square <= 1.001 * rm.certify(by_energy).error_bound ** 2 / 2
-
-
-@pytest.mark.slow
-def test_formulations_without_a_reduced_model_refuse_the_bound_and_fixed_tells_it() -> None:
-    for formulation in (joint, mpcc):
-        with pytest.raises(ValueError, match="certificate"):
-            formulation.solve(scalar("scalar"), objective="certificate")
-    with pytest.raises(ValueError, match="scalar"):
-        nested.solve(EXAMPLES["6.3"]((4, 2)), objective="certificate")
-    assert fixed.solve(scalar("scalar"), objective="certificate").record()["objective_value"] > 0

@@ -1,19 +1,16 @@
 """Second derivatives of the reduced model: differences of its gradients converge to them at rate 2."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models import second_derivatives
-from rmesh_nlp.models.reduced_model import ReducedCertificate, ReducedObjective
-from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature, SecantCurvature, curvature_of
-from rmesh_nlp.problem import Motion
+from rmesh_nlp.models.reduced_model import ReducedObjective
+from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature
 from support.curved import HOLE, plate
 from support.orders import slow_but
 from support.reduced import CONTACTS, FREE, QUADRATIC, reduced
@@ -97,18 +94,3 @@ def test_products_of_objectives_are_derivatives_of_the_gradient(name: str, objec
     if objective == "energy":
         known = Curvature(energy).at(energy(q))(d)
         np.testing.assert_allclose(hessian(d), known, atol=1e-9 * np.max(np.abs(known)))
-
-
-def test_secants_learn_what_the_upper_bound_does_not_know() -> None:
-    energy = reduced(replace(random_problem(2, kind="scalar"), motion=Motion(delta=0.05)))
-    function: Any = ReducedCertificate(energy, parse_objective("2*certificate"))
-    curvature, rng = curvature_of(function), np.random.default_rng(0)
-    assert isinstance(curvature, SecantCurvature)
-    ends = [function(q) for q in rng.uniform(-0.2, 0.2, (2, energy.relocation.n_q))]
-    first, hessian = curvature.at(ends[0]), curvature.at(ends[1])
-    step = ends[1].q - ends[0].q
-    np.testing.assert_allclose(first(step), 2 * first.upper(step), rtol=1e-12)
-    rest = [end.gradient - 2 * function.upper(end.q).gradient for end in ends]
-    np.testing.assert_allclose(hessian(step) - 2 * hessian.upper(step), rest[1] - rest[0], atol=1e-9)
-    other = rng.uniform(-1, 1, step.size)
-    assert other @ hessian(step) == pytest.approx(step @ hessian(other))
