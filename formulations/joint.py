@@ -152,7 +152,7 @@ class Joint(Formulation):
         last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
         if last is not end:
             return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
-        return Outcome(outer, end, status, own=_own(outer, end, result), claimed=result.f)
+        return Outcome(outer, end, status, own=_own(outer, end, result))
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:
         """The energy NLP from outer variables ``q`` and the contact solution there."""

@@ -266,7 +266,6 @@ class AllAtOnce(Formulation):
             outer.clipped(program.split(result.x)[0]),
             result.status,
             own=end,
-            decides=True,
             label=result.stationarity,
             details=(relaxation, _figures(outer, program, solves, result)),
         )

@@ -58,11 +58,12 @@ def solved(seed: int, formulation: str, start: str, seconds: float) -> Row:
         end = assess(outer, outcome)
     except Exception as error:  # whatever happens leaves a row
         return {**row, "status": type(error).__name__, "message": str(error), "valid": False}
+    conditions = end.first_order
     point, begin = outer.function(outcome.q), outer.function(np.zeros(outer.n))
     row |= {"status": end.status.value, "said": outcome.status.value, "valid": end.valid, "n": outer.n}
-    row |= {"success": end.success, "residual": end.stationarity_residual, "label": end.stationarity}
-    row |= {"b_stationary": end.label.b_stationary if end.label else None}
-    row |= {"pairs": end.label.biactive if end.label else 0}
+    row |= {"success": end.success, "residual": conditions.residual, "label": conditions.stationarity}
+    row |= {"b_stationary": conditions.label.b_stationary if conditions.label else None}
+    row |= {"pairs": conditions.label.biactive if conditions.label else 0}
     row |= {"value": point.value, "violation": outer.merit(point)[0], "first": begin.value}
     row |= {"first_violation": outer.merit(begin)[0], "friction": _friction(outer)}
     row |= {"constraints": [str(one.value) for one in found.problem.constraints]}

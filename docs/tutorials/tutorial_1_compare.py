@@ -24,7 +24,7 @@ comparison
 # ``comparison.frame()``, the tables of ``rmesh compare`` in ``comparison.markdown()``.
 
 best = comparison.best
-print(best.formulation, best.audit.energy_audited)
+print(best.formulation, best.energy_audited)
 
 # %%
 # The meshes before and after, and the solution on them.

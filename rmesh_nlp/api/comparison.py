@@ -84,9 +84,9 @@ class Comparison:
 
 def _last(solution: Solution) -> float:
     """What was minimised, at the end."""
-    if solution.findings is None or solution.objective.startswith("energy"):
-        return solution.audit.energy_audited
-    return solution.findings.objective_value
+    if solution.objective.startswith("energy"):
+        return solution.energy_audited
+    return solution.assessment.final.objective
 
 
 def compare(

@@ -12,12 +12,10 @@ from functools import cached_property
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.mapping.validity import least_area_ratio
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -27,14 +25,16 @@ EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
 
 
 @dataclass(frozen=True)
-class Audit:
-    """Measured properties of a solution."""
+class Residuals:
+    """How far displacements and forces are from equilibrium and from the laws of contact and friction."""
 
-    energy_audited: float  # of the continuous problem, see :mod:`rmesh_nlp.assessment.admissible`
-    equilibrium_residual: float  # largest out-of-balance nodal force, relative to the largest applied one
-    complementarity_residual: float  # of contact and friction laws, see :func:`law_residual`
-    min_area_ratio: float  # least signed element area over its initial one; not positive if inverted
-    penetration: float = float("nan")  # deepest one between contact nodes, in units of length
+    equilibrium: float  # largest out-of-balance nodal force, relative to the largest applied one
+    complementarity: float  # see :func:`law_residual`
+
+    @property
+    def hold(self) -> bool:
+        """Whether both are at most ``TOLERANCE``; not if one is no number."""
+        return self.equilibrium <= TOLERANCE and self.complementarity <= TOLERANCE
 
 
 class Assessor:
@@ -54,8 +54,8 @@ class Assessor:
 
     @cached_property
     def initial_corrections(self) -> Mapping[str, float]:
-        """See :meth:`corrections`, on the mesh as given."""
-        return self.corrections(np.asarray(self.problem.mesh.p), self._given, self.initial)
+        """See :func:`corrections`, on the mesh as given."""
+        return corrections(self.model, np.asarray(self.problem.mesh.p), self._given, self.initial)
 
     def solve(self, nodes: Array, start: ActiveSet) -> Admissible:
         """The admissible displacement at node positions (2, nodes); the last one is remembered."""
@@ -65,41 +65,34 @@ class Assessor:
             self._last = np.array(nodes), admissible(self.model.discretisation, nodes, start)
         return self._last[1]
 
-    def audit(self, nodes: Array, found: Equilibrium, exact: Admissible, ratio: float | None = None) -> Audit:
-        """Residuals of a solution on a mesh; ``exact`` is that of :meth:`solve`.
 
-        ``ratio`` is the least area ratio, where it is relative to another mesh than that of the problem.
-        """
-        system = self.model.system(nodes)
-        state = found.u, found.normal_force, found.tangential_force
-        displacement = self.model.displacement.values(found.u)
-        return Audit(
-            energy_audited=exact.energy,
-            equilibrium_residual=equilibrium_residual(system, *state),
-            complementarity_residual=law_residual(system, *state),
-            min_area_ratio=least_area_ratio(self.problem, nodes) if ratio is None else ratio,
-            penetration=penetration(self.model.discretisation.space, nodes, displacement),
-        )
+def corrections(
+    model: ContactSolver, nodes: Array, found: Equilibrium, exact: Admissible
+) -> dict[str, float]:
+    """What the continuous energy differs by from that of a contact solution, by what it is due to.
 
-    def corrections(self, nodes: Array, found: Equilibrium, exact: Admissible) -> dict[str, float]:
-        """What the continuous energy differs by from a formulation's own, by what it is due to.
+    Penetration between nodes: the work of the contact forces along the additional stand-offs. Friction
+    lumped at nodes and the shape of the body: the differences of these energies at the admissible
+    displacement. Quadrature of the loads: what is left. On a mesh that had to be refined all of it counts
+    as penetration.
+    """
+    own = dict.fromkeys(EXPLOITS, 0.0)
+    if exact.problem is not model.problem:
+        return {**own, "penetration": exact.energy - found.energy}
+    strain, friction = model.strain_and_friction(nodes, exact.state.u)
+    force = (found.normal_force + exact.state.normal_force) / 2
+    others = {
+        "penetration": float(force @ (model.system(nodes).offset - exact.system.offset)),
+        "friction": exact.friction - friction,
+        "geometry": exact.strain - strain,
+    }
+    return {"quadrature": exact.energy - found.energy - sum(others.values()), **others}
 
-        Penetration between nodes: the work of the contact forces along the additional stand-offs. Friction
-        lumped at nodes and the shape of the body: the differences of these energies at the admissible
-        displacement. Quadrature of the loads: what is left. On a mesh that had to be refined all of it counts
-        as penetration.
-        """
-        own = dict.fromkeys(EXPLOITS, 0.0)
-        if exact.problem is not self.problem:
-            return {**own, "penetration": exact.energy - found.energy}
-        strain, friction = self.model.strain_and_friction(nodes, exact.state.u)
-        force = (found.normal_force + exact.state.normal_force) / 2
-        others = {
-            "penetration": float(force @ (self.model.system(nodes).offset - exact.system.offset)),
-            "friction": exact.friction - friction,
-            "geometry": exact.strain - strain,
-        }
-        return {"quadrature": exact.energy - found.energy - sum(others.values()), **others}
+
+def residuals(system: ContactSystem, state: Equilibrium) -> Residuals:
+    """Those of a contact solution."""
+    forces = state.u, state.normal_force, state.tangential_force
+    return Residuals(equilibrium_residual(system, *forces), law_residual(system, *forces))
 
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:

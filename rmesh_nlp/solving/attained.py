@@ -11,7 +11,6 @@ from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.fem.recovery import interpolation_error, recovered
 from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.solving.parts import Part
-from rmesh_nlp.solving.solution import Assessment
 
 
 @dataclass(frozen=True)
@@ -25,17 +24,19 @@ class Attained(Part):
     share_of_attainable: float
 
 
-def attained(found: Assessment, reduction: ErrorReduction, finest: Admissible | None) -> Attained | None:
+def attained(
+    gain: float, reduction: ErrorReduction, last: Admissible, finest: Admissible | None
+) -> Attained | None:
     """Both from derivatives on the refined last mesh, on the last one itself where none was refined.
 
-    The error of the last mesh is that of interpolation, within the bounds that are known.
+    ``gain`` is the decrease of the audited energy. The error of the last mesh is that of interpolation,
+    within the bounds that are known.
     """
-    assert found.assessed is not None
-    there = found.assessed[1] if finest is None else finest
-    triangles, refined = found.problem.triangles.shape[1], there.problem.triangles
-    nodes = there.body.nodes
-    regions = recovered(there.parts.space, nodes, there.displacement)
-    times = (refined.shape[1] / triangles) ** found.problem.order  # how the error falls
+    fine = last if finest is None else finest
+    triangles, refined = last.problem.triangles.shape[1], fine.problem.triangles
+    nodes = fine.body.nodes
+    regions = recovered(fine.parts.space, nodes, fine.displacement)
+    times = (refined.shape[1] / triangles) ** last.problem.order  # how the error falls
     error = float(np.clip(times * interpolation_error(nodes, refined, regions), *reduction.error))
     least = min(LeastErrors.of(nodes, regions, triangles).any_mesh, error)
-    return Attained((found.gain_audited + error) / least, least / error) if least > 0 else None
+    return Attained((gain + error) / least, least / error) if least > 0 else None

@@ -12,12 +12,12 @@ from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.certificate.displacement import GIVEN
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
-from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.parts import Certificate
-from rmesh_nlp.solving.solution import Assessment
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.state import State
 
 POLYGON = (
     "a body with curves is certified as the polygon of its mesh, whose error is larger than that of "
@@ -25,7 +25,7 @@ POLYGON = (
 )
 
 
-def certify(solution: Assessment, *, refinements: int | None = None) -> Certificate:
+def certify(solution: Solution, *, refinements: int | None = None) -> Certificate:
     """Bound the least energy and the error of a solution in the energy norm.
 
     The contact problem is solved once more on the given mesh, for the bound before the relocation. The
@@ -34,7 +34,7 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
 
     Parameters
     ----------
-    solution : Solution or Assessment
+    solution : Solution
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
@@ -47,26 +47,24 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     ValueError
         If the solution has no displacement, because its mesh is invalid.
     """
-    if not np.all(np.isfinite(solution.displacement)):
-        raise ValueError(f"there is nothing to certify: the solution is {solution.status.value}")
-    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    return bounded(solution.assessment, refinements)
+
+
+def bounded(assessment: Assessment, refinements: int | None = None) -> Certificate:
+    """The certificate of the two states of an assessment."""
+    given, final = assessment.given, assessment.final
+    if given.continuous is None or final.continuous is None:
+        raise ValueError(f"there is nothing to certify: the solution is {assessment.status.value}")
+    problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
-    assessed = None if problem.motion.curves else solution.assessed
-    first = problem if solution.assessed is None else solution.assessed[0].problem
-    given, is_new = np.asarray(first.mesh.p), not np.array_equal(first.mesh.t, problem.mesh.t)
-    u = DisplacementSpace.of(problem).coefficients(solution.displacement)
-    guess = Guess(u, solution.pressure, solution.tangential_stress)
-    after = refined_bracket(problem, nodes, guess, refinements)
-    if assessed is not None:
-        after = _with_upper(after, assessed[1])
-    if not is_new and np.array_equal(nodes, given):
+    nodes = np.asarray(final.mesh.p)
+    is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
+    after = _bracket(final, final.continuous, refinements)
+    if not is_new and np.array_equal(nodes, given.mesh.p):
         return _certificate(after, after, after.why)
-    guess = contact_solution(ContactSolver(first), given)
-    before = refined_bracket(first, given, guess, refinements)
-    if assessed is not None:
-        before = _with_upper(before, assessed[0])
-    is_same = not solution.design  # else the bounds are those of two problems
+    before = _bracket(given, given.continuous, refinements)
+    is_same = not final.design  # else the bounds are those of two problems
     if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
         best = max((before, after), key=lambda one: (one.guaranteed_lower, one.lower))
         before, after = _with_lower(before, best), _with_lower(after, best)
@@ -75,15 +73,12 @@ def certify(solution: Assessment, *, refinements: int | None = None) -> Certific
     return _certificate(before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why)))
 
 
-def contact_solution(model: ContactSolver, nodes: Array) -> Guess:
-    """The contact solution on a mesh with its nodes at ``nodes`` (2, nodes)."""
-    space, found = model.discretisation.space, model.solve(nodes)
-    pressure, friction = np.zeros((2, space.n_nodes))
-    weights = space.weights(nodes)
-    pressure[model.contact_nodes] = found.normal_force / weights
-    if found.tangential_force.size:
-        friction[model.contact_nodes] = found.tangential_force / weights
-    return Guess(model.displacement.values(found.u), pressure, friction, space)
+def _bracket(state: State, continuous: Admissible, refinements: int | None) -> Bracket:
+    """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
+    u = DisplacementSpace.of(state.problem).coefficients(state.displacement)
+    guess = Guess(u, state.pressure, state.tangential_stress)
+    found = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
+    return found if state.problem.motion.curves else _with_upper(found, continuous)
 
 
 def _with_upper(one: Bracket, found: Admissible) -> Bracket:
@@ -125,9 +120,9 @@ def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certi
     )
 
 
-def certified(found: Assessment) -> tuple[Certificate | None, str | None]:
+def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
     """The certificate, or a remark that says why there is none."""
     try:
-        return certify(found), None
+        return bounded(assessment), None
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return None, f"no certificate: {' '.join(str(error).split())}"

@@ -1,9 +1,14 @@
-"""``solve``: the one driver of all formulations."""
+"""``solve``: the one driver of all formulations.
+
+It chooses a formulation, builds the outer problem, runs the one on the other, measures where that ended and
+compares it with the mesh as given. Where the gain is an error of the discretisation, it does so once more
+with a safe one. Then it makes the solution.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -18,22 +23,13 @@ from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.clock import TOLERANCE, Limits
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.exploited import (
-    SAFE_DEGREE,
-    End,
-    back,
-    better,
-    damped,
-    is_spurious,
-    reduced_error,
-    safe_discretisation,
-    surviving_gain,
-)
+from rmesh_nlp.solving.exploited import End, back, is_spurious, once_more
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.options import Start, beginning, request, with_settings
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Choices, Step
+from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
 
 
@@ -95,24 +91,14 @@ def solve(
         keywords = with_settings(formulation, settings, limits, named)
         return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
-    monitor, outer_objective = Monitor(limits, on_step), parse_objective(objective)
-    problem = with_levels(problem, outer_objective)
-    asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
-    choice = _chosen(asked, problem, outer_objective, start is not None or seed is not None)
-    chosen = choice.formulation
-    _check_energy(problem, outer_objective, chosen)
-    chosen.accepts(choice.problem, outer_objective)
-    if not chosen.relocates:
-        start = seed = None
-    outer = _outer(choice.problem, outer_objective, tolerance, monitor)
-    end, safe = _ended(chosen, outer, start, seed, monitor), None
-    if is_spurious(end.found):
-        end, safe = _safe(chosen, end, start, seed, monitor)
-    if monitor.stopped is not None and end.outcome.status is monitor.stopped and not end.found.success:
+    monitor = Monitor(limits, on_step, problem.mesh)
+    plan = _planned(problem, formulation, parse_objective(objective), tolerance, start, seed)
+    end, safe = _ended(plan, plan.problem, monitor), None
+    if is_spurious(end.assessment):
+        end, safe = once_more(end, lambda posed: _ended(plan, posed, monitor), monitor)
+    if monitor.stopped is not None and end.assessment.said is monitor.stopped and not end.assessment.success:
         end = monitor.finish(lambda: back(end))
-    why = "; ".join((choice.why, *end.outcome.remarks)) if choice.why else None
-    choices = Choices(safe, asked.name if why else None, why)
-    return _made(chosen, end, seed, monitor, choices, certify)
+    return _made(plan, end, safe, monitor, certify)
 
 
 def solve_by_options(
@@ -125,6 +111,40 @@ def solve_by_options(
 ) -> Solution:
     """:func:`solve` with options by name, see :func:`rmesh_nlp.solving.options.request`."""
     return solve(problem, **request(formulation, options), on_step=on_step, certify=certify)
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is run on which problem, from where; ``chooser`` and ``why`` where it was chosen."""
+
+    formulation: Formulation
+    problem: ContactProblem
+    objective: Objective
+    tolerance: float
+    start: Start
+    seed: int | None
+    chooser: str
+    why: str
+
+
+def _planned(
+    problem: ContactProblem,
+    formulation: str | Formulation | Chooser,
+    objective: Objective,
+    tolerance: float,
+    start: Start,
+    seed: int | None,
+) -> _Plan:
+    """The formulation and the problem as it takes it."""
+    problem = with_levels(problem, objective)
+    asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
+    choice = _chosen(asked, problem, objective, start is not None or seed is not None)
+    chosen = choice.formulation
+    _check_energy(problem, objective, chosen)
+    chosen.accepts(choice.problem, objective)
+    if not chosen.relocates:
+        start = seed = None
+    return _Plan(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
 
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
@@ -154,70 +174,40 @@ def _chosen(
     return Choice(asked, problem, "")
 
 
-def _outer(problem: ContactProblem, objective: Objective, tolerance: float, monitor: Monitor) -> Outer:
-    """The outer problem, with the contact solution on the mesh as given and its time.
+def _ended(plan: _Plan, problem: ContactProblem, monitor: Monitor) -> End:
+    """Where a formulation ends on a problem: built, run, measured.
 
-    A model of the given mesh is built when a formulation first asks for it.
+    A model of the given mesh is built when the formulation first asks for it.
     """
-    clock, monitor.mesh = monitor.clock, problem.mesh
-    with clock.during("build"):
-        outer = Outer(problem, objective, tolerance)
-    with clock.during("audit"):
+    with monitor.clock.during("build"):
+        outer = Outer(problem, plan.objective, plan.tolerance)
+    with monitor.clock.during("audit"):
         outer.time_contact()
-    return outer
-
-
-def _ended(formulation: Formulation, outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> End:
-    """Where a formulation ends, assessed."""
     monitor.clock.enter("solve")
-    begin = beginning(outer, start, seed, monitor)
+    begin, formulation = beginning(outer, plan.start, plan.seed, monitor), plan.formulation
     outcome = monitor.run(formulation, begin.outer, begin.q)
     spent = monitor.spent  # what the assessment solves is no part of it
-    if monitor.stopped is not None and formulation.relocates:  # one contact solve is finite
-        outcome = replace(outcome, status=monitor.stopped)
-    found = monitor.finish(lambda: assess(outer, outcome, relocates=formulation.relocates))
-    return End(outer, outcome, found, begin.name, spent)
+    # one contact solve is finite
+    stopped = monitor.stopped if formulation.relocates else None
+    assessment = monitor.finish(
+        lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates)
+    )
+    return End(outer, outcome, assessment, begin.name, spent)
 
 
-def _safe(
-    formulation: Formulation, end: End, start: Start, seed: int | None, monitor: Monitor
-) -> tuple[End, str]:
-    """The better end of a second solve with a safe discretisation, or a part of the way to the first one."""
-    first, last, measured = end.first, end.outcome.outer.problem, end.found.measured
-    said = f"{measured.costliest} was exploited" if measured else ""
-    if monitor.stopped is None and safe_discretisation(last) is not last:
-        safe = safe_discretisation(first.problem)  # as it was given: the end may be on a finer mesh
-        second = _ended(
-            formulation, _outer(safe, first.objective, first.tolerance, monitor), start, seed, monitor
-        )
-        end = replace(better(end, second), spent=second.spent)
-        said += f", solved again with a rule of degree {SAFE_DEGREE} and gaps along edges"
-    if end.found.status is Status.EXPLOITED:
-        end, part = monitor.finish(lambda: damped(end))
-        said += f", and {part:g} of the way to the last mesh taken" if part < 1 else ""
-    return end, said
-
-
-def _made(
-    formulation: Formulation, end: End, seed: int | None, monitor: Monitor, choices: Choices, certify: bool
-) -> Solution:
+def _made(plan: _Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
     """The one place where a solution is made."""
-    found, certificate, remark, reduction = end.found, None, None, None
+    assessment, certificate, remark, reduced = end.assessment, None, None, None
     with monitor.clock.during("audit"):
-        if choices.chosen is not None:
-            reduced = monitor.attempt(lambda: reduced_error(end.found, end.spent))
-            found, reduction = reduced or (found, None)
-        found = monitor.attempt(lambda: surviving_gain(end.outcome, found)) or found
+        if plan.why:
+            reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
+        surviving = monitor.attempt(lambda: surviving_gain(assessment))
         if certify and monitor.stopped is not Status.INTERRUPTED:
-            certificate, remark = certified(found)
-    if certificate is not None and certificate.is_disproved:
-        found = replace(found, status=Status.INACCURATE, success=False, valid=False)
-    if monitor.stopped is Status.INTERRUPTED and found.status is not Status.INTERRUPTED:
-        said = f"That point is no success, {found.status.value}: {found.status.message}"
-        found = replace(found, status=Status.INTERRUPTED, detail=found.detail if found.success else said)
+            certificate, remark = certified(assessment)
+    why = "; ".join((plan.why, *end.outcome.remarks)) if plan.why else None
     return Solution(
-        **vars(found),
-        formulation=formulation.name,
+        assessment=assessment,
+        formulation=plan.formulation.name,
         history=_history(monitor, end),
         iterations=monitor.iterations,
         work=end.spent,
@@ -226,13 +216,16 @@ def _made(
         solve_time_s=monitor.clock.seconds("solve"),
         audit_time_s=monitor.clock.seconds("audit"),
         start=end.start,
-        settings=formulation.changed(),
-        seed=seed,
+        settings=plan.formulation.changed(),
+        seed=plan.seed,
         limits=monitor.limits,
-        choices=choices,
-        error_reduction=reduction,
+        choices=Choices(safe, plan.chooser if why else None, why),
+        details=end.outcome.details,
+        reduced_error=reduced or ReducedError(),
+        surviving_gain=surviving,
         certificate=certificate,
         certificate_remark=remark,
+        is_interrupted=monitor.stopped is Status.INTERRUPTED,
     )
 
 
@@ -252,5 +245,5 @@ def _history(monitor: Monitor, end: End) -> tuple[Step, ...]:
         and at.size == q.size
         and np.allclose(at, q, rtol=0.0, atol=1e-8 * size)
     ):
-        last = replace(last, dual_residual=end.found.stationarity_residual)
+        last = replace(last, dual_residual=end.assessment.first_order.residual)
     return (*steps, last)

@@ -51,6 +51,8 @@ class Monitor:
     limits : Limits, optional
     on_step : callable, optional
         Called with each step.
+    mesh : skfem.MeshTri, optional
+        The mesh as given. Outer variables of another one are not shown to ``on_step``.
 
     Attributes
     ----------
@@ -64,18 +66,17 @@ class Monitor:
         What formulations have spent beside the contact solves of the outer problems that they track.
     last_q : array or None
         Of the last step.
-    mesh : skfem.MeshTri or None
-        The mesh as given. Those of another one are not shown to ``on_step``.
     """
 
-    def __init__(self, limits: Limits | None = None, on_step: OnStep | None = None) -> None:
+    def __init__(
+        self, limits: Limits | None = None, on_step: OnStep | None = None, mesh: MeshTri | None = None
+    ) -> None:
         self.clock = Clock()
-        self.limits, self.on_step = limits or Limits(), on_step
+        self.limits, self.on_step, self.mesh = limits or Limits(), on_step, mesh
         self.steps: list[Step] = []
         self.stopped: Status | None = None
         self.work = Work()
         self.last_q: Array | None = None
-        self.mesh: MeshTri | None = None
         self._tracked: list[Outer] = []
         self._track: Track | None = None
 

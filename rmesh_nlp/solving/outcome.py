@@ -28,11 +28,8 @@ class Outcome:
     status : Status
         How the solver says that it ended.
     own : Equilibrium, optional
-        The formulation's own displacement and forces.
-    decides : bool
-        Whether ``own`` is the solution, and not the contact solution at ``q``.
-    claimed : float, optional
-        What the formulation says that the objective is.
+        The formulation's own displacement and forces. The solution is the contact solution at ``q``; a solver
+        that met its own test is believed only if these hold as well.
     label : str, optional
         Stationarity of an MPCC; by default "KKT" where the measured residual allows.
     details : tuple of Part
@@ -45,8 +42,6 @@ class Outcome:
     q: Array
     status: Status
     own: Equilibrium | None = None
-    decides: bool = False
-    claimed: float | None = None
     label: str | None = None
     details: tuple[Part, ...] = ()
     remarks: tuple[str, ...] = ()

@@ -83,7 +83,16 @@ class Outer:
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
         other = copy.copy(self)
-        for name in ("energy", "function", "residual", "constraints", "kkt", "branches"):
+        for name in (
+            "energy",
+            "energy_at_start",
+            "at_start",
+            "function",
+            "residual",
+            "constraints",
+            "kkt",
+            "branches",
+        ):
             other.__dict__.pop(name, None)
         other.objective = objective
         return other
@@ -127,12 +136,23 @@ class Outer:
         return self.energy if self.objective.collapses else ReducedObjective(self.energy, self.objective)
 
     @cached_property
+    def energy_at_start(self) -> ReducedPoint:
+        """The energy on the mesh as given; no contact solve of a formulation."""
+        system = self.contact.system(self.problem.mesh.p)
+        return self.energy.at(np.zeros(self.n), system, self.given)
+
+    @cached_property
+    def at_start(self) -> ReducedPoint:
+        """The objective on the mesh as given."""
+        function = self.function
+        if isinstance(function, ReducedEnergy):
+            return self.energy_at_start
+        return function.of(self.energy_at_start)
+
+    @cached_property
     def residual(self) -> OuterResidual:
         """The first-order residual, relative to that on the mesh as given."""
-        system, function = self.contact.system(self.problem.mesh.p), self.function
-        given = self.energy.at(np.zeros(self.n), system, self.given)
-        point = given if isinstance(function, ReducedEnergy) else function.of(given)
-        return OuterResidual(self.energy, point, self.constraints)
+        return OuterResidual(self.energy, self.at_start, self.constraints)
 
     @cached_property
     def constraints(self) -> ReducedConstraints | None:
@@ -201,7 +221,8 @@ class Outer:
         if not self.problem.design:
             return self, q
         other = Outer(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
-        other.contact_seconds = self.contact_seconds
+        if not np.any(q):  # where shapes begin
+            return other, np.zeros(other.n)
         return other, other.discretisation.mesh_map.q_of(self.nodes(q))
 
     def system(self, q: Array) -> ContactSystem:

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import Quantities
 from rmesh_nlp.assessment.error_reduction import by_certificate
 from rmesh_nlp.display import bounds_in_words, figure
 from rmesh_nlp.evaluation import Array
@@ -59,56 +58,6 @@ class Work(Part):
         return {name: count for name, count in vars(self).items() if name != "contact_solves" and count}
 
 
-@dataclass(frozen=True, kw_only=True)
-class Findings(Part):
-    """What was measured on the final mesh beside the energies.
-
-    Attributes
-    ----------
-    tolerance : float
-        Of the first-order residual.
-    own_equilibrium_residual, own_complementarity_residual : float
-        Relative residuals of the formulation's own displacement and forces.
-    assessed_equilibrium_residual, assessed_complementarity_residual : float
-        Of the exact contact solve.
-    sticking_nodes, sliding_nodes : int, optional
-        With friction.
-    exploits : str or None
-        The error of the discretisation that was exploited.
-    warnings : tuple of str
-    objective_value : float
-    objective_initial : float, optional
-        On the mesh as given, where it has the same edges.
-    domain_area_change : float, optional
-        Relative, where nodes slide along curves.
-    gain_surviving : float, optional
-        Part of the gain in an objective other than the energy that is left on refined meshes.
-    coulomb_residual, coulomb_residual_initial : float, optional
-        Violation of Coulomb's law along edges, see :mod:`rmesh_nlp.assessment.coulomb`; the second one on the
-        mesh as given.
-    """
-
-    tolerance: float
-    own_equilibrium_residual: float
-    own_complementarity_residual: float
-    assessed_equilibrium_residual: float
-    assessed_complementarity_residual: float
-    sticking_nodes: int | None = None
-    sliding_nodes: int | None = None
-    exploits: str | None
-    warnings: tuple[str, ...]
-    objective_value: float
-    objective_initial: float | None = None
-    domain_area_change: float | None = None
-    gain_surviving: float | None = None
-    coulomb_residual: float | None = None
-    coulomb_residual_initial: float | None = None
-
-    def record(self) -> dict[str, Any]:
-        """The entries."""
-        return {**super().record(), "warnings": list(self.warnings)}
-
-
 @dataclass(frozen=True)
 class Label(Part):
     """Stationarity of an end for another objective than the energy, whatever formulation ended there.
@@ -156,20 +105,6 @@ class Constrained:
     def in_words(self) -> str:
         """For people."""
         return f"{figure(self.value)}, {bounds_in_words(self.lower, self.upper)}"
-
-
-@dataclass(frozen=True)
-class ContactQuantities(Part):
-    """Pressure, resultant and contact on the given mesh, on the last one and on its refinement."""
-
-    initial: Quantities
-    last: Quantities
-    refined: Quantities | None = None
-
-    def record(self) -> dict[str, float]:
-        """The entries."""
-        refined = {} if self.refined is None else self.refined.entries("_refined")
-        return {**self.initial.entries("_initial"), **self.last.entries(), **refined}
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,6 @@ import numpy as np
 from rich.table import Table
 from skfem import MeshTri
 
-from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.assessor import Audit
-from rmesh_nlp.assessment.conclusion import Measured
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.display import Rows, html_table, plain_table, rich_table
@@ -23,21 +20,20 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
     Constrained,
-    ContactQuantities,
-    Findings,
-    Label,
     Part,
     Step,
     Work,
     entries,
     plain,
 )
+from rmesh_nlp.solving.refinement import ReducedError, SurvivingGain
 from rmesh_nlp.solving.summary import summary
 
 if TYPE_CHECKING:
@@ -45,119 +41,13 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Assessment:
-    """What was measured of where a formulation ended; the defaults are those of an invalid mesh.
-
-    Attributes
-    ----------
-    problem : ContactProblem
-    objective : str
-    mesh : skfem.MeshTri
-        The relocated mesh, boundaries named as before.
-    displacement : (components, nodes) array
-        Values in units of length, at the vertices and of order 2 at the middles of edges.
-    pressure : (nodes,) array
-        Likewise: contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
-    tangential_stress : (nodes,) array
-        Friction on the body in N/m^2, along the tangent; zero without friction.
-    energy : float
-        J(u) on the relocated mesh with the problem's own quadrature.
-    energy_initial : float
-        The same on the initial mesh.
-    energy_initial_audited : float
-        The same with the rule of the assessment.
-    audit : Audit
-    status : Status
-    valid, improved, success : bool
-        See :mod:`rmesh_nlp.assessment.conclusion`; a success is valid and improved.
-    stationarity : str
-        "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
-    stationarity_residual : float
-        First-order residual of the outer problem, relative to that on the mesh as given
-        (:mod:`rmesh_nlp.models.residual`).
-    solver_status : Status
-        How the solver says that it ended; ``status`` is what the assessment says.
-    initial_nodes : (2, nodes) array
-        Positions before relocation, on the mesh of ``problem``: the given one, or a new one where the problem
-        was remeshed or refined.
-    initial_areas : (elements,) array
-        Areas in the mesh as given of the triangles of the solution; one that it does not have counts as the
-        mean of the given ones around its vertices.
-    multipliers : Multipliers or None
-        Of move limits, areas and angles; where they are large, position or connectivity is the limit.
-    detail : str
-        What the status leaves open, such as the degree of quadrature to take.
-    measured : Measured or None
-        What the status rests on; None where the contact problem could not be solved.
-    assessed : tuple of Admissible, optional
-        The admissible displacements on the given and on the last mesh.
-    findings, quantities : optional
-        None where the contact problem could not be solved; ``quantities`` also without contact.
-    label : Label, optional
-        Stationarity where contact is about to change, for other objectives than the energy.
-    details : tuple of Part
-        What the formulation adds to the record.
-    design : mapping of str to float
-        Design variables by their names; ``problem`` has these numbers in their place.
-    designed : ContactProblem or None
-        The problem with its design variables, where it has any.
-    constraints : mapping of str to Constrained
-        What the problem constrains, by the texts.
-    """
-
-    problem: ContactProblem
-    objective: str
-    mesh: MeshTri
-    displacement: Array
-    pressure: Array
-    tangential_stress: Array
-    energy: float = float("nan")
-    energy_initial: float
-    energy_initial_audited: float
-    audit: Audit
-    status: Status
-    valid: bool = False
-    improved: bool = False
-    success: bool = False
-    stationarity: str = ""
-    stationarity_residual: float = float("nan")
-    solver_status: Status
-    initial_nodes: Array
-    initial_areas: Array
-    multipliers: Multipliers | None = None
-    detail: str = ""
-    measured: Measured | None = field(default=None, repr=False)
-    assessed: tuple[Admissible, Admissible] | None = field(default=None, repr=False)
-    findings: Findings | None = None
-    quantities: ContactQuantities | None = None
-    label: Label | None = None
-    details: tuple[Part, ...] = ()
-    design: Mapping[str, float] = field(default_factory=dict)
-    designed: ContactProblem | None = field(default=None, repr=False)
-    constraints: Mapping[str, Constrained] = field(default_factory=dict)
-
-    @property
-    def message(self) -> str:
-        """What the status means, and what to do about it."""
-        return f"{self.status.message} {self.detail}".strip()
-
-    @property
-    def gain(self) -> float:
-        """Decrease of the energy by the problem's own rule."""
-        return self.energy_initial - self.energy
-
-    @property
-    def gain_audited(self) -> float:
-        """Decrease of the energy by the rule of the audit."""
-        return self.energy_initial_audited - self.audit.energy_audited
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solution(Assessment):
+class Solution:
     """A relocated mesh with its contact solution, as it was assessed, and how it was found.
 
     Attributes
     ----------
+    assessment : Assessment
+        The mesh as given and the final one, measured and compared.
     formulation : str
     history : tuple of Step
     iterations : int
@@ -173,14 +63,21 @@ class Solution(Assessment):
     seed : int or None
     limits : Limits
     choices : Choices
-    error_reduction : ErrorReduction, optional
+    details : tuple of Part
+        What the formulation adds to the record.
+    reduced_error : ReducedError
         By how much the error of the energy fell, where ``auto`` chose.
+    surviving_gain : SurvivingGain, optional
+        What refined meshes leave of a gain in another objective than the energy.
     certificate : Certificate, optional
         Bounds of the error, if they were asked for.
     certificate_remark : str, optional
         Why there is none although it was asked for.
+    is_interrupted : bool
+        Whether Ctrl-C stopped the solve, or what follows the assessment.
     """
 
+    assessment: Assessment
     formulation: str = ""
     history: tuple[Step, ...] = ()
     iterations: int = 0
@@ -194,9 +91,147 @@ class Solution(Assessment):
     seed: int | None = None
     limits: Limits = Limits()  # noqa: RUF009 frozen
     choices: Choices = Choices()  # noqa: RUF009 frozen
-    error_reduction: ErrorReduction | None = None
+    details: tuple[Part, ...] = ()
+    reduced_error: ReducedError = ReducedError()  # noqa: RUF009 frozen
+    surviving_gain: SurvivingGain | None = None
     certificate: Certificate | None = field(default=None, repr=False)
     certificate_remark: str | None = None
+    is_interrupted: bool = False
+
+    @property
+    def valid(self) -> bool:
+        """Whether the contact problem is solved on the final mesh, and no proven bound contradicts it."""
+        return self.assessment.valid and not self._is_disproved
+
+    @property
+    def success(self) -> bool:
+        """Valid and not worse than the mesh as given, see :mod:`rmesh_nlp.solving.assessment`."""
+        return self.assessment.success and not self._is_disproved
+
+    @property
+    def status(self) -> Status:
+        """That of the assessment, unless Ctrl-C stopped the solve or a proven bound is violated."""
+        if self.is_interrupted:
+            return Status.INTERRUPTED
+        return Status.INACCURATE if self._is_disproved else self.assessment.status
+
+    @property
+    def message(self) -> str:
+        """What the status means, and what to do about it."""
+        assessment, detail = self.assessment, self.assessment.detail
+        if self.is_interrupted and not self.success and assessment.status is not Status.INTERRUPTED:
+            status = Status.INACCURATE if self._is_disproved else assessment.status
+            detail = f"That point is no success, {status.value}: {status.message}"
+        return f"{self.status.message} {detail}".strip()
+
+    @property
+    def _is_disproved(self) -> bool:
+        return self.certificate is not None and self.certificate.is_disproved
+
+    @property
+    def problem(self) -> ContactProblem:
+        """The problem that was solved last, with numbers in the place of design variables."""
+        return self.assessment.final.problem
+
+    @property
+    def objective(self) -> str:
+        """What was minimised."""
+        return str(self.assessment.objective)
+
+    @property
+    def mesh(self) -> MeshTri:
+        """The relocated mesh, boundaries named as before."""
+        return self.assessment.final.mesh
+
+    @property
+    def initial_nodes(self) -> Array:
+        """(2, nodes) positions before relocation, on the mesh of ``problem``: the given one or a new one."""
+        return self.assessment.final.before
+
+    @property
+    def initial_areas(self) -> Array:
+        """(elements,) areas of the triangles before relocation."""
+        return signed_areas(self.initial_nodes, self.problem.triangles)
+
+    @property
+    def displacement(self) -> Array:
+        """(components, nodes) of the contact solution, in units of length."""
+        return self.assessment.final.displacement
+
+    @property
+    def pressure(self) -> Array:
+        """(nodes,) contact pressure in N/m^2, >= 0."""
+        return self.assessment.final.pressure
+
+    @property
+    def tangential_stress(self) -> Array:
+        """(nodes,) friction on the body in N/m^2, along the tangent."""
+        return self.assessment.final.tangential_stress
+
+    @property
+    def energy(self) -> float:
+        """J of the contact solution by the problem's own rules."""
+        return self.assessment.final.energy
+
+    @property
+    def energy_initial(self) -> float:
+        """The same on the mesh as given."""
+        return self.assessment.given.energy
+
+    @property
+    def energy_audited(self) -> float:
+        """J of the continuous problem, of an admissible displacement: the energy that is compared."""
+        return self.assessment.final.energy_audited
+
+    @property
+    def energy_initial_audited(self) -> float:
+        """The same on the mesh as given."""
+        return self.assessment.given.energy_audited
+
+    @property
+    def gain(self) -> float:
+        """Decrease of the energy by the problem's own rules."""
+        return self.assessment.gain
+
+    @property
+    def gain_audited(self) -> float:
+        """Decrease of the audited energy."""
+        return self.assessment.gain_audited
+
+    @property
+    def design(self) -> Mapping[str, float]:
+        """Design variables by their names."""
+        return self.assessment.final.design
+
+    @property
+    def designed(self) -> ContactProblem | None:
+        """The problem with its design variables, where it has any."""
+        return self.assessment.designed
+
+    @property
+    def constraints(self) -> Mapping[str, Constrained]:
+        """What the problem constrains, by the texts."""
+        return self.assessment.final.constraints
+
+    @property
+    def multipliers(self) -> Multipliers | None:
+        """Of move limits, areas and angles; where they are large, position or connectivity is the limit."""
+        return self.assessment.first_order.multipliers
+
+    @property
+    def stationarity(self) -> str:
+        """The label "KKT" or that of an MPCC (W, C, M, S, B); empty where there is none."""
+        return self.assessment.first_order.stationarity
+
+    @property
+    def stationarity_residual(self) -> float:
+        """First-order residual of the outer problem, relative to that on the mesh as given."""
+        return self.assessment.first_order.residual
+
+    @property
+    def error_reduction(self) -> ErrorReduction | None:
+        """By how much the error of the energy fell, where ``auto`` chose."""
+        return self.reduced_error.reduction
 
     @property
     def contact_solves(self) -> int:
@@ -204,9 +239,16 @@ class Solution(Assessment):
         return self.work.contact_solves
 
     @property
+    def wall_time_s(self) -> float:
+        """Build, solve and audit."""
+        return self.build_time_s + self.solve_time_s + self.audit_time_s
+
+    @property
     def extra(self) -> dict[str, Any]:
         """The entries of the record that not every solution has."""
-        extra = entries(*self.details, self.findings, self.quantities, self.label, self.choices, self.work)
+        extra = entries(*self.details, self.reduced_error.attained)
+        extra |= self._measured_record()
+        extra |= entries(self.assessment.first_order.label, self.choices, self.work)
         if changed := self.limits.changed():
             extra["limits"] = changed
         if self.certificate is not None:
@@ -219,33 +261,66 @@ class Solution(Assessment):
             extra["error_reduction"] = found if proved is None else proved.of_reduction(found)
         return extra
 
+    def _measured_record(self) -> dict[str, Any]:
+        """What was measured beside the energies; nothing of a mesh with inverted elements."""
+        assessment, given, final = self.assessment, self.assessment.given, self.assessment.final
+        if final.point is None:
+            return {}
+        found = {
+            "tolerance": assessment.tolerance,
+            "own_equilibrium_residual": assessment.own.equilibrium,
+            "own_complementarity_residual": assessment.own.complementarity,
+            "assessed_equilibrium_residual": final.residuals.equilibrium,
+            "assessed_complementarity_residual": final.residuals.complementarity,
+            "exploits": assessment.costliest if assessment.is_exploited else None,
+            "warnings": list(self.warnings),
+            "objective_value": final.objective,
+        }
+        known = {
+            "sticking_nodes": final.sticking_nodes,
+            "sliding_nodes": final.sliding_nodes,
+            "objective_initial": given.objective if assessment.is_same_mesh else None,
+            "domain_area_change": assessment.domain_area_change,
+            "gain_surviving": None if self.surviving_gain is None else self.surviving_gain.share,
+            "coulomb_residual": final.coulomb_residual,
+            "coulomb_residual_initial": given.coulomb_residual,
+        }
+        found |= {name: value for name, value in known.items() if value is not None}
+        if given.quantities is not None and final.quantities is not None:
+            found |= given.quantities.entries("_initial") | final.quantities.entries()
+            if self.reduced_error.quantities is not None:
+                found |= self.reduced_error.quantities.entries("_refined")
+        return found
+
     @property
-    def wall_time_s(self) -> float:
-        """Build, solve and audit."""
-        return self.build_time_s + self.solve_time_s + self.audit_time_s
+    def warnings(self) -> tuple[str, ...]:
+        """What is suspicious about the problem, the mesh, or the gain."""
+        surviving = () if self.surviving_gain is None else self.surviving_gain.warnings
+        return (*self.assessment.warnings, *self.reduced_error.warnings, *surviving)
 
     def record(self) -> dict[str, Any]:
         """Everything a table needs, as plain JSON values. NaN becomes None."""
-        problem = self.problem
+        problem, assessment, final = self.problem, self.assessment, self.assessment.final
         row = {
             "example": problem.name,
             **self._own("formulation", "objective"),
             "n": problem.size,
             "delta": problem.motion.delta_record(),
             "status": self.status.value,
-            **self._own("success", "valid", "improved", "message"),
-            "solver_status": self.solver_status.value,
-            **self._own("energy_initial", "energy", "energy_initial_audited"),
-            "energy_audited": self.audit.energy_audited,
+            **self._own("success", "valid"),
+            "improved": assessment.improved,
+            "message": self.message,
+            "solver_status": assessment.said.value,
+            **self._own("energy_initial", "energy", "energy_initial_audited", "energy_audited"),
             **self._own("gain", "gain_audited"),
             "u_min": float(self.displacement.min()),
             "u_max": float(self.displacement.max()),
-            "min_area_ratio": self.audit.min_area_ratio,
+            "min_area_ratio": final.min_area_ratio,
             **self._own("iterations", "contact_solves", "wall_time_s", "build_time_s", "solve_time_s"),
             **self._own("audit_time_s", "contact_time_s"),
-            "equilibrium_residual": self.audit.equilibrium_residual,
-            "complementarity_residual": self.audit.complementarity_residual,
-            "penetration": self.audit.penetration,
+            "equilibrium_residual": final.residuals.equilibrium,
+            "complementarity_residual": final.residuals.complementarity,
+            "penetration": final.penetration,
             **self._own("stationarity", "stationarity_residual"),
             "order": problem.order,
             "nodes": int(self.mesh.p.shape[1]),

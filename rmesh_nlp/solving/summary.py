@@ -15,7 +15,10 @@ AT_BOUND = 1e-6
 
 def summary(solution: Any) -> Rows:
     """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
-    audit, motion = solution.audit, np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0)
+    final, motion = (
+        solution.assessment.final,
+        np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0),
+    )
     extra = solution.extra
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
@@ -23,11 +26,11 @@ def summary(solution: Any) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         ("first-order residual", f"{solution.stationarity_residual:.1e}"),
-        ("least area ratio", figure(audit.min_area_ratio)),
+        ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
-        ("equilibrium residual", f"{audit.equilibrium_residual:.1e}"),
-        ("complementarity residual", f"{audit.complementarity_residual:.1e}"),
-        ("penetration between nodes", figure(audit.penetration)),
+        ("equilibrium residual", f"{final.residuals.equilibrium:.1e}"),
+        ("complementarity residual", f"{final.residuals.complementarity:.1e}"),
+        ("penetration between nodes", figure(final.penetration)),
         ("iterations, contact solves", f"{solution.iterations}, {solution.contact_solves}"),
         ("seconds", f"{solution.wall_time_s:.3g}"),
     ]
@@ -52,17 +55,18 @@ def summary(solution: Any) -> Rows:
 def _objective_rows(solution: Any) -> list[tuple[str, str]]:
     """Another objective than the energy, the design, and what is constrained."""
     rows: list[tuple[str, str]] = []
-    found = solution.findings
-    if found is not None and not solution.objective.startswith("energy"):
+    assessment, surviving = solution.assessment, solution.surviving_gain
+    if assessment.final.point is not None and not solution.objective.startswith("energy"):
         rows.append(("objective", solution.objective))
-        first, last = found.objective_initial, found.objective_value
+        first = assessment.given.objective if assessment.is_same_mesh else None
+        last = assessment.final.objective
         if first is not None:
             rows.append(("objective at the start", figure(first)))
         rows.append(("objective at the end", figure(last)))
         if first is not None:
             rows.append(("gain", gain_in_words(first - last, first)))
-    if found is not None and found.gain_surviving is not None:
-        rows.append(("gain left on refined meshes", f"{found.gain_surviving:.0%} of the objective's"))
+    if surviving is not None:
+        rows.append(("gain left on refined meshes", f"{surviving.share:.0%} of the objective's"))
     for one in () if solution.designed is None else solution.designed.design:
         if one.name not in solution.design:
             continue
@@ -82,7 +86,7 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     by_rule = f"{figure(solution.energy_initial)}, {figure(solution.energy)}"
     return [
         ("audited energy on the given mesh", figure(solution.energy_initial_audited)),
-        ("audited energy", figure(solution.audit.energy_audited)),
+        ("audited energy", figure(solution.energy_audited)),
         ("audited gain", gain_in_words(solution.gain_audited, solution.energy_initial_audited)),
         ("energies by the rule of the problem", by_rule),
     ]

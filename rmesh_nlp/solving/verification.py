@@ -15,9 +15,9 @@ from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.reduced_model import Reduced, ReducedObjective
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.assess import ACCURATE
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.state import ACCURATE
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""

@@ -45,14 +45,14 @@ class Case:
 
     def __str__(self) -> str:
         before, after, problem = self.before, self.after, self.before.problem
-        audited = [one.audit.energy_audited for one in (before, after)]
+        audited = [one.energy_audited for one in (before, after)]
         return (
             f"{problem.name}: {np.sum(~problem.held()[0])} unknowns\n"
             f"  energy       {before.energy:.8g} -> {after.energy:.8g} (joint), "
             f"{self.nested.energy:.8g} (nested)\n"
             f"  audited      {audited[0]:.8g} -> {audited[1]:.8g}\n"
             f"  error        {self.error_before:.4g} -> {self.error_after:.4g}\n"
-            f"  least area   {after.audit.min_area_ratio:.3g} of the initial one"
+            f"  least area   {after.assessment.final.min_area_ratio:.3g} of the initial one"
         )
 
 
@@ -68,9 +68,9 @@ def run(problem: ContactProblem, error: Error) -> Case:
     solutions = [rm.solve(problem, name) for name in ("fixed", "joint", "nested")]
     for solution in solutions:
         assert solution.success, f"{solution.formulation}: {solution.status.message}"
-        assert solution.audit.min_area_ratio > 0
+        assert solution.assessment.final.min_area_ratio > 0
     # of the continuous problem: one of them may have been solved again by a safe discretisation
-    given, best, second = (one.audit.energy_audited for one in solutions)
+    given, best, second = (one.energy_audited for one in solutions)
     assert best <= given
     difference = abs(best - second) / max(abs(best), 1e-300)
     assert difference <= AGREEMENT, f"joint and nested differ by {difference:.1e}"
@@ -80,7 +80,7 @@ def run(problem: ContactProblem, error: Error) -> Case:
 
 def energy_above(reference: float) -> Error:
     """Audited energy above a reference."""
-    return lambda solution: solution.audit.energy_audited - reference
+    return lambda solution: solution.energy_audited - reference
 
 
 def exact_errors(problem: ContactProblem, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -102,11 +102,11 @@ def test_a_graph_is_met_at_the_nodes_whether_smooth_or_piecewise_linear() -> Non
 def test_penetration_between_nodes_is_measured() -> None:
     curved = fixed.solve(pressed_block(Obstacle.graph("bottom", lambda x, y: -0.02 * (x - 0.5) ** 2)))
     # a parabola rises c h^2 / 4 above its chord; here edges of 1/4 touch with both ends
-    assert curved.audit.penetration == pytest.approx(0.02 / 4**2 / 4, rel=1e-6)
+    assert curved.assessment.final.penetration == pytest.approx(0.02 / 4**2 / 4, rel=1e-6)
     flat = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1))))
-    assert flat.audit.penetration <= 1e-16
+    assert flat.assessment.final.penetration <= 1e-16
     # a flat obstacle below P1 functions is met everywhere if it is met at the nodes
-    assert fixed.solve(membrane(8)).audit.penetration == 0
+    assert fixed.solve(membrane(8)).assessment.final.penetration == 0
 
 
 def test_a_friction_bound_may_vary_with_position() -> None:

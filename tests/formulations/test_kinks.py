@@ -43,7 +43,7 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
     nested, mpcc = (rm.solve(seal(), name, objective=LEAK) for name in ("nested", "mpcc"))
     rows = [solution.record() for solution in (nested, mpcc)]
     for solution, row in zip((nested, mpcc), rows, strict=True):
-        assert (solution.status, solution.stationarity) == (Status.CONVERGED, "S")
+        assert (solution.status, row["stationarity"]) == (Status.CONVERGED, "S")
         assert row["label"] == "S (3 biactive pairs, B-stationary)"
         assert (row["b_stationary"], row["biactive"], row["descent_rate"]) == (True, 3, 0.0)
         assert len(row["biactive_nodes"]) == 3
@@ -125,11 +125,11 @@ def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_cl
     monkeypatch.setattr(OuterResidual, "__call__", lambda *_: 1.0)
     found = ended(outer, q, Status.CONVERGED if claimed else Status.STALLED)
     assert found.status is (Status.CONVERGED if claimed else Status.STALLED)
-    assert found.label is not None
-    assert found.label.b_stationary == claimed
+    assert found.first_order.label is not None
+    assert found.first_order.label.b_stationary == claimed
     if claimed:  # what is claimed is looked at
         given = ended(outer, np.zeros(outer.n))
-        assert (given.status, given.stationarity) == (Status.NOT_STATIONARY, "none")
+        assert (given.status, given.first_order.stationarity) == (Status.NOT_STATIONARY, "none")
 
 
 def _point(contact: int) -> SimpleNamespace:

@@ -61,7 +61,7 @@ def test_the_energy_is_never_below_the_exact_one(make: Callable[[int], ContactPr
     solutions = [fixed.solve(problem), joint.solve(problem)]
     if make is _signorini:
         solutions.append(joint.solve(replace(problem, motion=Motion(None))))
-    above = [solution.audit.energy_audited - problem.exact.energy for solution in solutions]
+    above = [solution.energy_audited - problem.exact.energy for solution in solutions]
     assert min(above) > 0
     assert np.all(np.diff(above) < 0)
 
@@ -71,7 +71,7 @@ def test_order_2_relocated_has_less_error_than_either_alone() -> None:
     problem = replace(_signorini(4), motion=Motion(None))
     linear, quadratic = replace(_signorini(8), motion=Motion(None)), replace(problem, order=2)
     errors = [
-        one.solve(given).audit.energy_audited - problem.exact.energy
+        one.solve(given).energy_audited - problem.exact.energy
         for given in (linear, quadratic)
         for one in (fixed, joint)
     ]

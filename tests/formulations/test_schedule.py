@@ -50,14 +50,14 @@ def test_joint_and_nested_are_stationary_for_the_same_program() -> None:
         assert solution.status.value == "converged"
         assert solution.stationarity_residual < 1e-4
     gain = one.record()["gain_audited"]
-    assert one.audit.energy_audited == pytest.approx(two.audit.energy_audited, abs=0.05 * gain)
+    assert one.energy_audited == pytest.approx(two.energy_audited, abs=0.05 * gain)
 
 
 @SLOW
 def test_the_last_weight_may_be_zero_and_areas_are_then_constraints() -> None:
     solution = joint.solve(problem(), regularisation=(0.1, 0))
     assert solution.objective == "energy"
-    assert solution.audit.min_area_ratio >= 0.01 - 1e-8
+    assert solution.assessment.final.min_area_ratio >= 0.01 - 1e-8
     assert solution.energy <= joint.solve(problem(), regularisation=0.1).energy
 
 

@@ -178,7 +178,7 @@ def test_without_move_limits_validity_alone_limits() -> None:
     two = nested.solve(p, start=one.mesh.p)  # of several minima the same
     assert one.success
     assert two.energy == pytest.approx(one.energy, rel=1e-4)
-    assert one.audit.min_area_ratio == pytest.approx(0.3, abs=1e-4)
+    assert one.assessment.final.min_area_ratio == pytest.approx(0.3, abs=1e-4)
     multipliers = one.multipliers
     assert multipliers is not None
     assert np.all(multipliers.limit == 0)
@@ -221,6 +221,6 @@ def test_least_area_is_a_constraint_unless_a_distortion_is_minimised() -> None:
     tight = replace(EXAMPLES["6.1"](3), quadrature=6, motion=Motion(None, min_area_fraction=0.3))
     held, by_barrier = joint.solve(tight), joint.solve(tight, regularisation=0.1)
     assert held.success
-    assert held.audit.min_area_ratio == pytest.approx(0.3, abs=1e-6)
+    assert held.assessment.final.min_area_ratio == pytest.approx(0.3, abs=1e-6)
     assert by_barrier.success
-    assert 0 < by_barrier.audit.min_area_ratio < 0.2
+    assert 0 < by_barrier.assessment.final.min_area_ratio < 0.2

@@ -8,12 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rmesh_nlp.assessment.assessor import Quantities
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
-    ContactQuantities,
-    Findings,
     Step,
     Work,
     entries,
@@ -34,13 +31,6 @@ def test_values_become_plain(value: Any, expected: Any) -> None:
 
 
 def test_what_is_not_known_is_written_only_where_it_has_no_default() -> None:
-    kinds = ("own_equilibrium", "own_complementarity", "assessed_equilibrium", "assessed_complementarity")
-    residuals = {f"{kind}_residual": float(number) for number, kind in enumerate(kinds)}
-    found = Findings(tolerance=9.0, **residuals, exploits=None, warnings=("w",), objective_value=5.0)
-    record = {"tolerance": 9.0, **residuals, "exploits": None, "warnings": ["w"], "objective_value": 5.0}
-    assert found.record() == record
-    more = {"sticking_nodes": 0, "sliding_nodes": 2, "objective_initial": 6.0, "gain_surviving": 0.0}
-    assert replace(found, **more).record() == record | more
     assert Choices().record() == {}
     assert Choices(safe="s", chosen="c").record() == {"safe": "s", "chosen": "c"}
     assert entries(Own(1), None, Choices(safe="s"), Own(2)) == {"own": 2, "safe": "s"}
@@ -51,16 +41,6 @@ def test_work_is_added_up_and_contact_solves_stand_in_the_record_already() -> No
     assert total == Work(3, 4, 5, 7) + Work()
     assert total.record() == {"cold_contact_solves": 4, "contact_factorisations": 5, "kkt_factorisations": 7}
     assert Work(8, 0, 1).record() == {"contact_factorisations": 1}
-
-
-def test_quantities_are_told_apart_by_their_mesh() -> None:
-    meshes = [Quantities(*(10.0 * mesh + k for k in range(3))) for mesh in (1, 2, 3)]
-    names = ("peak_pressure", "resultant", "contact_length")
-    record = {f"{name}{end}": 10.0 * mesh + k
-              for mesh, end in ((1, "_initial"), (2, "")) for k, name in enumerate(names)}  # fmt: skip
-    assert ContactQuantities(*meshes[:2]).record() == record
-    refined = {f"{name}_refined": 30.0 + k for k, name in enumerate(names)}
-    assert ContactQuantities(*meshes).record() == record | refined
 
 
 def test_histories_are_plain_and_keep_an_infinite_t() -> None:

@@ -252,8 +252,8 @@ class TestRemeshed:
         found = assess(first, Outcome(there, there.variables(), Status.CONVERGED))
         before, after = first.assessor.initial.energy, there.assessor.initial.energy
         assert (found.success, found.gain > 0) == (True, True)
-        assert found.measured.gain == pytest.approx(first.given.energy - there.given.energy, rel=1e-9)
-        assert found.measured.gain_audited == pytest.approx(before - after, rel=1e-9)
+        assert found.gain == pytest.approx(first.given.energy - there.given.energy, rel=1e-9)
+        assert found.gain_audited == pytest.approx(before - after, rel=1e-9)
 
     @pytest.mark.parametrize("higher", [False, True])
     def test_the_audit_is_compared_over_all_rounds(self, ends: Any, higher: bool) -> None:
@@ -267,7 +267,7 @@ class TestRemeshed:
     def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
         rough = replace(there.given, u=1.01 * there.given.u)
-        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough, decides=True))
+        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
         lower = Outer(first.problem)
         lower.given = replace(lower.given, energy=-5.0)

@@ -23,6 +23,7 @@ from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.runner import perform
 from support.planted import plant, raising
 from support.problem_files import VALID
+from support.solved import with_final
 
 
 @pytest.fixture
@@ -245,7 +246,7 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
 
 def write_nans(good, other):
     solution = perform(plan_comparison(["6.2"], ["fixed"], n=(4, 2))[0]).solution
-    write_solution(replace(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
+    write_solution(with_final(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
 
 
 SPOILED = {

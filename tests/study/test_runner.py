@@ -11,7 +11,6 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.io.records import REQUIRED
 from rmesh_nlp.io.results import Results
 from rmesh_nlp.io.vtu import fields_of, read_vtu
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.study import runner
 from rmesh_nlp.study.plan import PlannedSolve, planned
@@ -88,7 +87,8 @@ def test_a_problem_that_cannot_be_built_is_a_row():
 def test_theorem_41_is_not_evaluated_on_a_broken_mesh(one, monkeypatch):
     good = perform(one).solution
     assert good is not None
-    broken = replace(good, audit=replace(good.audit, min_area_ratio=0.0), status=Status.INVALID_MESH)
+    inverted = replace(good.assessment.final, min_area_ratio=0.0)
+    broken = replace(good, assessment=replace(good.assessment, final=inverted))
     monkeypatch.setattr(runner, "solve_by_options", lambda *_, **__: broken)
     monkeypatch.setattr(runner, "error_terms", lambda _: pytest.fail("it was evaluated"))
     assert perform(one).row["status"] == "invalid_mesh"

@@ -12,7 +12,6 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.certify import contact_solution
 
 
 def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
@@ -24,10 +23,21 @@ def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
     return replace(mesh, doflocs=p)
 
 
+def contact_solution(model: ContactSolver) -> Guess:
+    """The contact solution on the mesh as given."""
+    space, found = model.discretisation.space, model.given
+    pressure, friction = np.zeros((2, space.n_nodes))
+    weights = space.weights(np.asarray(model.problem.mesh.p))
+    pressure[model.contact_nodes] = found.normal_force / weights
+    if found.tangential_force.size:
+        friction[model.contact_nodes] = found.tangential_force / weights
+    return Guess(model.displacement.values(found.u), pressure, friction, space)
+
+
 def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) -> Guess:
     """The contact solution, or a displacement without contact stresses."""
     if displacement is None:
-        return contact_solution(ContactSolver(problem), problem.mesh.p)
+        return contact_solution(ContactSolver(problem))
     nothing = np.zeros(DisplacementSpace.of(problem).n_nodes)
     return Guess(displacement, nothing, nothing)
 

@@ -8,12 +8,12 @@ from typing import Any
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.assess import assess
+from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Part
-from rmesh_nlp.solving.solution import Assessment
 
 
 @dataclass(frozen=True)

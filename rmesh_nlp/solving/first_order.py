@@ -1,0 +1,88 @@
+"""Whether an end is stationary in the outer variables: residual, label over the branches, multipliers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
+from rmesh_nlp.models.residual import Multipliers, multipliers
+from rmesh_nlp.mpcc.result import in_words
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Label
+
+MET = (Status.CONVERGED, Status.ACCEPTABLE, Status.NOT_STATIONARY)
+"""Ends of a solver that met a test of its own."""
+
+PROVED = ("S", "B")
+"""Labels of an MPCC that prove first-order optimality where strict complementarity fails, and with it the
+gradient of an objective other than the energy."""
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """First-order conditions of the outer problem, as measured.
+
+    Attributes
+    ----------
+    residual : float
+        Relative to that on the mesh as given (:mod:`rmesh_nlp.models.residual`).
+    stationarity : str
+        "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
+    is_stationary : bool
+        To the tolerance of the solve, over the branches of the contact where there are several.
+    multipliers : Multipliers or None
+        Of move limits, areas and angles; where they are large, position or connectivity is the limit.
+    label : Label, optional
+        Stationarity where contact is about to change, for other objectives than the energy.
+    """
+
+    residual: float = float("nan")
+    stationarity: str = ""
+    is_stationary: bool = False
+    multipliers: Multipliers | None = field(default=None, repr=False)
+    label: Label | None = None
+
+
+def first_order(
+    outer: Outer, point: ReducedPoint, proposed: str | None, said: Status, relocates: bool
+) -> FirstOrder:
+    """Measure the first-order conditions at a point of the outer objective.
+
+    Parameters
+    ----------
+    proposed : str or None
+        The label of the formulation, for the energy.
+    said : Status
+        How the solver says that it ended.
+    relocates : bool
+        Whether nodes move at all; if not, there is nothing to be stationary in.
+    """
+    residual = outer.residual(point)
+    pulls = multipliers(outer.energy, point.q, point.gradient, outer.constraints)
+    holds = residual <= outer.tolerance
+    if relocates and isinstance(outer.function, ReducedObjective):
+        stationarity, label = _over_branches(outer, point, holds, said in MET)
+        return FirstOrder(residual, stationarity, bool(label.b_stationary), pulls, label)
+    proved = proposed in PROVED and bool(np.any(point.weak))
+    if proposed is None:
+        proposed = "KKT" if holds else ""
+    return FirstOrder(residual, proposed, holds or proved or not relocates, pulls)
+
+
+def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Label]:
+    """Stationarity label over the branches of the contact; the energy is smooth across them.
+
+    Where no pair is biactive a small first-order residual is the proof. A large one is none against it if the
+    solver ``claimed`` to have met its test: its multipliers are fitted without a look at the signs of those
+    of limits, and linear programs tell.
+    """
+    if not np.any(point.weak) and (holds or not claimed):
+        label = "S" if holds else ""
+        return label, Label(in_words(label, holds, 0), holds, 0, [])
+    branch = outer.branches(point)
+    words = in_words(branch.label, branch.b_stationary, branch.pairs.size)
+    nodes = np.unique(outer.contact.contact_nodes[outer.kkt.pair_rows(branch.pairs)]).tolist()
+    return branch.label, Label(words, branch.b_stationary, int(branch.pairs.size), nodes, branch.rate)

@@ -1,0 +1,115 @@
+"""What solves on refinements of both meshes say of a gain: of the error, of quantities, of the objective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from rmesh_nlp.assessment.assessor import Quantities, quantities, worse
+from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving.assessment import Assessment
+from rmesh_nlp.solving.attained import Attained, attained
+from rmesh_nlp.solving.state import objective_value
+
+SMALL = 0.5
+"""Surviving share below which a record warns."""
+
+
+@dataclass(frozen=True)
+class ReducedError:
+    """By how much the error fell.
+
+    Attributes
+    ----------
+    reduction : ErrorReduction, optional
+        Of the energy; None where nothing can be claimed.
+    attained : Attained, optional
+        How near the mesh comes to the best one of as many triangles.
+    quantities : Quantities, optional
+        On the refined last mesh, where one was needed.
+    warnings : tuple of str
+    """
+
+    reduction: ErrorReduction | None = None
+    attained: Attained | None = None
+    quantities: Quantities | None = None
+    warnings: tuple[str, ...] = ()
+
+
+def reduced_error(assessment: Assessment, contact_solves: int) -> ReducedError:
+    """By how much the error of the energy fell; nothing for designs and with Coulomb friction."""
+    given, final = assessment.given, assessment.final
+    if given.continuous is None or final.continuous is None or final.problem.has_coulomb or final.design:
+        return ReducedError()
+    reduction, finest = error_reduction(given.continuous, final.continuous, contact_solves)
+    best = None
+    if reduction is not None:
+        best = attained(assessment.gain_audited, reduction, final.continuous, finest)
+    if finest is None or given.quantities is None or final.quantities is None:
+        return ReducedError(reduction, best)
+    fine = quantities(finest.parts.space, finest.body.nodes, finest.system, finest.state)
+    if fine is None:
+        return ReducedError(reduction, best)
+    return ReducedError(reduction, best, fine, tuple(worse(given.quantities, final.quantities, fine)))
+
+
+@dataclass(frozen=True)
+class SurvivingGain:
+    """The part of the gain in an objective that is left on refined meshes, and a warning if it is small."""
+
+    share: float
+    objective: str
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """One, if the share is small."""
+        if self.share >= SMALL:
+            return ()
+        said = f"only {max(self.share, 0):.0%} of the gain in {self.objective} is left on refined meshes: "
+        return (said + "the rest is an error of the discretisation",)
+
+
+def surviving_gain(assessment: Assessment) -> SurvivingGain | None:
+    """What is left on finer meshes of the gain in an objective other than the energy; None without one.
+
+    No theorem says that a lower value is a truer one: a relocation may lower the mean deflection of a body by
+    the error of the displacement alone, which is smaller on uniform refinements of the two meshes.
+    """
+    objective, point = _of_displacement(assessment.objective), assessment.final.point
+    if not assessment.success or objective is None or point is None or not np.any(point.q):
+        return None
+    before, after = (
+        replace(state.problem, mesh=state.mesh, reference=None)
+        for state in (assessment.given, assessment.final)
+    )
+    fall = _value(before, objective) - _value(after, objective)
+    left = _value(refined(before), objective) - _value(refined(after), objective)
+    return SurvivingGain(left / fall, objective.text) if fall > 0 and np.isfinite(left) else None
+
+
+def _of_displacement(objective: Objective) -> Objective | None:
+    """The terms that depend on the displacement; None where their gain needs no check."""
+    if objective.collapses or objective.needs_exact:
+        return None
+    terms = tuple((weight, term) for weight, term in objective.terms if not term.of_positions)
+    return Objective(terms) if terms else None
+
+
+def _value(problem: ContactProblem, objective: Objective, *, refine: bool = False) -> float:
+    """The objective on a mesh or its refinement; NaN where the contact problem has no solution there."""
+    try:
+        energy = ReducedEnergy.of(ContactSolver(refined(problem) if refine else problem))
+    except ProblemError:  # refined edges on a curve may fold a thin element
+        return float("nan")
+    state = energy.model.given
+    if state.status is not Status.CONVERGED:
+        return float("nan")
+    return objective_value(energy, objective, np.zeros(energy.relocation.n_q), state)
