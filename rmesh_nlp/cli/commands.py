@@ -84,7 +84,6 @@ def solve(
     remesh: o.Remesh = False,
     nodes: o.Nodes = None,
     starts: o.Starts = None,
-    levels: o.Levels = None,
     certify: o.Certify = False,
     time_limit_s: o.TimeLimit = None,
     max_iterations: o.MaxIterations = None,
@@ -128,30 +127,6 @@ def solve(
     work, columns = load("cli.solving").solve_file, columns if figures else 0
     asked = formulation, given["options"], given.get("order")
     raise typer.Exit(work(Path(example), *asked, certify, out, voice, columns))
-
-
-@app.command()
-def path(
-    file: Annotated[Path, Argument(metavar="FILE", help="A problem file with a table [path].")],
-    formulation: Annotated[
-        str | None, Option("--formulation", "-f", help="Formulation; default: that of the file.")
-    ] = None,
-    order: o.Order = None,
-    out: Annotated[
-        Path | None,
-        Option("--out", metavar="DIR", help="Folder to write; default: results/<name>-path."),
-    ] = None,
-) -> None:
-    """Move a foundation in steps and solve each: a load path.
-
-    Writes DIR/path.csv, DIR/path.png and .pdf (force and pressure over the way), and DIR/path.pvd with
-    a VTU file per step for ParaView.
-
-    \b
-    rmesh path my.toml
-    rmesh path my.toml -f nested --out pressing
-    """
-    raise typer.Exit(load("cli.load_path").path(file, formulation, o.parse_order(order), out))
 
 
 @app.command()
@@ -285,7 +260,6 @@ def compare(
     outer: o.Outer = None,
     regularisation: o.Regularisation = None,
     starts: o.Starts = None,
-    levels: o.Levels = None,
     certify: o.Certify = False,
     time_limit_s: o.TimeLimit = None,
     max_iterations: o.MaxIterations = None,

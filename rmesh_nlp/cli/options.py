@@ -104,12 +104,6 @@ Starts = Annotated[
         "--starts", min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."
     ),
 ]
-Levels = Annotated[
-    int | None,
-    Option(
-        "--levels", min=1, max=4, metavar="N", help="Optimise, refine the mesh uniformly, go on, so often."
-    ),
-]
 Relaxation = Annotated[
     str | None,
     Option(
@@ -295,7 +289,7 @@ PARSERS: dict[str, Callable[[Any], Any]] = {
 
 SETTINGS = ("n", "delta", "order", "quadrature", "certify", "repeats")
 OPTIONS = (  # of :func:`rmesh_nlp.solving.driver.solve_by_options`
-    *("seed", "objective", "relaxation", "outer", "regularisation", "remesh", "starts", "levels"),
+    *("seed", "objective", "relaxation", "outer", "regularisation", "remesh", "starts"),
     *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),
 )
 

@@ -189,7 +189,7 @@ def solve_options(
         plan = plan.model_copy(update={"objective": beside(plan.objective, path.parent)})
     wanted = {**plan.model_dump(exclude={"formulation", "certify"}), **given}
     # the defaults need not be known to every formulation, what was asked for must be
-    default = {"objective": "energy", "starts": 0, "levels": 0, "remesh": False}
+    default = {"objective": "energy", "starts": 0, "remesh": False}
     asked = {key: value for key, value in wanted.items() if value != default.get(key)}
     taken = accepted(name, asked)
     refused = asked.keys() - taken - HARMLESS

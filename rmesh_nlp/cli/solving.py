@@ -85,7 +85,7 @@ def solve_file(
     with writable(folder, FILES) as results:
         with SolvesProgress(1, quiet=voice != "text") as progress:
             # then the iterates are on different meshes
-            several = options.keys() & {"starts", "levels", "remesh"}
+            several = options.keys() & {"starts", "remesh"}
             done = _performed(one, progress, None if several else series)
         if done.row["status"] == "refused":
             raise BadInputError(f"{path}: {done.row['message']}")

@@ -19,7 +19,6 @@ from rmesh_nlp.io.problem_values import (
     Flag,
     Fraction,
     Given,
-    Levels,
     Limits,
     Order,
     Pair,
@@ -251,25 +250,15 @@ class SolveTable(Table):
     objective: Text = "energy"
     seed: Seed | None = None
     starts: Seed = 0
-    levels: Levels = 0
     regularisation: Weights | None = None
     remesh: Remesh = False
     certify: bool = False
 
     @model_validator(mode="after")
     def _starts_alone(self) -> SolveTable:
-        if self.starts and (self.levels or self.seed is not None):
-            raise ValueError("expected starts alone, without levels or seed")
+        if self.starts and self.seed is not None:
+            raise ValueError("expected starts alone, without a seed")
         return self
-
-
-class PathTable(Table):
-    """``[path]``: a foundation that moves in steps, for ``rmesh path``."""
-
-    move: Pair
-    steps: Count = 5
-    contact: Count = 1
-    relocate: Literal["each", "once", "never"] = "each"
 
 
 class ProblemTable(Table):
@@ -293,7 +282,6 @@ class ProblemTable(Table):
     motion: MotionTable = MotionTable()
     curves: dict[str, FittedCurve] = Field(default_factory=dict)
     solve: SolveTable = SolveTable()
-    path: PathTable | None = None
 
     @model_validator(mode="after")
     def _one_material(self) -> ProblemTable:

@@ -130,7 +130,6 @@ Fraction = Annotated[_Real, Field(gt=0, lt=1), expected("a number between 0 and 
 Angle = Annotated[_Real, Field(ge=0, lt=60), expected("degrees from 0 to less than 60")]
 Count = Annotated[_Whole, Field(ge=1, le=10_000), expected("a whole number from 1 to 10000")]
 Seed = Annotated[_Whole, Field(ge=0), expected("a whole number of at least 0")]
-Levels = Annotated[_Whole, Field(ge=0, le=4), expected("a whole number from 0 to 4")]
 Text = Annotated[str, Field(strict=True, pattern=r"\S"), expected("a text")]
 Pair = Annotated[_Two, expected("two numbers such as [0.0, 1.0]")]
 Limits = Annotated[

@@ -23,7 +23,6 @@ from rmesh_nlp.mpcc.options import Options, with_ipopt
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
-from rmesh_nlp.mpcc.sensitivities import forward, reverse
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.status import Status
 
@@ -138,33 +137,6 @@ class _Solve(ca.Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         """A column."""
         return ca.Sparsity.dense(self.sizes(_OUTPUTS)[i], 1)
-
-    def has_forward(self, n: int) -> bool:
-        """Known, by the implicit function theorem."""
-        return True
-
-    def has_reverse(self, n: int) -> bool:
-        """As forward."""
-        return True
-
-    def get_forward(self, n: int, name: str, inames: Any, onames: Any, opts: Any) -> ca.Function:
-        """``(inputs, outputs, changes of the inputs) -> changes of the outputs``, n columns."""
-        return self._derivative(forward, _INPUTS, n, name, inames, onames, opts)
-
-    def get_reverse(self, n: int, name: str, inames: Any, onames: Any, opts: Any) -> ca.Function:
-        """``(inputs, outputs, weights of the outputs) -> derivatives by the inputs``, n columns."""
-        return self._derivative(reverse, _OUTPUTS, n, name, inames, onames, opts)
-
-    def _derivative(
-        self, rule: Any, seeded: Sequence[str], n: int, name: str, *names_and_options: Any
-    ) -> ca.Function:
-        given, found, seeds = (
-            {key: ca.MX.sym(key, size, m) for key, size in zip(keys, self.sizes(keys), strict=True)}
-            for keys, m in ((_INPUTS, 1), (_OUTPUTS, 1), (seeded, n))
-        )
-        arguments = [*given.values(), *found.values(), *seeds.values()]
-        results = rule(self._mpcc, given, found, seeds)
-        return ca.Function(name, arguments, results, *names_and_options)
 
     def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
         """Solve for numbers."""

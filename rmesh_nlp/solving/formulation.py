@@ -23,7 +23,7 @@ WRAPPERS = "rmesh_nlp.wrappers"
 """Entry points of formulations that take one, by the option of the command line that asks for them."""
 
 
-INSIDE_OUT = ("regularisation", "remesh", "levels", "starts")
+INSIDE_OUT = ("regularisation", "remesh", "starts")
 """Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
 
 

@@ -86,10 +86,10 @@ def request(formulation: str | Formulation | Chooser, options: Mapping[str, Any]
     A BadInputError names an option that the formulation does not take.
     """
     rest = {key: value for key, value in options.items() if value is not None}
-    if rest.get("starts") and (rest.get("levels") or "seed" in rest):
-        raise BadInputError("starts cannot be combined with levels or a seed")
+    if rest.get("starts") and "seed" in rest:
+        raise BadInputError("starts cannot be combined with a seed")
     if rest.get("remesh"):
-        for other in ("starts", "levels", "seed", "start"):
+        for other in ("starts", "seed", "start"):
             if other in rest and not (rest[other] == 0 and other != "seed"):
                 raise BadInputError(
                     f"remesh cannot be combined with {other}, which belongs to the given mesh"

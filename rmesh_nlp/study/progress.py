@@ -62,7 +62,7 @@ class SolvesProgress:
     def start(self, solve: PlannedSolve) -> None:
         """A solve begins."""
         self._name = f"{solve.name} {solve.formulation}"
-        limit = None if solve.options.keys() & {"starts", "levels"} else solve.options.get("time_limit_s")
+        limit = None if "starts" in solve.options else solve.options.get("time_limit_s")
         of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
         self._pace = Pace(limit or Limits.seconds, of_energy=of_energy)
         self._said = time.monotonic()

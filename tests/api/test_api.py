@@ -34,7 +34,6 @@ def test_a_formulation_is_found_by_its_name(comparison: rm.Comparison) -> None:
 @pytest.mark.parametrize(
     ("formulation", "option", "taken"),
     [
-        ("fixed", "levels", "objective"),
         ("fixed", "starts", "objective"),
         ("joint", "sede", "seed.*tolerance"),
     ],

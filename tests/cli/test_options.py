@@ -43,10 +43,9 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
         f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
         "6.2 --n 4x2 --delta none --regularisation 1,0.1 --remesh --nodes 40",
         "6.2 -f nested --outer ipopt --starts 2",
-        "6.2 --levels 2",
     ):
         assert rmesh(f"solve {typed}").code == 130
-    mpcc, joint, nested, levels = plans
+    mpcc, joint, nested = plans
     assert (mpcc.formulation, mpcc.options, mpcc.certify) == ("mpcc", MEANT, True)
     assert mpcc.identity["delta"] == [0.02, 0.01]
     assert mpcc.identity["quadrature"] == 5
@@ -54,7 +53,6 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
     assert joint.identity["delta"] is None
     assert joint.options == {"regularisation": (1.0, 0.1), "remesh": 40}
     assert nested.options == {"outer": "ipopt", "starts": 2}
-    assert levels.options == {"levels": 2}
 
 
 def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSolve]) -> None:

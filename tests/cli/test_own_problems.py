@@ -291,13 +291,6 @@ objective = "square(resultant(bottom) - 30)"
 """
 
 
-def test_a_load_path_has_no_design(rmesh) -> None:
-    Path("d.toml").write_text(f"{DESIGN}[path]\nmove = [0.0, 0.01]\nsteps = 2\n")
-    said = rmesh("path d.toml --out p")
-    assert said.code == 2
-    assert said.err.startswith("rmesh: error: d.toml: a load path has no design: write numbers in the place")
-
-
 @pytest.mark.slow
 def test_a_design_from_its_file_to_tables_and_figures(rmesh) -> None:
     Path("d.toml").write_text(DESIGN)

@@ -15,7 +15,6 @@ from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.multistart import MultiStart
 from formulations.nested import Nested
-from formulations.refined import Refined
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
@@ -27,7 +26,7 @@ from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
-WRAPPERS = (Confirmed, MultiStart, Polished, Refined, Remeshed, Schedule)
+WRAPPERS = (Confirmed, MultiStart, Polished, Remeshed, Schedule)
 FORMULATIONS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
 KINDS = (NewtonSettings, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
 

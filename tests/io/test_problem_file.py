@@ -314,17 +314,12 @@ def test_the_command_line_reads_problem_files(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_starts_and_levels_on_the_command_line(tmp_path, capsys):
+def test_starts_on_the_command_line(tmp_path):
     size = ["--n", "4", "--quadrature", "6", "--delta", "0.05", "--out", str(tmp_path)]
     assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0
     record = json.loads((tmp_path / "record.json").read_text())
     assert record["start_seeds"] == [None, 1, 2]
     assert record["energy_audited"] == min(record["start_energies"])
-    assert cli.run(["solve", "6.1", "--levels", "1", *size]) == 0
-    assert json.loads((tmp_path / "record.json").read_text())["triangles"] == 4 * 32
-    capsys.readouterr()
-    assert cli.run(["solve", "6.1", "--levels", "1", "--starts", "1", *size]) == 2
-    assert "starts cannot be combined with levels" in capsys.readouterr().err
     assert cli.run(["solve", "6.1", "--formulation", "fixed", "--starts", "1", *size]) == 2
 
 

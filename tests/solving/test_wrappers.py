@@ -12,7 +12,6 @@ import pytest
 
 from formulations.confirmed import Confirmed
 from formulations.multistart import MultiStart, Starts
-from formulations.refined import Refined, prolong
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
@@ -23,7 +22,6 @@ from rmesh_nlp.models.regularisation import regularised
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving import formulation
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.driver import solve, solve_by_options
@@ -118,62 +116,9 @@ class TestMultiStart:
         assert solution.extra["start_seeds"] == (None, 1)
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
-    @pytest.mark.parametrize("options", [{"starts": 2, "levels": 1}, {"starts": 2, "seed": 0}])
-    def test_what_does_not_go_together_is_refused(
-        self, problem: ContactProblem, options: dict[str, int]
-    ) -> None:
+    def test_starts_and_a_seed_are_refused(self, problem: ContactProblem) -> None:
         with pytest.raises(BadInputError, match="cannot be combined"):
-            solve_by_options(problem, "joint", options)
-
-
-class TestRefined:
-    def test_move_limits_of_a_refined_mesh_keep_their_length(self, problem: ContactProblem) -> None:
-        fine = refined(problem)
-        assert fine.mesh.t.shape[1] == 4 * problem.mesh.t.shape[1]
-        meshes = [problem.mesh, fine.mesh]
-        edges = [np.linalg.norm(np.diff(m.p[:, m.facets], axis=1), axis=0).min() for m in meshes]
-        fractions = [p.motion.delta.fraction for p in (problem, fine)]
-        assert edges[1] * fractions[1] == pytest.approx(edges[0] * fractions[0], rel=1e-12)
-
-    def test_a_prolonged_motion_is_interpolated_linearly(self, problem: ContactProblem) -> None:
-        """An affine motion stays so; one node that moves takes the midpoints of its edges half of the way."""
-        fine, p = refined(problem), problem.mesh.p
-        affine = np.array([[1.1, 0.2], [-0.1, 0.9]])
-        np.testing.assert_allclose(prolong(problem, affine @ p, fine), affine @ fine.mesh.p, atol=1e-15)
-        motion = np.zeros(p.shape)
-        motion[:, 4] = (0.1, -0.2)
-        halves = np.any(problem.mesh.facets == 4, axis=0) * np.array([[0.05], [-0.1]])
-        found = prolong(problem, p + motion, fine) - fine.mesh.p
-        np.testing.assert_allclose(found, np.hstack([motion, halves]), atol=1e-15)
-
-    def test_a_mesh_that_is_no_refinement_is_refused(self, problem: ContactProblem) -> None:
-        fine = refined(problem)
-        shifted = replace(fine, mesh=replace(fine.mesh, doflocs=fine.mesh.p + 1e-3))
-        for wrong in (problem, shifted, refined(fine)):
-            with pytest.raises(ValueError, match="not the uniform refinement"):
-                prolong(problem, problem.mesh.p, wrong)
-
-    def test_each_level_begins_where_the_one_before_ended(self, problem: ContactProblem) -> None:
-        script = Script(0.1, 0.2, 0.3)
-        solution = solve_once(problem, Refined(script.formulation, 2))
-        assert [outer.problem.mesh.t.shape[1] for outer, _ in script.begun] == [8, 32, 128]
-        for before, (fine, q) in zip(script.ends, script.begun[1:], strict=False):
-            coarse = before.outer
-            wanted = prolong(coarse.problem, coarse.nodes(before.q), fine.problem)
-            np.testing.assert_allclose(fine.nodes(q), wanted, atol=1e-12)
-        assert solution.extra["level_energies"] == tuple(map(continuous_energy, script.ends))
-        # compared with the refined mesh before any motion
-        fine = refined(refined(problem))
-        assert solution.energy_initial == pytest.approx(Outer(fine).given.energy, rel=1e-12)
-        assert solution.record()["nodes"] == fine.mesh.p.shape[1]
-
-    def test_levels_end_where_one_is_interrupted(self, problem: ContactProblem) -> None:
-        script = Script(0.1, 0.2, stop=1)
-        solution = solve_once(problem, Refined(script.formulation, 3))
-        assert (len(script.begun), solution.status) == (1, Status.INTERRUPTED)
-        assert len(solution.extra["level_energies"]) == 1
-        with pytest.raises(BadInputError, match="levels must be positive and finite, got -1"):
-            Refined(script.formulation, -1)
+            solve_by_options(problem, "joint", {"starts": 2, "seed": 0})
 
 
 def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: ContactProblem) -> None:
@@ -296,7 +241,7 @@ class TestRemeshed:
         with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
             solve(given, Remeshed(Script().formulation))
 
-    @pytest.mark.parametrize("other", [{"starts": 2}, {"levels": 1}, {"seed": 0}, {"start": "given"}])
+    @pytest.mark.parametrize("other", [{"starts": 2}, {"seed": 0}, {"start": "given"}])
     def test_it_is_not_combined_with_what_belongs_to_the_given_mesh(
         self, given: ContactProblem, other: dict[str, Any]
     ) -> None:

@@ -148,6 +148,6 @@ BROKEN: list[tuple[str, str, str]] = [
     ('min_area_fraction = 0.02', 'tied = [[1, 2, 3]]',
      'motion.tied = [[1, 2, 3]]: expected pairs of node numbers'),
     ('formulation = "joint"', 'seed = -1', 'solve.seed = -1: expected a whole number of at least 0'),
-    ('formulation = "joint"', 'starts = 2\nlevels = 1', 'expected starts alone, without levels or seed'),
+    ('formulation = "joint"', 'starts = 2\nseed = 1', 'expected starts alone, without a seed'),
 ]  # fmt: skip
 """What is replaced by what, and what the one line of the error must say."""
