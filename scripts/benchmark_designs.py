@@ -3,7 +3,7 @@
     python scripts/benchmark_designs.py --seeds 0 50 --out rows.jsonl    solves what is not in the file yet
     python scripts/benchmark_designs.py --read rows.jsonl                shows the table
 
-Each problem of :mod:`rmesh_nlp.examples.random_designs` is solved from the design as given and from a random
+Each problem of :mod:`random_designs` is solved from the design as given and from a random
 one. Of every end that is called stationary all branches of its biactive pairs are searched for a direction of
 descent (:mod:`branches`), with none of the code that gave the label. Gradients are checked by Taylor's
 formula at random designs away from kinks.
@@ -24,7 +24,7 @@ import numpy as np
 from branches import steepest
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
-from rmesh_nlp.examples.random_designs import random_design
+from random_designs import random_design
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.monitor import Limits, Monitor

@@ -25,7 +25,7 @@ from mpcc_library.bilevel_problems import PROBLEMS as BILEVEL
 from mpcc_library.bilevel_problems import get as bilevel
 from mpcc_library.families import FAMILIES
 from mpcc_library.large import LARGE
-from rmesh_nlp.examples.random_designs import random_design
+from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
 from truth import draws
 

@@ -229,7 +229,6 @@ def test_mistakes_of_structure_are_named(write, text, message):
         ("[motion]\nmin_angle = 0", "[motion]\nmin_angle = 60"),
         ("quadrature = 50", "quadrature = 51"),
         ("quadrature = 1", "quadrature = 0"),
-        ("[solve]\nlevels = 4", "[solve]\nlevels = 5"),
         ("[solve]\nregularisation = [1, 0]", "[solve]\nregularisation = [0, 1]"),
         ("[motion]\nmin_area_fraction = 0.99", "[motion]\nmin_area_fraction = 1.0"),
         ("[solve]\nremesh = true", "[solve]\nremesh = 2"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rmesh_nlp.examples.random_designs import random_design
+from random_designs import random_design
 from rmesh_nlp.solving.outer import Outer
 
 SEEDS = (0, 5, 6, 7, 8, 19)
