@@ -105,7 +105,7 @@ class Maps(Formulation):
                 end = outer.minimising(found.objective)
             else:
                 end = Outer.around(found.built, outer.tolerance)
-        monitor.tracked(end).gain = found.gain_estimate
+        end = monitor.tracked(end.knowing(found.gain_estimate))
         q = found.q if end.is_valid(found.q) else np.zeros(end.n)
         said = [f"over meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
         if parts := [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]:
@@ -181,7 +181,7 @@ class Descent(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
-        gain = monitor.estimate(outer) if outer.gain is None else outer.gain
+        gain = monitor.estimate(outer)
         found = descend(
             energy,
             q,

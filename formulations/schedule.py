@@ -55,11 +55,11 @@ class Schedule(Wrapper):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        schedule = weights(self.weights)
-        gain = monitor.estimate(outer) if outer.gain is None else outer.gain
+        schedule, gain = weights(self.weights), monitor.estimate(outer)
         for weight in schedule:
             with monitor.clock.during("build"):
-                weighted = outer.minimising(regularised(gain, weight, self.distortion))
+                objective = regularised(gain, weight, self.distortion)
+                weighted = outer.knowing(gain).minimising(objective)
             found = monitor.run(self.inner, weighted, q)
             q = found.q
             if monitor.is_over():

@@ -178,7 +178,7 @@ def row(case: Case, formulation: str, seconds: float) -> dict[str, Any]:
     record = solution.record()
     found |= {name: record.get(name) for name in NAMES}
     found["processor_s"] = time.process_time() - began
-    outer = Outer(case.problem, case.objective)
+    outer = Outer.of(case.problem, case.objective)
     steep = steepest(outer, outer.variables(np.asarray(solution.mesh.p), design=solution.design))
     found["search_s"] = time.process_time() - began - found["processor_s"]
     if steep is not None:

@@ -52,7 +52,7 @@ def solved(seed: int, formulation: str, start: str, seconds: float) -> Row:
     began = time.process_time()
     row: Row = {"seed": seed, "formulation": formulation, "start": start, "objective": found.objective}
     try:
-        outer, monitor = Outer(found.problem, found.objective), Monitor(Limits(seconds=seconds))
+        outer, monitor = Outer.of(found.problem, found.objective), Monitor(Limits(seconds=seconds))
         first = outer.variables(seed=STARTS[start])
         outcome = monitor.run(FORMULATIONS[formulation](), outer, first)
         end = assess(outer, outcome)
@@ -83,7 +83,7 @@ def _friction(outer: Outer) -> str:
 def taylor(seed: int) -> Row:
     """Order of the remainder of the first-order formula along random directions, away from kinks."""
     found, rng = random_design(seed), np.random.default_rng(seed)
-    outer = Outer(found.problem, found.objective)
+    outer = Outer.of(found.problem, found.objective)
     for attempt in range(40):
         q = outer.clipped(0.5 * outer.variables(seed=attempt + 1))
         d = rng.uniform(-1, 1, outer.n)

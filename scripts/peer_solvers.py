@@ -89,7 +89,7 @@ class Program:
 
 def program_of(problem: ContactProblem) -> Program:
     """The program of Example 6.1 and the start of ``joint``."""
-    outer = Outer(problem)
+    outer = Outer.of(problem)
     rel = outer.relocation
     if rel.n_valid or rel.n_s:
         raise ValueError("only for move limits that exclude inverted elements, and without friction")

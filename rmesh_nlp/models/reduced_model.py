@@ -69,7 +69,6 @@ class ReducedEnergy:
         self.relocation, self.model = relocation, model
         self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
-        self._given: Equilibrium | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
         self._gradient = relocation.lagrangian.numeric("gradient")
@@ -110,11 +109,7 @@ class ReducedEnergy:
     @property
     def given(self) -> Equilibrium:
         """The contact solution on the mesh as given: a cold solve once it is first asked for."""
-        return self.model.given if self._given is None else self._given
-
-    def knows(self, given: Equilibrium) -> None:
-        """Take over the contact solution on the mesh as given."""
-        self._given = given
+        return self.model.given
 
     @cached_property
     def assessor(self) -> Assessor:

@@ -36,7 +36,7 @@ def assess(
         Whether the formulation moves nodes at all.
     """
     last, said = outcome.outer, stopped or outcome.status
-    is_same_mesh = is_comparable(first, last)
+    is_same_mesh = _have_same_mesh(first, last)
     begin = last if is_same_mesh else first
     # the final mesh before the given one: the models remember their last point
     final = measured(last, outcome.q, mesh_warnings)
@@ -62,16 +62,10 @@ def assess(
     )
 
 
-def is_comparable(first: Outer, last: Outer) -> bool:
-    """Whether an end is compared with its own mesh before any motion, and not with the given one.
-
-    Its mesh is the given one or a refinement of it: nodes of that keep their numbers. A new mesh was
-    made to have less error.
-    """
-    coarse, fine = first.problem.mesh, last.problem.mesh
-    n = coarse.p.shape[1]
-    kept = fine.p.shape[1] >= n and np.array_equal(coarse.p, fine.p[:, :n])
-    return coarse is fine or (kept and (fine.p.shape[1] > n or np.array_equal(coarse.t, fine.t)))
+def _have_same_mesh(first: Outer, last: Outer) -> bool:
+    """Whether two meshes are the same before any motion."""
+    given, made = first.problem.mesh, last.problem.mesh
+    return given is made or (np.array_equal(given.p, made.p) and np.array_equal(given.t, made.t))
 
 
 def _domain_area_change(first: Outer, final: State) -> float | None:

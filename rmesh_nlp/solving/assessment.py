@@ -61,8 +61,7 @@ class Assessment:
     Attributes
     ----------
     given, final : State
-        ``given`` is the mesh of ``final`` before any motion where that is the mesh of the problem or a
-        refinement of it, else the mesh of the problem: a new mesh was made to have less error.
+        ``given`` is the mesh of the problem; ``final`` is that mesh with its nodes moved, or a new one.
     first_order : FirstOrder
         At the end.
     said : Status

@@ -21,7 +21,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.clock import TOLERANCE, Limits
+from rmesh_nlp.solving.clock import TOLERANCE, Limits, timed
 from rmesh_nlp.solving.epigraph import with_levels
 from rmesh_nlp.solving.exploited import End, back, is_spurious, once_more
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, composed
@@ -180,9 +180,10 @@ def _ended(plan: _Plan, problem: ContactProblem, monitor: Monitor) -> End:
     A model of the given mesh is built when the formulation first asks for it.
     """
     with monitor.clock.during("build"):
-        outer = Outer(problem, plan.objective, plan.tolerance)
+        outer = Outer.of(problem, plan.objective, plan.tolerance)
     with monitor.clock.during("audit"):
-        outer.time_contact()
+        contact, nodes = outer.contact, np.asarray(problem.mesh.p)
+        contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
     monitor.clock.enter("solve")
     begin, formulation = beginning(outer, plan.start, plan.seed, monitor), plan.formulation
     outcome = monitor.run(formulation, begin.outer, begin.q)
@@ -192,7 +193,7 @@ def _ended(plan: _Plan, problem: ContactProblem, monitor: Monitor) -> End:
     assessment = monitor.finish(
         lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates)
     )
-    return End(outer, outcome, assessment, begin.name, spent)
+    return End(outer, outcome, assessment, begin.name, spent, contact_seconds)
 
 
 def _made(plan: _Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
@@ -211,7 +212,7 @@ def _made(plan: _Plan, end: End, safe: str | None, monitor: Monitor, certify: bo
         history=_history(monitor, end),
         iterations=monitor.iterations,
         work=end.spent,
-        contact_time_s=end.first.contact_seconds,
+        contact_time_s=end.contact_seconds,
         build_time_s=monitor.clock.seconds("build"),
         solve_time_s=monitor.clock.seconds("solve"),
         audit_time_s=monitor.clock.seconds("audit"),

@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
@@ -78,6 +79,7 @@ class Monitor:
         self.work = Work()
         self.last_q: Array | None = None
         self._tracked: list[Outer] = []
+        self._gains: dict[ContactSolver, float] = {}
         self._track: Track | None = None
 
     @property
@@ -142,10 +144,13 @@ class Monitor:
         return outer
 
     def estimate(self, outer: Outer) -> float:
-        """Estimate the error of the energy on the mesh as given, for ``outer.gain``; count the work."""
-        outer.gain = gain_estimate(outer.contact).value
-        self.work += Work(ESTIMATE_SOLVES)
-        return outer.gain
+        """The estimated error of the energy on the mesh as given; its work is spent and counted once."""
+        if outer.gain is not None:
+            return outer.gain
+        if outer.contact not in self._gains:
+            self._gains[outer.contact] = gain_estimate(outer.contact).value
+            self.work += Work(ESTIMATE_SOLVES)
+        return self._gains[outer.contact]
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
         """Add a step at ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,174 +12,144 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.models.branches import Branches
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.kkt_model import Bilevel, bilevel, kkt_unknowns
+from rmesh_nlp.models.kkt_model import Bilevel
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.reduced_model import (
-    Reduced,
-    ReducedEnergy,
-    ReducedObjective,
-    ReducedPoint,
-)
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import Level
-from rmesh_nlp.solving.clock import TOLERANCE, timed
+from rmesh_nlp.solving.clock import TOLERANCE
+from rmesh_nlp.solving.outer_models import OuterModels
 from rmesh_nlp.solving.parts import Work
 
 
+@dataclass(frozen=True, eq=False)
 class Outer:
     """``min F(X, u)`` over node positions X, where u solves the contact problem there.
 
-    Parameters
-    ----------
-    problem : ContactProblem
-    objective : str or Objective
-    tolerance : float
-        Largest first-order residual of a stationary point.
-
     Attributes
     ----------
-    discretisation : Discretisation
-    contact : ContactSolver
-        Contact solves by the problem's own rule.
-    contact_seconds : float
-        Wall time of a contact solve on the mesh as given, from nothing: the unit of cost.
+    models : OuterModels
+        The contact solver of the problem, and what can be evaluated of the objective.
     is_near : bool
         Whether the start is likely to be close to a minimiser.
     gain : float or None
-        Estimated error of the energy on the mesh as given, once it is known:
-        :meth:`rmesh_nlp.solving.monitor.Monitor.estimate`.
+        Estimated error of the energy on the mesh as given, where it is known.
     """
 
+    models: OuterModels
     is_near: bool = False
-    contact_seconds: float = float("nan")
     gain: float | None = None
 
-    def __init__(
-        self, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
-    ) -> None:
-        self.problem, self.tolerance = problem, tolerance
-        self.discretisation: Discretisation = discretise(problem)
-        self.discretisation.check_unknowns()
-        self.contact = ContactSolver(self.discretisation)
-        self.objective = parse_objective(objective)
+    @classmethod
+    def of(
+        cls, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
+    ) -> Outer:
+        """The outer problem on the mesh of a problem.
+
+        Parameters
+        ----------
+        problem : ContactProblem
+        objective : str or Objective
+        tolerance : float
+            Largest first-order residual of a stationary point.
+        """
+        discretisation = discretise(problem)
+        discretisation.check_unknowns()
+        return cls(OuterModels(ContactSolver(discretisation), parse_objective(objective), tolerance))
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
         """The outer problem of an energy that is built already."""
-        outer, built = cls.__new__(cls), energy.relocation
-        outer.problem, outer.objective, outer.tolerance = built.problem, built.objective, tolerance
-        outer.discretisation, outer.contact, outer.energy = built.discretisation, energy.model, energy
-        return outer
+        return cls(OuterModels(energy.model, energy.objective, tolerance, energy))
 
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
-        other = copy.copy(self)
-        for name in (
-            "energy",
-            "energy_at_start",
-            "at_start",
-            "function",
-            "residual",
-            "constraints",
-            "kkt",
-            "branches",
-        ):
-            other.__dict__.pop(name, None)
-        other.objective = objective
-        return other
+        return replace(self, models=OuterModels(self.contact, objective, self.tolerance))
 
     def on(self, problem: ContactProblem) -> Outer:
         """The same objective by another rule, whose estimated error is taken over."""
-        other = Outer(problem, self.objective, self.tolerance)
-        other.gain = self.gain
-        return other
+        return replace(Outer.of(problem, self.objective, self.tolerance), gain=self.gain)
 
     def near(self) -> Outer:
-        """The same from a start that is likely to be close to a minimiser."""
-        _ = self.energy  # one model, and one count of contact solves
-        other = copy.copy(self)
-        other.is_near = True
-        return other
+        """The same from a start that is likely to be close to a minimiser; the models are shared."""
+        return replace(self, is_near=True)
 
-    @cached_property
+    def knowing(self, gain: float) -> Outer:
+        """The same with the estimated error of the energy on the mesh as given."""
+        return replace(self, gain=gain)
+
+    @property
+    def contact(self) -> ContactSolver:
+        """Contact solves by the problem's own rules."""
+        return self.models.contact
+
+    @property
+    def discretisation(self) -> Discretisation:
+        """The problem discretised on its mesh."""
+        return self.contact.discretisation
+
+    @property
+    def problem(self) -> ContactProblem:
+        """The problem, on its mesh."""
+        return self.contact.problem
+
+    @property
+    def given(self) -> Equilibrium:
+        """The contact solution on the mesh as given."""
+        return self.contact.given
+
+    @property
+    def objective(self) -> Objective:
+        """What is minimised."""
+        return self.models.objective
+
+    @property
+    def tolerance(self) -> float:
+        """Largest first-order residual of a stationary point."""
+        return self.models.tolerance
+
+    @property
+    def function(self) -> Reduced:
+        """The objective as a function of the outer variables, each value an exact contact solve."""
+        return self.models.function
+
+    @property
     def energy(self) -> ReducedEnergy:
         """The objective, or the energy where the levels do not collapse for it, as a function of q."""
-        return ReducedEnergy.of(self.contact, self.objective if self.objective.collapses else ENERGY)
+        return self.models.energy
 
     @property
     def relocation(self) -> Relocation:
         """The NLP of ``energy``."""
         return self.energy.relocation
 
-    @cached_property
-    def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given."""
-        return self.contact.given
-
-    def time_contact(self) -> None:
-        """Measure the unit of cost; the contact solution on the mesh as given is known then."""
-        X0 = np.asarray(self.problem.mesh.p)
-        self.contact.given, self.contact_seconds = timed(lambda: self.contact.solve(X0))
-
-    @cached_property
-    def function(self) -> Reduced:
-        """The objective as a function of the outer variables, each value an exact contact solve."""
-        return self.energy if self.objective.collapses else ReducedObjective(self.energy, self.objective)
-
-    @cached_property
-    def energy_at_start(self) -> ReducedPoint:
-        """The energy on the mesh as given; no contact solve of a formulation."""
-        system = self.contact.system(self.problem.mesh.p)
-        return self.energy.at(np.zeros(self.n), system, self.given)
-
-    @cached_property
-    def at_start(self) -> ReducedPoint:
-        """The objective on the mesh as given."""
-        function = self.function
-        if isinstance(function, ReducedEnergy):
-            return self.energy_at_start
-        return function.of(self.energy_at_start)
-
-    @cached_property
+    @property
     def residual(self) -> OuterResidual:
         """The first-order residual, relative to that on the mesh as given."""
-        return OuterResidual(self.energy, self.at_start, self.constraints)
+        return self.models.residual
 
-    @cached_property
+    @property
     def constraints(self) -> ReducedConstraints | None:
         """Those of the problem as functions of the outer variables; None without any."""
-        function = self.function
-        if not (isinstance(function, ReducedObjective) and is_constrained(self.problem)):
-            return None
-        return ReducedConstraints(function)
+        return self.models.constraints
 
-    @cached_property
+    @property
     def kkt(self) -> Bilevel:
         """The KKT model in units of the contact solution and of the objective on the mesh as given."""
-        given, zero, system = self.given, np.zeros(self.n), self.contact.system(self.problem.mesh.p)
-        return bilevel(
-            self.discretisation,
-            self.objective,
-            length=float(np.max(np.abs(given.u), initial=0.0)) or 1.0,
-            force=system.force_scale,
-            value=abs(self.function(zero).value) or 1.0,
-            start=kkt_unknowns(zero, given, system, self.discretisation.friction_rows),
-        )
+        return self.models.kkt
 
-    @cached_property
+    @property
     def branches(self) -> Branches:
         """First-order conditions where contact is about to change, for objectives that have a KKT model."""
-        return Branches(self.kkt, self.residual.unit, self.tolerance)
+        return self.models.branches
 
-    @cached_property
+    @property
     def assessor(self) -> Assessor:
         """Measures meshes against the continuous problem."""
         return self.energy.assessor
@@ -220,7 +189,7 @@ class Outer:
         """
         if not self.problem.design:
             return self, q
-        other = Outer(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
+        other = Outer.of(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
         if not np.any(q):  # where shapes begin
             return other, np.zeros(other.n)
         return other, other.discretisation.mesh_map.q_of(self.nodes(q))

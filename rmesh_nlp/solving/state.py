@@ -152,8 +152,8 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
     at, position = outer.at_design(q)
     if is_given:  # with shapes it is where these begin
         nodes = np.asarray(at.problem.mesh.p)
-    exact = at.energy_at_start if is_given else at.energy(position)
-    point = outer.at_start if is_given else outer.function(q)
+    exact = at.models.energy_at_start if is_given else at.energy(position)
+    point = outer.models.at_start if is_given else outer.function(q)
     found, system, space = exact.equilibrium, exact.system, at.discretisation.space
     continuous = at.assessor.solve(nodes, found.active)
     displacement = at.contact.displacement.values(found.u)

@@ -110,7 +110,7 @@ def verify_gradient(
     ValueError
         If the objective is unknown or does not suit the problem, or no node may move.
     """
-    outer, asked = Outer(problem), parse_objective(objective)
+    outer, asked = Outer.of(problem), parse_objective(objective)
     function: Reduced = outer.energy if asked.is_energy else ReducedObjective(outer.energy, asked)
     n = outer.n
     if n == 0:

@@ -173,7 +173,7 @@ def least_energy_with_frozen_friction(problem: ContactProblem, seed: int | None 
     To see whether the paper did that. NaN if none is found. Only for contact along a straight horizontal
     boundary and a constant friction bound, as in 6.3.
     """
-    outer = Outer(problem)
+    outer = Outer.of(problem)
     program = outer.relocation
     nlp = program.nlp.extended(f=_difference(problem, program))
     q = outer.variables(seed=seed)

@@ -73,7 +73,7 @@ def main(n: int = 6) -> dict[str, rm.Solution]:
 
 def across(solution: rm.Solution, points: int = 41) -> Across:
     """Contact solutions as the first biactive node of an end is moved, all others held."""
-    outer = Outer(solution.problem, OBJECTIVE)
+    outer = Outer.of(solution.problem, OBJECTIVE)
     (node, *_), positions = solution.extra["biactive_nodes"], outer.relocation.mesh_map.positions
     row, q = positions.index[0, node], outer.variables(np.asarray(solution.mesh.p))
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
@@ -120,7 +120,7 @@ def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
 
 def _contact(axis: plt.Axes, end: rm.Solution) -> None:
     """Bound and size of the friction at every contact node, by state."""
-    outer = Outer(end.problem, OBJECTIVE)
+    outer = Outer.of(end.problem, OBJECTIVE)
     point = outer.function(outer.variables(np.asarray(end.mesh.p)))
     state, nodes = point.equilibrium, outer.contact.contact_nodes
     x, order = np.asarray(end.mesh.p)[0, nodes], np.argsort(np.asarray(end.mesh.p)[0, nodes])

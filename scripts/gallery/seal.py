@@ -90,7 +90,7 @@ def problem(n: int) -> rm.ContactProblem:
 
 def kinks(solution: rm.Solution) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
-    outer = Outer(solution.problem, OBJECTIVE)
+    outer = Outer.of(solution.problem, OBJECTIVE)
     function, free = outer.function, outer.relocation.mesh_map
     q = free.q_of(np.asarray(solution.mesh.p))
     here = function(q)
@@ -110,7 +110,7 @@ def kinks(solution: rm.Solution) -> list[Kink]:
 
 def along(solution: rm.Solution, node: int, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
     """The objective, the gap and the contact force at ``node`` as that node alone is moved by ``shifts``."""
-    outer = Outer(solution.problem, OBJECTIVE)
+    outer = Outer.of(solution.problem, OBJECTIVE)
     function, free = outer.function, outer.relocation.mesh_map
     q, row = free.q_of(np.asarray(solution.mesh.p)), free.positions.index[1, node]
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])

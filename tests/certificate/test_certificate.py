@@ -121,7 +121,7 @@ def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch:
 
 def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
     problem = replace(block(E, BOW), motion=Motion(0))
-    outer = Outer(problem, "area")
+    outer = Outer.of(problem, "area")
     found = assess(outer, Outcome(outer, np.array([0.8, -0.5]), Status.CONVERGED))
     both = bounded(found, refinements=0)
     first, last = (

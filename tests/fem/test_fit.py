@@ -27,7 +27,7 @@ from support.taylor import difference_order, taylor_order
 
 def at_zero(problem: ContactProblem, objective: object) -> float:
     """An objective at the contact solution on the given mesh."""
-    outer = Outer(problem, objective)  # type: ignore[arg-type]
+    outer = Outer.of(problem, objective)  # type: ignore[arg-type]
     return float(outer.function(np.zeros(outer.n)).value)
 
 

@@ -23,7 +23,7 @@ MU, P, F, LENGTH = 50.0, 3.0, 0.4, 2.0
 
 def value(problem: ContactProblem, text: str) -> float:
     """An objective at the contact solution on the given mesh."""
-    outer = Outer(problem, text)
+    outer = Outer.of(problem, text)
     return float(outer.function(np.zeros(outer.n)).value)
 
 
@@ -93,7 +93,7 @@ PROBLEMS: dict[str, Any] = {
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_sums_over_the_nodes_of_a_contact_boundary(name: str, order: int) -> None:
     problem = replace(PROBLEMS[name](), order=order)
-    outer, boundary = Outer(problem), problem.obstacles[0].boundary
+    outer, boundary = Outer.of(problem), problem.obstacles[0].boundary
     q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     point = outer.energy(q)
     state, weights = point.equilibrium, outer.discretisation.space.weights(outer.nodes(q))

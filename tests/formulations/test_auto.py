@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from formulations import cascade as of_formulation
+from formulations import confirmed as confirmed_by
 from formulations.auto import Auto
 from formulations.confirmed import agrees
 from formulations.joint import Joint
@@ -122,16 +123,13 @@ def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
 
 @pytest.mark.parametrize(("wrong", "confirmed"), [(0.009, True), (0.011, False), (-0.011, False)])
 def test_a_rule_is_confirmed_that_changes_the_gain_by_one_per_cent_at_most(
-    wrong: float, confirmed: bool
+    wrong: float, confirmed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     ends = [SimpleNamespace(energy=energy) for energy in (-1.0, -4.0)]
-    outer.__dict__["assessor"] = SimpleNamespace(
-        initial=ends[0],
-        initial_corrections={"quadrature": 0.5},
-        solve=lambda *_: ends[1],
-        corrections=lambda *_: {"quadrature": 0.5 + wrong * 3.0},
-    )
+    made = SimpleNamespace(initial=ends[0], initial_corrections={"quadrature": 0.5}, solve=lambda *_: ends[1])
+    monkeypatch.setattr(Outer, "assessor", made)
+    monkeypatch.setattr(confirmed_by, "corrections", lambda *_: {"quadrature": 0.5 + wrong * 3.0})
     assert agrees(Outcome(outer, np.full(outer.n, 0.1), Status.CONVERGED)) is confirmed
 
 

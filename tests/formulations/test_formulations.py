@@ -105,7 +105,7 @@ def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     problem = EXAMPLES["6.1"](4, 0.9)
     end = joint.solve(problem)
     assert end.assessment.final.min_area_ratio == pytest.approx(problem.motion.min_area_fraction, abs=1e-9)
-    outer = Outer(problem)
+    outer = Outer.of(problem)
     q = outer.variables(np.asarray(end.mesh.p))
     np.testing.assert_allclose(outer.relocation.nodes(q), end.mesh.p, atol=1e-9)
     assert not outer.is_valid(1.01 * q)

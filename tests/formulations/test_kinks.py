@@ -120,7 +120,7 @@ def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_cl
     problem, objective = example("6.1", 3, 6), "error-l2"
     solution = rm.solve(problem, "nested", objective=objective)
     assert solution.status is Status.CONVERGED
-    outer = Outer(problem, objective)
+    outer = Outer.of(problem, objective)
     q = outer.variables(np.asarray(solution.mesh.p))
     monkeypatch.setattr(OuterResidual, "__call__", lambda *_: 1.0)
     found = ended(outer, q, Status.CONVERGED if claimed else Status.STALLED)

@@ -157,7 +157,7 @@ def test_the_mean_gradient_of_ipopts_objective_is_a_third_at_the_start(
     problem = example("6.1", 3, 6)
     begin = None if start is None else joint.solve(problem)
     mpcc.solve(problem, start=begin)
-    outer = Outer(problem)
+    outer = Outer.of(problem)
     q = outer.variables(None if begin is None else begin.mesh.p)
     unit = abs(outer.energy(np.zeros(outer.n)).value)
     gradient = outer.energy(q).gradient / unit
@@ -206,7 +206,7 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
 def test_only_on_fine_meshes_the_start_is_given_alternating_displacements(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    outer = Outer(coarse("6.1"))
+    outer = Outer.of(coarse("6.1"))
     given, bound = outer.variables(), outer.discretisation.mesh_map.upper
     assert module._in_step(outer, given) is given
     monkeypatch.setattr(module, "FINE", 1)
@@ -235,7 +235,7 @@ def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction
 def test_the_better_end_of_two_paths_is_kept_for_designs(
     order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    outer, near = Outer(block(LOAD), "compliance"), []
+    outer, near = Outer.of(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
     def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
@@ -253,7 +253,7 @@ def test_the_better_end_of_two_paths_is_kept_for_designs(
 def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    outer = Outer(block(LOAD), "compliance")
+    outer = Outer.of(block(LOAD), "compliance")
     start, lower = np.zeros(outer.n), 0.1 * np.ones(outer.n)
 
     def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
@@ -273,7 +273,7 @@ def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
 
 
 def test_a_first_path_that_ends_at_no_mesh_is_returned_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    outer = Outer(block(LOAD, BOW), "compliance")
+    outer = Outer.of(block(LOAD, BOW), "compliance")
     flat = np.zeros(outer.n)
     flat[-1] = 1e3 * outer.discretisation.mesh_map.upper[-1]
     assert not outer.is_valid(flat)
@@ -295,6 +295,6 @@ def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPa
         return Outcome(at, q, Status.CONVERGED)
 
     monkeypatch.setattr(AllAtOnce, "_path", path)
-    outer = Outer(coarse("6.3"), "mean(top, -uy)")
+    outer = Outer.of(coarse("6.3"), "mean(top, -uy)")
     AllAtOnce().run(outer, np.zeros(outer.n), Monitor())
     assert near == [False]

@@ -74,7 +74,7 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
 @FEW
 @given(SEEDS)
 def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
-    outer = Outer(drawn(seed))
+    outer = Outer.of(drawn(seed))
     nodes = outer.relocation.nodes(outer.variables(seed=seed))
     system, state = outer.contact.system(nodes), outer.contact.solve(nodes)
     assert state.status is Status.CONVERGED
@@ -85,7 +85,7 @@ def test_contact_law_and_equilibrium_hold_on_any_moved_mesh(seed: int) -> None:
 @FEW
 @given(SEEDS)
 def test_energy_gradient_has_second_order_remainders(seed: int) -> None:
-    outer, rng = Outer(drawn(seed)), np.random.default_rng(seed)
+    outer, rng = Outer.of(drawn(seed)), np.random.default_rng(seed)
     q = 0.5 * outer.variables(seed=seed)
     d = rng.uniform(-1, 1, q.size)
     here = outer.energy(q)
@@ -120,7 +120,7 @@ def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, fo
 def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
     problem = drawn(seed)
     angle = min(angle, 0.9 * float(np.min(least_angles(problem.mesh.p, problem.triangles))))
-    outer = Outer(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
+    outer = Outer.of(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
     nodes = outer.relocation.nodes(outer.variables(seed=seed))
     assert np.min(least_angles(nodes, problem.triangles)) >= angle
     assert np.any(nodes != problem.mesh.p)

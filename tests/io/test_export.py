@@ -58,7 +58,7 @@ def series_of(problem, points, *settings):
 
 
 def test_frames_of_a_design_have_its_numbers(tmp_path):
-    outer = Outer(block(E, LOAD), "area")
+    outer = Outer.of(block(E, LOAD), "area")
     q = np.zeros(outer.n)
     q[-2:] = 0.5, -0.5
     series_of(outer.problem, [0 * q, q]).write(tmp_path)

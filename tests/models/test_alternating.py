@@ -12,7 +12,7 @@ from rmesh_nlp.solving.outer import Outer
 
 def test_alternating_steps_are_red_and_black_on_a_structured_grid() -> None:
     problem = EXAMPLES["6.1"](6)
-    relocation = Outer(problem).relocation
+    relocation = Outer.of(problem).relocation
     steps = relocation.nodes(alternating(relocation)) - problem.mesh.p
     i, j = np.rint(6 * problem.mesh.p).astype(int)
     free = np.all(steps != 0, axis=0)
@@ -23,7 +23,7 @@ def test_alternating_steps_are_red_and_black_on_a_structured_grid() -> None:
 
 @pytest.mark.parametrize("seed", [None, 3])
 def test_they_go_downhill_from_any_start(seed: int | None) -> None:
-    outer = Outer(EXAMPLES["6.1"](8))
+    outer = Outer.of(EXAMPLES["6.1"](8))
     q = outer.variables(seed=seed)
     gradient = outer.energy(q).gradient
     moved = alternated(outer.relocation, q, gradient, 0.1, outer.is_valid)
@@ -32,7 +32,7 @@ def test_they_go_downhill_from_any_start(seed: int | None) -> None:
 
 
 def test_they_are_halved_until_the_mesh_is_valid() -> None:
-    outer = Outer(EXAMPLES["6.3"]((12, 6)))
+    outer = Outer.of(EXAMPLES["6.3"]((12, 6)))
     q = np.zeros(outer.n)
     assert not outer.is_valid(alternating(outer.relocation))
     moved = alternated(outer.relocation, q, outer.energy(q).gradient, 1.0, outer.is_valid)
@@ -46,7 +46,7 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
 )
 def test_joint_starts_with_them_on_fine_meshes_without_areas(fine, name, size, added, monkeypatch) -> None:
     monkeypatch.setattr("formulations.joint.FINE", fine)
-    outer, first = Outer(EXAMPLES[name](size)), []
+    outer, first = Outer.of(EXAMPLES[name](size)), []
     monitor = Monitor(on_step=lambda step: first.append(step.q))
     Joint(ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
     assert (np.max(np.abs(alternating(outer.relocation) * first[0])) > 0.2) == added

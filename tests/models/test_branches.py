@@ -33,7 +33,7 @@ def leak(cost: float) -> str:
 
 def ended(problem: ContactProblem, objective: str, formulation: str) -> tuple[rm.Solution, Array]:
     solution = rm.solve(problem, formulation, objective=objective)
-    return solution, Outer(problem).variables(np.asarray(solution.mesh.p))
+    return solution, Outer.of(problem).variables(np.asarray(solution.mesh.p))
 
 
 def labelled(outer: Outer, q: Array) -> BranchLabel:
@@ -50,7 +50,7 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
     _, q = ended(block, leak(2.0), "mpcc")
     rates = []
     for cost in (2.0, 0.7, 40.0):
-        outer = Outer(block, leak(cost))
+        outer = Outer.of(block, leak(cost))
         found, every = labelled(outer, q), search(outer, q)
         assert found.pairs.size == 3
         assert every.branches == 8
@@ -77,7 +77,7 @@ def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual(
 ) -> None:
     problem, objective = load("benchmark_branches").slab(0.5, (6, 4)), "mean(top, -uy)"
     solution, q = ended(problem, objective, "nested")
-    outer = Outer(problem, objective)
+    outer = Outer.of(problem, objective)
     assert solution.stationarity_residual <= outer.tolerance
     best, given = labelled(outer, q), labelled(outer, np.zeros(outer.n))
     assert (best.label, best.b_stationary, best.pairs.size) == ("S", True, 0)
@@ -89,7 +89,7 @@ def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual(
 
 def test_slips_that_are_given_have_no_friction_of_their_own(load: Callable[[str], ModuleType]) -> None:
     """The corner of the block is held sideways: its friction is any force up to the bound."""
-    outer = Outer(load("benchmark_branches").seal(4, 0.3), leak(2.0))
+    outer = Outer.of(load("benchmark_branches").seal(4, 0.3), leak(2.0))
     q = np.random.default_rng(2).uniform(-0.2, 0.0, outer.n)
     here, d = outer.function(q), np.random.default_rng(3).uniform(-1, 1, outer.n)
     hessian = ObjectiveCurvature(outer.energy, parse_objective(leak(2.0))).at(here)
@@ -104,7 +104,7 @@ def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two(
     """Gap, force and friction vanish together at grazing nodes of a seal, which slide."""
     block = load("benchmark_branches").seal(4, 0.3)
     _, q = ended(block, leak(2.0), "mpcc")
-    outer = Outer(block, leak(2.0))
+    outer = Outer.of(block, leak(2.0))
     point = outer.function(q)
     program = outer.kkt
     rows, _ = program.mpcc.derivatives.jac_g(program.point(q, point.equilibrium, point.system), [])

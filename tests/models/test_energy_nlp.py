@@ -106,7 +106,7 @@ def test_a_step_leaves_elements_a_part_of_their_slack_unless_they_have_little(sl
 
 
 def test_inverted_elements_come_back_to_their_floor() -> None:
-    outer = Outer(large_limits())
+    outer = Outer.of(large_limits())
     rows, one, rng = ElementConstraints(outer.relocation), np.ones(outer.n), np.random.default_rng(0)
     wild = rng.uniform(-1, 1, outer.n)
     given = rows.at(0 * one)

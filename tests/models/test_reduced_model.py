@@ -139,7 +139,7 @@ def counts(energy: ReducedEnergy) -> tuple[int, int, int]:
 
 
 def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(small: ContactProblem) -> None:
-    outer = Outer(small)
+    outer = Outer.of(small)
     energy, q, given = outer.energy, np.zeros(outer.n), outer.given
     assert counts(energy) == (0, 0, 0)
     for _ in range(2):

@@ -39,7 +39,7 @@ OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), 
 
 
 def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
-    outer = Outer(problem, objective)
+    outer = Outer.of(problem, objective)
     return reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
 
 

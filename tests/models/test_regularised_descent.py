@@ -144,7 +144,7 @@ def test_the_residual_says_what_is_stationary_and_when_to_factorise(residual, st
 def test_the_end_of_a_cascade_leads_to_a_minimum(name: str, size: int | tuple[int, int]) -> None:
     problem = replace(no_move_limits(EXAMPLES[name](n=size)), quadrature=6)
     start = cascade(problem)
-    residual = Outer(problem, start.energy.relocation.objective).residual
+    residual = Outer.of(problem, start.energy.relocation.objective).residual
     before = start.energy(start.q).value
     end = finished(
         start.energy,

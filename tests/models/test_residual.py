@@ -19,7 +19,7 @@ from support.problems import sloped_block
 
 @pytest.mark.parametrize("n", [3, 6])
 def test_relative_residual_is_one_on_given_mesh_and_less_where_bounds_hold_back(n: int) -> None:
-    outer = Outer(EXAMPLES["6.1"](n))
+    outer = Outer.of(EXAMPLES["6.1"](n))
     point = outer.energy(np.zeros(outer.n))
     residual = outer.residual
     assert residual(point) == pytest.approx(1.0)
@@ -34,7 +34,7 @@ def test_relative_residual_is_one_on_given_mesh_and_less_where_bounds_hold_back(
 
 
 def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     point = outer.energy(np.zeros(outer.n))
     still = replace(point, gradient=0 * point.gradient)
     strain = 0.5 * point.equilibrium.u @ (point.system.stiffness @ point.equilibrium.u)
@@ -63,7 +63,7 @@ def test_history_and_record_agree_where_no_contact_is_solved(formulation: Any, n
 def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_solution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    outer = Outer(block_sliding_on_a_circle())
+    outer = Outer.of(block_sliding_on_a_circle())
     q = 0.1 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     point, rel, residual = outer.energy(q), outer.relocation, outer.residual
     state, rows, x = point.equilibrium, rel.friction_rows, outer.energy.point(q, point.equilibrium)
@@ -91,7 +91,7 @@ def test_other_objectives_have_one_at_the_end_of_mpcc_and_with_the_adjoint() -> 
 def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     room = 1e-5
     given = EXAMPLES["6.2"]((4, 2), 0.6)
-    outer = Outer(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
+    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - room)))
     residual, q = outer.residual, np.zeros(outer.n)
     rows = outer.energy.validity.at(q)
     # a gradient that multipliers of the elements explain as a whole
@@ -106,7 +106,7 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
 
 
 def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
-    outer = Outer(replace(EXAMPLES["6.1"](3), motion=Motion(0.05, min_angle=45.0 - 1e-9)))
+    outer = Outer.of(replace(EXAMPLES["6.1"](3), motion=Motion(0.05, min_angle=45.0 - 1e-9)))
     rows = outer.energy.validity.at(np.zeros(outer.n))
     weights = np.arange(rows.slack.size) % 4 == 1  # one angle of each element
     found = multipliers(outer.energy, np.zeros(outer.n), np.asarray(rows.jacobian.T @ (2.0 * weights)))
@@ -117,7 +117,7 @@ def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> None:
     """Limits are 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes there."""
-    outer = Outer(sloped_block())
+    outer = Outer.of(sloped_block())
     free, q, gradient = outer.relocation.mesh_map, np.zeros(outer.n), np.zeros(outer.n)
     index = free.positions.index
     slanted = next(n for n in outer.problem.contact_nodes if index[0, n] == index[1, n] >= 0)
@@ -133,7 +133,7 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
 
 
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
-    outer = Outer(plate({"hole": HOLE}, delta=0.4))
+    outer = Outer.of(plate({"hole": HOLE}, delta=0.4))
     index = outer.relocation.mesh_map.positions.index
     node = outer.problem.boundary_nodes(("hole",))[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
@@ -144,7 +144,7 @@ def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
 
 def test_rows_of_an_element_are_its_area_and_then_its_angles(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = EXAMPLES["6.1"](3)
-    outer = Outer(replace(problem, motion=Motion(None, min_angle=20.0)))
+    outer = Outer.of(replace(problem, motion=Motion(None, min_angle=20.0)))
     validity = outer.relocation.validity
     per_element = validity.rows_per_element
     assert per_element == 4

@@ -196,7 +196,7 @@ def test_multipliers_of_move_limits_are_the_rate_of_the_energy() -> None:
     solution = joint.solve(p)
     q = MeshMap.of(p).q_of(solution.mesh.p)
     # the same q in wider limits: outer variables off their bounds have no first-order effect
-    wider = Outer(replace(p, motion=Motion(delta + step))).energy(q)
+    wider = Outer.of(replace(p, motion=Motion(delta + step))).energy(q)
     assert solution.multipliers is not None
     assert np.sum(solution.multipliers.limit > 0) > 10
     rate = (solution.energy - wider.value) / step

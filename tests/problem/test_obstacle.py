@@ -59,7 +59,7 @@ def away(outer: Outer, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("make", GEOMETRIES)
 def test_energy_gradient_and_curvature_are_derivatives(make: Make) -> None:
-    outer = Outer(make())
+    outer = Outer.of(make())
     q, d = away(outer, 3)
     assert taylor_order(outer.energy, q, d, 6e-4) >= 1.9
     change = Curvature(outer.energy).at(outer.energy(q))(d)
@@ -72,7 +72,7 @@ def test_energy_gradient_and_curvature_are_derivatives(make: Make) -> None:
 @pytest.mark.parametrize("objective", ["error-l2", "contact"])
 def test_adjoint_gradient_is_the_derivative(make: Make, objective: str) -> None:
     exact = ExactSolution(lambda x, y: ca.vertcat(-1e-3 * x * y, -1e-2 * x * x), 0.0)
-    outer = Outer(replace(make(), exact=exact))
+    outer = Outer.of(replace(make(), exact=exact))
     function = ReducedObjective(outer.energy, parse_objective(objective))
     assert taylor_order(function, *away(outer, 4), 6e-4) >= 1.9
 

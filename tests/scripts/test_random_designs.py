@@ -14,7 +14,7 @@ SEEDS = (0, 5, 6, 7, 8, 19)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_stated_design_obeys_all_constraints(seed: int) -> None:
     found = random_design(seed)
-    outer = Outer(found.problem, found.objective)
+    outer = Outer.of(found.problem, found.objective)
     shapes = found.problem.shape_motions
     amplitudes = [found.feasible[shape.name] for shape in found.problem.shapes]
     nodes = found.problem.mesh.p + np.tensordot(amplitudes, shapes, 1)

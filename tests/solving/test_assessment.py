@@ -160,7 +160,7 @@ def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(
     given_is_sick: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of either mesh: a gain is a difference of four of them."""
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     found, q = outer.assessor.initial, np.full(outer.n, 0.01)
     sick = replace(found, state=replace(found.state, status=Status.CYCLED))
 
@@ -173,7 +173,7 @@ def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(
 
 
 def test_a_contact_solve_of_the_given_mesh_that_failed_is_a_fault() -> None:
-    ill = Outer(EXAMPLES["6.2"]((4, 2)))
+    ill = Outer.of(EXAMPLES["6.2"]((4, 2)))
     vars(ill.contact)["given"] = replace(ill.contact.given, status=Status.ITERATION_LIMIT)
     judged = ended(ill, np.zeros(ill.n))
     assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
@@ -211,7 +211,7 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
 def test_a_solver_that_met_its_test_is_believed_only_with_a_displacement_that_holds(
     part: float, status: Status
 ) -> None:
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     q, exact = np.zeros(outer.n), outer.given
     found = ended(outer, q, own=replace(exact, u=(1 + part) * exact.u))
     assert (found.status, found.success) == (status, status is Status.NOT_STATIONARY)

@@ -100,7 +100,7 @@ def test_a_solve_goes_on_from_a_design() -> None:
 
 
 def test_seeds_draw_designs_within_their_bounds() -> None:
-    outer = rm.Outer(block(E, F, H0), "design(E)")
+    outer = rm.Outer.of(block(E, F, H0), "design(E)")
     drawn = [outer.design(outer.variables(seed=seed)) for seed in range(5)]
     for variable in (E, F, H0):
         values = [design[variable.name] for design in drawn]

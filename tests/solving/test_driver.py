@@ -99,7 +99,7 @@ def test_ctrl_c_after_the_assessment_keeps_the_solution(
 
 
 def test_of_all_that_was_reported_the_lowest_is_kept(problem: ContactProblem) -> None:
-    outer = Outer(problem)
+    outer = Outer.of(problem)
     slope = outer.energy(outer.variables()).gradient
     ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
 
@@ -135,7 +135,7 @@ def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) 
 
 def test_outer_variables_are_shown_of_the_given_mesh_only(problem: ContactProblem) -> None:
     seen: list[Step] = []
-    other = Outer(EXAMPLES["6.2"]((2, 2)))
+    other = Outer.of(EXAMPLES["6.2"]((2, 2)))
 
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         monitor.track(other).exact(0, other.variables())

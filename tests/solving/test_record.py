@@ -93,7 +93,7 @@ def test_a_design_is_recorded_with_its_start_its_bounds_and_what_is_constrained(
     peak = found["max-pressure(bottom)"]
     assert (peak["lower"], peak["upper"]) == (None, 200.0)
     assert peak["value"] == pytest.approx(made.pressure.max(), rel=1e-9)
-    there = Outer(made.problem, "body(ux**2)")
+    there = Outer.of(made.problem, "body(ux**2)")
     assert strain["value"] == pytest.approx(there.function(np.zeros(there.n)).value, rel=1e-6)
     rows = dict(made.summary())
     assert rows["objective"] == "mean(right, uy**2)"
@@ -145,9 +145,9 @@ def test_gains_have_a_part_where_there_is_something_to_be_a_part_of() -> None:
 
 
 def test_work_is_summed_over_all_outer_problems() -> None:
-    monitor, outer = Monitor(), Outer(EXAMPLES["6.2"]((4, 2)))
+    monitor, outer = Monitor(), Outer.of(EXAMPLES["6.2"]((4, 2)))
     monitor.work += Work(kkt_factorisations=7)
-    for other in (outer, outer.near(), Outer(outer.problem)):  # a start that is near is no other problem
+    for other in (outer, outer.near(), Outer.of(outer.problem)):  # a start that is near is no other problem
         monitor.tracked(other).energy(np.zeros(outer.n))
     assert monitor.spent.contact_solves == outer.energy.contact_solves + 1
     assert monitor.spent.kkt_factorisations == 7

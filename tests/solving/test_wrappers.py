@@ -70,7 +70,7 @@ class TestMultiStart:
     def made(
         self, problem: ContactProblem, objective: str = "energy", parts: Any = (0.1, 50.0, 0.4, 0.2)
     ) -> tuple[Script, Outcome, Outer]:
-        script, outer = Script(*parts), Outer(problem, objective)
+        script, outer = Script(*parts), Outer.of(problem, objective)
         found = Monitor().run(MultiStart(script.formulation, len(parts) - 1), outer, np.zeros(outer.n))
         return script, found, outer
 
@@ -102,7 +102,7 @@ class TestMultiStart:
         assert found.part(Starts) == Starts((None, 1), (None, None), None)
 
     def test_an_end_on_which_contact_is_not_solved_has_no_energy(self, problem: ContactProblem) -> None:
-        outer = Outer(problem)
+        outer = Outer.of(problem)
         there = outer.assessor.initial
         sick = replace(there, state=replace(there.state, status=Status.CYCLED))
         outer.assessor.solve = lambda *_: sick
@@ -163,9 +163,9 @@ def given() -> ContactProblem:
 @pytest.fixture(scope="module")
 def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
     """The mesh as given, and one that suits the solution, whose energy is lower."""
-    first = Outer(given)
+    first = Outer.of(given)
     made = metric_start(Solved(first.contact, first.given), 49).solved.problem
-    return first, lambda: Outer(made)
+    return first, lambda: Outer.of(made)
 
 
 class TestRemeshed:
@@ -182,7 +182,7 @@ class TestRemeshed:
             row["remeshed_nodes"][-1] == nodes or min(row["remeshed_energies"]) < row["remeshed_energies"][-1]
         )
         np.testing.assert_array_equal(solution.initial_nodes, outer.problem.mesh.p)
-        assert solution.energy_initial == pytest.approx(Outer(given).given.energy, rel=1e-12)
+        assert solution.energy_initial == pytest.approx(Outer.of(given).given.energy, rel=1e-12)
         assert solution.gain_audited > 0
         assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
@@ -214,9 +214,8 @@ class TestRemeshed:
         rough = replace(there.given, u=1.01 * there.given.u)
         found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
-        lower = Outer(first.problem)
-        lower.given = replace(lower.given, energy=-5.0)
-        lower.energy.knows(lower.given)
+        lower = Outer.of(first.problem)
+        vars(lower.contact)["given"] = replace(lower.given, energy=-5.0)
         lower.assessor.__dict__["initial"] = replace(lower.assessor.initial, energy=-5.0)
         found = assess(lower, Outcome(there, there.variables(), Status.CONVERGED))
         assert (found.status, found.valid, found.improved) == (Status.WORSE, True, False)

@@ -62,7 +62,7 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
 
 
 def test_frozen_weights_differ_from_moving_ones_by_the_work_of_friction():
-    outer = Outer(problem := EXAMPLES["6.3"]((4, 2)))
+    outer = Outer.of(problem := EXAMPLES["6.3"]((4, 2)))
     q = 0.5 * outer.variables(seed=1)
     state = outer.energy(q).equilibrium
     difference = ca.Function("d", [outer.relocation.x], [_difference(problem, outer.relocation)])

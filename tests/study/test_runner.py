@@ -49,7 +49,7 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     done.save(places)
     steps = [step["stationarity"] for step in places.steps()]
     assert np.all(np.isfinite(steps))
-    outer = Outer(done.solution.problem)
+    outer = Outer.of(done.solution.problem)
     q = outer.relocation.mesh_map.q_of(np.asarray(done.solution.mesh.p))
     assert steps[0] == pytest.approx(1, rel=0.1)  # mpcc has the forces of its first relaxation there
     assert steps[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)

@@ -24,7 +24,7 @@ HOLDS, BROKEN = Residuals(1e-9, 1e-9), Residuals(1e-2, 1e-2)
 @cache
 def unmoved() -> Assessment:
     """The mesh as given, assessed."""
-    outer = Outer(EXAMPLES["6.2"]((4, 2)))
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     return ended(outer, np.zeros(outer.n))
 
 
