@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -72,7 +73,7 @@ class CascadeFigures(Part):
 
 
 @dataclass(frozen=True)
-class Finish(Part):
+class FinishWork(Part):
     """Work of the way to a stationary point."""
 
     finish: dict[str, float]
@@ -93,25 +94,26 @@ class Maps(Formulation):
         chosen, levels = self.settings, _Levels(outer, self.settings, monitor)
         weight, distortion = chosen.final(outer.problem.order), chosen.distortion
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
-        figures = CascadeFigures("newton", weight, distortion, minimised)
+        figures = partial(CascadeFigures, "newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
         given = outer.problem, chosen, levels, monitor.is_over, outer.contact
-        found = monitor.attempt(lambda: cascade(*given))
-        if found is None:
-            return Outcome(outer, levels.best(outer), monitor.end, details=(figures,))
-        figures = replace(figures, cascade=found.record(), gain_estimate=found.gain_estimate)
+        maps = monitor.attempt(lambda: cascade(*given))
+        if maps is None:
+            return Outcome(outer, levels.best(outer), monitor.end, details=(figures(),))
         with monitor.clock.during("build"):
-            if found.built is None:
-                end = outer.minimising(found.objective)
+            if maps.built is None:
+                end = outer.minimising(maps.objective)
             else:
-                end = Outer.around(found.built, outer.tolerance)
-        end = monitor.tracked(end.knowing(found.gain_estimate))
-        q = found.q if end.is_valid(found.q) else np.zeros(end.n)
-        said = [f"over meshes of {', '.join(str(level.nodes) for level in found.levels)} nodes"]
-        if parts := [f"{level.taken:g} on {level.nodes} nodes" for level in found.levels if level.taken < 1]:
+                end = Outer.around(maps.built, outer.tolerance)
+        end = monitor.tracked(end.knowing(maps.gain_estimate))
+        q = maps.q if end.is_valid(maps.q) else np.zeros(end.n)
+        said = [f"over meshes of {', '.join(str(level.nodes) for level in maps.levels)} nodes"]
+        if parts := [f"{level.taken:g} on {level.nodes} nodes" for level in maps.levels if level.taken < 1]:
             taken = f"of a prolonged map a part was taken ({', '.join(parts)})"
             said.append(f"{taken}, since more did not lower the energy")
-        return Outcome(end, q, found.status, details=(figures,), remarks=tuple(said))
+        return Outcome(
+            end, q, maps.status, details=(figures(maps.record(), maps.gain_estimate),), remarks=tuple(said)
+        )
 
 
 class _Levels:
@@ -137,8 +139,8 @@ class _Levels:
         else:
             self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
         given, done = track.outer.given.energy, iteration - self._first
-        left = self._seconds_left(int(mesh.p.shape[1]), done)
-        return track.exact(done, q, energy(q), energy_given=given, seconds_left=left)
+        seconds = self._seconds_left(int(mesh.p.shape[1]), done)
+        return track.exact(done, q, energy(q), energy_given=given, seconds_left=seconds)
 
     def _seconds_left(self, nodes: int, done: int) -> float:
         """A guess: every mesh to come takes its most iterations, at the seconds per node of this one."""
@@ -147,11 +149,11 @@ class _Levels:
         chosen, most = self._settings, self._outer.problem.mesh.p.shape[1]
         rate = (time.perf_counter() - self._began) / (done * nodes)
         limits = {True: chosen.iterations, False: chosen.brief_unnested}
-        left = max(limits[nodes < most] - done, 0) * nodes
+        nodes_left = max(limits[nodes < most] - done, 0) * nodes
         while nodes < most:
             nodes = min(COARSER * nodes, most)
-            left += limits[nodes < most] * nodes
-        return rate * left
+            nodes_left += limits[nodes < most] * nodes
+        return rate * nodes_left
 
     def best(self, outer: Outer) -> Array:
         """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
@@ -182,7 +184,7 @@ class Descent(Formulation):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
         gain = monitor.estimate(outer)
-        found = descend(
+        descent = descend(
             energy,
             q,
             approximate=True,
@@ -192,7 +194,7 @@ class Descent(Formulation):
             on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )
         monitor.check()
-        return Outcome(outer, found.x, found.status)
+        return Outcome(outer, descent.x, descent.status)
 
 
 @dataclass(frozen=True)
@@ -214,18 +216,18 @@ class Polished(Wrapper):
     most: Count = CascadeSettings.most
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        found = monitor.run(self.inner, outer, q)
-        end, q = found.outer, found.q
+        outcome = monitor.run(self.inner, outer, q)
+        end, q = outcome.outer, outcome.q
         small = q.size > 0 and end.problem.mesh.p.shape[1] <= self.nodes
         if monitor.is_over() or not small or not end.objective.has_barrier or not end.is_valid(q):
-            return found
+            return outcome
         energy = end.energy
         if end.residual(energy(q)) <= end.tolerance:
-            return found
+            return outcome
         began, before = time.process_time(), energy.contact_solves
         last = before + max(self.most - monitor.spent.contact_solves - SPARE, 1)
         track, begin = monitor.track(end), q
-        more = monitor.attempt(
+        finish = monitor.attempt(
             lambda: finished(
                 energy,
                 begin,
@@ -239,19 +241,19 @@ class Polished(Wrapper):
                 ),
             )
         )
-        if more is None:
-            return replace(found, q=track.best(q), status=monitor.end)
-        x, status = more.result.x, more.result.status
+        if finish is None:
+            return outcome.having(q=track.best(q), status=monitor.end)
+        x, status = finish.result.x, finish.result.status
         if status is Status.INTERRUPTED:
             status = monitor.stopped or Status.ITERATION_LIMIT
         figures = {
-            "iterations": more.result.iterations,
-            "products": more.result.products,
+            "iterations": finish.result.iterations,
+            "products": finish.result.products,
             "contact_solves": energy.contact_solves - before,
-            "factorisations": more.factorisations,
+            "factorisations": finish.factorisations,
             "seconds": time.process_time() - began,
         }
-        there = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
-        if not (end.is_valid(x) and there.energy <= end.assessor.initial.energy):
-            return found
-        return found.having(Finish(figures), q=x, status=status)
+        continuous = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
+        if not (end.is_valid(x) and continuous.energy <= end.assessor.initial.energy):
+            return outcome
+        return outcome.having(FinishWork(figures), q=x, status=status)

@@ -43,22 +43,20 @@ class Confirmed(Wrapper):
     then: Any = None
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        found, rules = monitor.run(self.inner, outer, q), [outer.problem.quadrature]
+        outcome, rules = monitor.run(self.inner, outer, q), [outer.problem.quadrature]
         while True:
-            higher = next_rule(found.outer.problem)
+            higher = next_rule(outcome.outer.problem)
             if monitor.is_over() or higher is None:
                 break
             with monitor.clock.during("audit"):
-                confirmed = agrees(found)
+                confirmed = agrees(outcome)
             if confirmed:
                 break
             rules.append(higher)
             with monitor.clock.during("build"):
-                finer = replace(found.outer.problem, quadrature=higher)
-                there = found.outer.on(finer)
-            more = monitor.run(self.then or self.inner, there, found.q)
-            found = more.after(found)
-        return found.having(Rules(tuple(rules)))
+                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=higher))
+            outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
+        return outcome.having(Rules(tuple(rules)))
 
 
 def first_rule(problem: ContactProblem) -> str | int:
@@ -77,13 +75,13 @@ def next_rule(problem: ContactProblem) -> int | None:
     return next((degree for degree in RULES if not isinstance(rule, int) or degree > rule), None)
 
 
-def agrees(found: Outcome) -> bool:
+def agrees(outcome: Outcome) -> bool:
     """Whether the problem's rule for the loads changes the gain by at most 1 %."""
-    outer, q = found.outer, found.q
+    outer, q = outcome.outer, outcome.q
     if not outer.is_valid(q) or not np.any(q):
         return True
     exact, assessor = outer.energy(q).equilibrium, outer.assessor
-    there = assessor.solve(outer.nodes(q), exact.active)
-    wrong = corrections(outer.contact, outer.nodes(q), exact, there)["quadrature"]
+    continuous = assessor.solve(outer.nodes(q), exact.active)
+    wrong = corrections(outer.contact, outer.nodes(q), exact, continuous)["quadrature"]
     wrong -= assessor.initial_corrections["quadrature"]
-    return bool(abs(wrong) <= AGREEMENT * abs(assessor.initial.energy - there.energy))
+    return bool(abs(wrong) <= AGREEMENT * abs(assessor.initial.energy - continuous.energy))

@@ -172,9 +172,9 @@ class Joint(Formulation):
             solver = Solver(nlp, options=self.options(areas, unit, distorted), monitor=watch)
         track.residual = outer.residual.of_program
         begin = outer.energy.point(q, contact.equilibrium)
-        found = solver(begin) if units is None else units.result(solver(begin / units.x))
-        track.with_violations(found.history["inf_pr"])
-        return found
+        result = solver(begin) if units is None else units.result(solver(begin / units.x))
+        track.with_violations(result.history["inf_pr"])
+        return result
 
     def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
         """Newton steps from where an interior point stopped, if a stationary point is near; else ``q``.
@@ -189,12 +189,12 @@ class Joint(Formulation):
         residual, value = measure(energy(q)), energy(q).value
         if not outer.tolerance < residual <= NEAR:
             return q
-        found = Nested(max_iterations=STEPS).run(outer.near(), q, monitor)
-        if not (outer.is_valid(found.q) and energy.is_defined(found.q)):
+        outcome = Nested(max_iterations=STEPS).run(outer.near(), q, monitor)
+        if not (outer.is_valid(outcome.q) and energy.is_defined(outcome.q)):
             return q
-        there = energy(found.q)
-        better = measure(there) < residual and there.value <= value + RISE * abs(value)
-        return found.q if better else q
+        point = energy(outcome.q)
+        better = measure(point) < residual and point.value <= value + RISE * abs(value)
+        return outcome.q if better else q
 
 
 def build(problem: ContactProblem) -> NLP:

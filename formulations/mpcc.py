@@ -145,7 +145,7 @@ def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPC
 
 
 @dataclass(frozen=True)
-class Relaxation(Part):
+class RelaxationName(Part):
     """The relaxation that was followed."""
 
     relaxation: str
@@ -203,9 +203,9 @@ class AllAtOnce(Formulation):
     def having(self, given: Mapping[str, Any]) -> AllAtOnce:
         """With other values of fields, and of ``options`` by their own names."""
         own = {key: value for key, value in given.items() if key in vars(self)}
-        more = {key: value for key, value in given.items() if key not in own}
-        if more:
-            own["options"] = {**self.options, **own.get("options", {}), **more}
+        further = {key: value for key, value in given.items() if key not in own}
+        if further:
+            own["options"] = {**self.options, **own.get("options", {}), **further}
         return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
@@ -227,13 +227,13 @@ class AllAtOnce(Formulation):
         is_energy = outer.objective.is_energy
         if is_energy and not outer.is_near:
             q = _in_step(outer, q)
-        here = outer.energy(q)
+        point = outer.energy(q)
         with monitor.clock.during("build"):
-            program = outer.kkt if not (is_energy or np.any(q)) else _own_units(outer, here)
+            program = outer.kkt if not (is_energy or np.any(q)) else _own_units(outer, point)
         track = monitor.track(outer, program.value)
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
-        x, near = program.point(q, here.equilibrium, here.system), outer.is_near
+        x, near = program.point(q, point.equilibrium, point.system), outer.is_near
         solves = 0
         if self.without_first:
             first = Solver(program.without_complementarity(), options=DROPPED, monitor=track)(x)
@@ -243,10 +243,10 @@ class AllAtOnce(Formulation):
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
         own = _options(outer, program.value / pull(begin.gradient), near)
-        left = [most for most in (monitor.iterations_left, most) if most is not None]
+        limits_left = [most for most in (monitor.iterations_left, most) if most is not None]
         limits = {
             "time_limit_s": max(monitor.remaining, 1e-3),
-            "max_iterations": min(left, default=None),
+            "max_iterations": min(limits_left, default=None),
         }
         with monitor.clock.during("build"):
             solver = MPCCSolver(
@@ -255,7 +255,7 @@ class AllAtOnce(Formulation):
         result = solver(x, on_iteration=track.iterate)
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
-        relaxation = Relaxation(self.relaxation)
+        relaxation = RelaxationName(self.relaxation)
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         end = _equilibrium(outer, program, result)
@@ -280,15 +280,15 @@ def _rank(end: Outcome) -> tuple[float, bool, float]:
     return violation, not is_stationary(end.outer, point), value
 
 
-def _own_units(outer: Outer, here: ReducedPoint) -> Bilevel:
+def _own_units(outer: Outer, point: ReducedPoint) -> Bilevel:
     """The KKT model in units of the contact solution at the start."""
     return bilevel(
         outer.discretisation,
         outer.objective,
-        length=float(np.max(np.abs(here.equilibrium.u))) or 1.0,
-        force=here.system.force_scale,
+        length=float(np.max(np.abs(point.equilibrium.u))) or 1.0,
+        force=point.system.force_scale,
         value=abs(outer.function(np.zeros(outer.n)).value) or 1.0,
-        start=kkt_unknowns(here.q, here.equilibrium, here.system, outer.discretisation.friction_rows),
+        start=kkt_unknowns(point.q, point.equilibrium, point.system, outer.discretisation.friction_rows),
     )
 
 
@@ -330,8 +330,8 @@ STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "secon
 def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> Homotopy:
     return Homotopy(
         stages=[
-            {**{name: getattr(one, name) for name in STAGE}, "status": one.status.value}
-            for one in result.history
+            {**{name: getattr(stage, name) for name in STAGE}, "status": stage.status.value}
+            for stage in result.history
         ],
         label=result.label,
         b_stationary=result.b_stationary,

@@ -65,7 +65,7 @@ class Remeshed(Wrapper):
             start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.is_over)
         monitor.work += Work(len(start.nodes), len(start.nodes))
         energy = ReducedEnergy.of(start.solved.solver, outer.objective)
-        there = Outer.around(energy, outer.tolerance).near().knowing(start.solved.error)
-        found = monitor.run(self.inner, there, there.variables())
+        remeshed = Outer.around(energy, outer.tolerance).near().knowing(start.solved.error)
+        outcome = monitor.run(self.inner, remeshed, remeshed.variables())
         made = f"on a mesh of {start.solved.problem.mesh.p.shape[1]} nodes that Mmg made for the solution"
-        return found.having(Remeshing(start.nodes, start.energies), remarks=(made, *found.remarks))
+        return outcome.having(Remeshing(start.nodes, start.energies), remarks=(made, *outcome.remarks))

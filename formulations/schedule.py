@@ -60,9 +60,9 @@ class Schedule(Wrapper):
             with monitor.clock.during("build"):
                 objective = regularised(gain, weight, self.distortion)
                 weighted = outer.knowing(gain).minimising(objective)
-            found = monitor.run(self.inner, weighted, q)
-            q = found.q
+            outcome = monitor.run(self.inner, weighted, q)
+            q = outcome.q
             if monitor.is_over():
                 break
         relative = list(schedule) if len(schedule) > 1 else schedule[0]
-        return found.having(Regularisation(relative, self.distortion, schedule[-1] * gain, gain))
+        return outcome.having(Regularisation(relative, self.distortion, schedule[-1] * gain, gain))

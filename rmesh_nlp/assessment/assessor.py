@@ -25,7 +25,7 @@ EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
 
 
 @dataclass(frozen=True)
-class Residuals:
+class ContactResiduals:
     """How far displacements and forces are from equilibrium and from the laws of contact and friction."""
 
     equilibrium: float  # largest out-of-balance nodal force, relative to the largest applied one
@@ -67,7 +67,7 @@ class Assessor:
 
 
 def corrections(
-    model: ContactSolver, nodes: Array, found: Equilibrium, exact: Admissible
+    model: ContactSolver, nodes: Array, solved: Equilibrium, exact: Admissible
 ) -> dict[str, float]:
     """What the continuous energy differs by from that of a contact solution, by what it is due to.
 
@@ -78,21 +78,21 @@ def corrections(
     """
     own = dict.fromkeys(EXPLOITS, 0.0)
     if exact.problem is not model.problem:
-        return {**own, "penetration": exact.energy - found.energy}
+        return {**own, "penetration": exact.energy - solved.energy}
     strain, friction = model.strain_and_friction(nodes, exact.state.u)
-    force = (found.normal_force + exact.state.normal_force) / 2
-    others = {
+    force = (solved.normal_force + exact.state.normal_force) / 2
+    causes = {
         "penetration": float(force @ (model.system(nodes).offset - exact.system.offset)),
         "friction": exact.friction - friction,
         "geometry": exact.strain - strain,
     }
-    return {"quadrature": exact.energy - found.energy - sum(others.values()), **others}
+    return {"quadrature": exact.energy - solved.energy - sum(causes.values()), **causes}
 
 
-def residuals(system: ContactSystem, state: Equilibrium) -> Residuals:
+def residuals(system: ContactSystem, state: Equilibrium) -> ContactResiduals:
     """Those of a contact solution."""
     forces = state.u, state.normal_force, state.tangential_force
-    return Residuals(equilibrium_residual(system, *forces), law_residual(system, *forces))
+    return ContactResiduals(equilibrium_residual(system, *forces), law_residual(system, *forces))
 
 
 def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
@@ -113,11 +113,12 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
     force, bound = system.force_scale, system.bound(normal)
     gap = system.normals @ u + system.offset
-    found = np.abs(np.minimum(gap / length, normal / force))
+    violations = np.abs(np.minimum(gap / length, normal / force))
     if bound.size:
         slip = (system.tangents @ u) * force / length
-        found = np.append(found, np.abs(tangential + np.clip(slip - tangential, -bound, bound)) / force)
-    return float(np.max(found, initial=0.0))  # not a number if one part is none
+        missing = tangential + np.clip(slip - tangential, -bound, bound)
+        violations = np.append(violations, np.abs(missing) / force)
+    return float(np.max(violations, initial=0.0))  # not a number if one part is none
 
 
 CLEAR = 0.01
@@ -159,12 +160,12 @@ def quantities(
 
 def worse(before: Quantities, after: Quantities, refined: Quantities) -> list[str]:
     """A sentence for each quantity that is farther from its value on a refined mesh than before."""
-    found = []
+    sentences = []
     for name, label in zip(vars(before), ("largest pressure", "resultant", "length of contact"), strict=True):
-        one, two, true = (float(getattr(part, name)) for part in (before, after, refined))
-        if abs(two - true) > abs(one - true) + CLEAR * abs(true):
-            found.append(
-                f"the {label} got worse while the energy got better: {one:.4g} on the given mesh, {two:.4g} "
-                f"after relocation, {true:.4g} on the refined mesh"
+        given, last, true = (float(getattr(part, name)) for part in (before, after, refined))
+        if abs(last - true) > abs(given - true) + CLEAR * abs(true):
+            sentences.append(
+                f"the {label} got worse while the energy got better: {given:.4g} on the given mesh, "
+                f"{last:.4g} after relocation, {true:.4g} on the refined mesh"
             )
-    return found
+    return sentences

@@ -135,7 +135,7 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
 
 
 @dataclass(frozen=True)
-class Finish:
+class FinishedDescent:
     """Where :func:`finished` ended: CONVERGED if the residual is at most the tolerance.
 
     ``factorisations`` are those of second derivatives in outer variables and displacements together.
@@ -155,7 +155,7 @@ def finished(
     reference: float,
     max_iterations: int,
     on_step: OnPoint | None = None,
-) -> Finish:
+) -> FinishedDescent:
     """Descend from ``q``, with a distortion, until the first-order residual is at most ``tolerance``.
 
     ``reference`` is the value above which a decrease is a gain; the descent stops if ``on_step`` returns
@@ -195,7 +195,7 @@ def finished(
         status = Status.CONVERGED
     elif status is Status.CONVERGED:
         status = Status.STALLED
-    return Finish(replace(result, x=q, value=energy(q).value, status=status), here, factorisations)
+    return FinishedDescent(replace(result, x=q, value=energy(q).value, status=status), here, factorisations)
 
 
 def _polished(

@@ -49,7 +49,7 @@ SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not a
 
 
 @dataclass(frozen=True)
-class State(Body):
+class DrawnState(Body):
     """A solution on one mesh: nodes and triangles of its displacement space, vertices ``X`` (2, vertices).
 
     Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements, pieces).
@@ -62,12 +62,12 @@ class State(Body):
     stress: Array
 
     @staticmethod
-    def of(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> State:
+    def of(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> DrawnState:
         """The state of displacement ``u`` (components, nodes), the vertices at X (2, vertices)."""
         space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
         nodes = points_of(space, X)
         known = foundations(space, nodes)
-        return State(nodes, space.elements, u, known, title, problem, X, pressure, stress)
+        return DrawnState(nodes, space.elements, u, known, title, problem, X, pressure, stress)
 
     @property
     def space(self) -> DisplacementSpace:
@@ -86,7 +86,7 @@ class State(Body):
         return closed
 
 
-def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> State:
+def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> DrawnState:
     """The contact solution before relocation; ``pressure`` (nodes,) of a similar mesh says who touches."""
     model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
     system, space = model.system(X), DisplacementSpace.of(problem)
@@ -94,16 +94,16 @@ def before(problem: ContactProblem, pressure: Array | None = None, title: str = 
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
     np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
-    return State.of(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
+    return DrawnState.of(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
 
 
-def after(solution: Drawable) -> State:
+def after(solution: Drawable) -> DrawnState:
     """The solution itself."""
     X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
     moved = np.any(solution.problem.mesh.p != X)
     title = "relocated mesh" if moved else f"{_title(solution)}, nothing moved"
     title = title if solution.designed is None else "last design"
-    return State.of(title, solution.problem, X, solution.displacement, pressure)
+    return DrawnState.of(title, solution.problem, X, solution.displacement, pressure)
 
 
 def _start(solution: Drawable) -> ContactProblem:
@@ -167,7 +167,7 @@ def _design(solution: Drawable, page: Page) -> Figure | None:
     return design_figure({"": steps}, bounds, solution.objective, width=page.width) if bounds else None
 
 
-def _meshes(states: Sequence[State], page: Page) -> Figure:
+def _meshes(states: Sequence[DrawnState], page: Page) -> Figure:
     """Undeformed meshes; for an elastic body also deformed ones over the one foundation."""
     deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
     factor = magnification(states) if deforms else 0.0
@@ -189,7 +189,7 @@ def _meshes(states: Sequence[State], page: Page) -> Figure:
     return figure
 
 
-def _coloured(states: Sequence[State], values: list[Array], draw: Any, label: str, page: Page) -> Figure:
+def _coloured(states: Sequence[DrawnState], values: list[Array], draw: Any, label: str, page: Page) -> Figure:
     """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
     length = states[0].problem.units.length
     figure, axes = page.panels(len(states), [window(states)], length, below=0.75)
@@ -208,7 +208,7 @@ def _coloured(states: Sequence[State], values: list[Array], draw: Any, label: st
     return figure
 
 
-def _pressures(states: Sequence[State], page: Page) -> Figure:
+def _pressures(states: Sequence[DrawnState], page: Page) -> Figure:
     """Contact pressure along each contact boundary, one panel per boundary that is touched."""
     problem, units = states[0].problem, states[0].problem.units
     space = states[0].space
@@ -230,7 +230,7 @@ def _pressures(states: Sequence[State], page: Page) -> Figure:
     return figure
 
 
-def _contact_set(axis: Axes, state: State, *, filled: bool = True) -> None:
+def _contact_set(axis: Axes, state: DrawnState, *, filled: bool = True) -> None:
     """For an obstacle in the interior: where it is touched, and the edge of that."""
     closed, mesh = state.closed, state.problem.mesh
     if not np.any(closed):

@@ -80,15 +80,15 @@ def problem_warnings(outer: Outer, point: ReducedPoint, continuous: Admissible) 
     """Signs of a wrong set-up on the mesh as given."""
     # the load by an accurate rule, where it is on the same mesh
     load = continuous.system.load if continuous.problem is outer.problem else None
-    found = setup_warnings(outer.problem, outer.contact, point.equilibrium, load)
-    return tuple(warning.message for warning in found if warning.kind != "penetration")
+    warnings = setup_warnings(outer.problem, outer.contact, point.equilibrium, load)
+    return tuple(warning.message for warning in warnings if warning.kind != "penetration")
 
 
 def mesh_warnings(outer: Outer, point: ReducedPoint, _: Admissible) -> tuple[str, ...]:
     """Foundations that pass into the relocated mesh, and a contact solution that may be one of several."""
     displacement = outer.contact.displacement.values(point.equilibrium.u)
-    found = penetration_warnings(outer.discretisation.space, outer.nodes(point.q), displacement)
-    messages = [warning.message for warning in found]
+    passing = penetration_warnings(outer.discretisation.space, outer.nodes(point.q), displacement)
+    messages = [warning.message for warning in passing]
     if (ratio := contraction(point.system, point.equilibrium)) >= 1:
         messages.append(
             f"Coulomb friction is strong: a change of its bounds grows {ratio:.2g} times in a fixed-point "

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from rmesh_nlp.assessment.assessor import Residuals
+from rmesh_nlp.assessment.assessor import ContactResiduals
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
@@ -66,7 +66,7 @@ class Assessment:
         At the end.
     said : Status
         How the solver says that it ended.
-    own : Residuals
+    own : ContactResiduals
         Of the displacement and the forces that the formulation itself found.
     objective : Objective
     is_same_mesh : bool
@@ -84,7 +84,7 @@ class Assessment:
     final: State
     first_order: FirstOrder
     said: Status
-    own: Residuals
+    own: ContactResiduals
     objective: Objective
     is_same_mesh: bool
     tolerance: float

@@ -66,7 +66,7 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
     before = _bracket(given, given.continuous, refinements)
     is_same = not final.design  # else the bounds are those of two problems
     if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
-        best = max((before, after), key=lambda one: (one.guaranteed_lower, one.lower))
+        best = max((before, after), key=lambda bracket: (bracket.guaranteed_lower, bracket.lower))
         before, after = _with_lower(before, best), _with_lower(after, best)
     if is_new:  # the elements of a file are those of the last mesh
         before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
@@ -77,31 +77,33 @@ def _bracket(state: State, continuous: Admissible, refinements: int | None) -> B
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
     u = DisplacementSpace.of(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
-    found = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
-    return found if state.problem.motion.curves else _with_upper(found, continuous)
+    bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
+    return bracket if state.problem.motion.curves else _with_upper(bracket, continuous)
 
 
-def _with_upper(one: Bracket, found: Admissible) -> Bracket:
+def _with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     """The bracket with the energy of an admissible displacement as its upper bound."""
-    if found.status is not Status.CONVERGED:
-        return one
-    kept = tuple(reason for reason in one.why if not reason.startswith("upper") or GIVEN in reason)
-    known = not any(reason.startswith("upper") for reason in kept)
-    return replace(one, upper=found.energy + found.doubt, guaranteed_upper=known, why=kept)
+    if continuous.status is not Status.CONVERGED:
+        return bracket
+    kept = tuple(reason for reason in bracket.why if not reason.startswith("upper") or GIVEN in reason)
+    holds = not any(reason.startswith("upper") for reason in kept)
+    upper = continuous.energy + continuous.doubt
+    return replace(bracket, upper=upper, guaranteed_upper=holds, why=kept)
 
 
-def _with_lower(one: Bracket, best: Bracket) -> Bracket:
+def _with_lower(bracket: Bracket, best: Bracket) -> Bracket:
     """The bracket with the lower bound of another one of the same problem."""
-    if one is best:
-        return one
-    kept = tuple(reason for reason in one.why if not reason.startswith("lower"))
+    if bracket is best:
+        return bracket
+    kept = tuple(reason for reason in bracket.why if not reason.startswith("lower"))
     added = tuple(reason for reason in best.why if reason.startswith("lower"))
-    return replace(one, lower=best.lower, guaranteed_lower=best.guaranteed_lower, why=(*added, *kept))
+    return replace(bracket, lower=best.lower, guaranteed_lower=best.guaranteed_lower, why=(*added, *kept))
 
 
 def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
     # half the square of the error in the energy norm is at most the gap between the bounds
-    errors = [float(np.sqrt(2 * max(one.upper - one.lower, 0.0))) for one in (before, after)]
+    gaps = [max(bracket.upper - bracket.lower, 0.0) for bracket in (before, after)]
+    errors = [float(np.sqrt(2 * gap)) for gap in gaps]
     return Certificate(
         lower=after.lower,
         upper=after.upper,

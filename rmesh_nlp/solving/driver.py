@@ -92,10 +92,10 @@ def solve(
         return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
     monitor = Monitor(limits, on_step, problem.mesh)
-    plan = _planned(problem, formulation, parse_objective(objective), tolerance, start, seed)
+    plan = _Plan.of(problem, formulation, parse_objective(objective), tolerance, start, seed)
     end, safe = _ended(plan, plan.problem, monitor), None
     if is_spurious(end.assessment):
-        end, safe = once_more(end, lambda posed: _ended(plan, posed, monitor), monitor)
+        end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
     if monitor.stopped is not None and end.assessment.said is monitor.stopped and not end.assessment.success:
         end = monitor.finish(lambda: back(end))
     return _made(plan, end, safe, monitor, certify)
@@ -126,25 +126,26 @@ class _Plan:
     chooser: str
     why: str
 
-
-def _planned(
-    problem: ContactProblem,
-    formulation: str | Formulation | Chooser,
-    objective: Objective,
-    tolerance: float,
-    start: Start,
-    seed: int | None,
-) -> _Plan:
-    """The formulation and the problem as it takes it."""
-    problem = with_levels(problem, objective)
-    asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
-    choice = _chosen(asked, problem, objective, start is not None or seed is not None)
-    chosen = choice.formulation
-    _check_energy(problem, objective, chosen)
-    chosen.accepts(choice.problem, objective)
-    if not chosen.relocates:
-        start = seed = None
-    return _Plan(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
+    @classmethod
+    def of(
+        cls,
+        problem: ContactProblem,
+        formulation: str | Formulation | Chooser,
+        objective: Objective,
+        tolerance: float,
+        start: Start,
+        seed: int | None,
+    ) -> _Plan:
+        """The formulation, chosen if that was asked for, and the problem as it takes it."""
+        problem = with_levels(problem, objective)
+        asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
+        choice = _chosen(asked, problem, objective, start is not None or seed is not None)
+        chosen = choice.formulation
+        _check_energy(problem, objective, chosen)
+        chosen.accepts(choice.problem, objective)
+        if not chosen.relocates:
+            start = seed = None
+        return cls(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
 
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
@@ -169,8 +170,9 @@ def _chosen(
         return asked.choose(problem, objective, is_started=is_started)
     if isinstance(asked, Wrapper):
         choice = _chosen(asked.inner, problem, objective, is_started)
-        same = choice.formulation is asked.inner
-        return replace(choice, formulation=asked if same else replace(asked, inner=choice.formulation))
+        inner = choice.formulation
+        wrapped = asked if inner is asked.inner else replace(asked, inner=inner)
+        return Choice(wrapped, choice.problem, choice.why)
     return Choice(asked, problem, "")
 
 

@@ -61,11 +61,11 @@ class Outcome:
         return next((part for part in self.details if isinstance(part, kind)), None)
 
 
-def continuous_energy(found: Outcome) -> float:
+def continuous_energy(outcome: Outcome) -> float:
     """The energy of the continuous problem at the end of a run; NaN of an invalid or unsolved mesh."""
-    outer, q = found.outer, found.q
+    outer, q = outcome.outer, outcome.q
     if not outer.is_valid(q):
         return float("nan")
     outer, q = outer.at_design(q)
-    there = outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
-    return there.energy if there.status is Status.CONVERGED else float("nan")
+    continuous = outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
+    return continuous.energy if continuous.status is Status.CONVERGED else float("nan")

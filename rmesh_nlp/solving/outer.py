@@ -34,14 +34,27 @@ class Outer:
 
     Attributes
     ----------
+    problem : ContactProblem
+        On its mesh.
+    discretisation : Discretisation
+    contact : ContactSolver
+        Contact solves by the problem's own rules.
+    objective : Objective
+    tolerance : float
+        Largest first-order residual of a stationary point.
     models : OuterModels
-        The contact solver of the problem, and what can be evaluated of the objective.
+        What can be evaluated of the objective.
     is_near : bool
         Whether the start is likely to be close to a minimiser.
     gain : float or None
         Estimated error of the energy on the mesh as given, where it is known.
     """
 
+    problem: ContactProblem
+    discretisation: Discretisation
+    contact: ContactSolver
+    objective: Objective
+    tolerance: float
     models: OuterModels
     is_near: bool = False
     gain: float | None = None
@@ -61,16 +74,28 @@ class Outer:
         """
         discretisation = discretise(problem)
         discretisation.check_unknowns()
-        return cls(OuterModels(ContactSolver(discretisation), parse_objective(objective), tolerance))
+        return cls._of(ContactSolver(discretisation), parse_objective(objective), tolerance)
 
     @classmethod
     def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
         """The outer problem of an energy that is built already."""
-        return cls(OuterModels(energy.model, energy.objective, tolerance, energy))
+        return cls._of(energy.model, energy.objective, tolerance, energy)
+
+    @classmethod
+    def _of(
+        cls,
+        contact: ContactSolver,
+        objective: Objective,
+        tolerance: float,
+        built: ReducedEnergy | None = None,
+    ) -> Outer:
+        models = OuterModels(contact, objective, tolerance, built)
+        return cls(contact.problem, contact.discretisation, contact, objective, tolerance, models)
 
     def minimising(self, objective: Objective) -> Outer:
         """The same with another objective."""
-        return replace(self, models=OuterModels(self.contact, objective, self.tolerance))
+        models = OuterModels(self.contact, objective, self.tolerance)
+        return replace(self, objective=objective, models=models)
 
     def on(self, problem: ContactProblem) -> Outer:
         """The same objective by another rule, whose estimated error is taken over."""
@@ -85,34 +110,9 @@ class Outer:
         return replace(self, gain=gain)
 
     @property
-    def contact(self) -> ContactSolver:
-        """Contact solves by the problem's own rules."""
-        return self.models.contact
-
-    @property
-    def discretisation(self) -> Discretisation:
-        """The problem discretised on its mesh."""
-        return self.contact.discretisation
-
-    @property
-    def problem(self) -> ContactProblem:
-        """The problem, on its mesh."""
-        return self.contact.problem
-
-    @property
     def given(self) -> Equilibrium:
         """The contact solution on the mesh as given."""
         return self.contact.given
-
-    @property
-    def objective(self) -> Objective:
-        """What is minimised."""
-        return self.models.objective
-
-    @property
-    def tolerance(self) -> float:
-        """Largest first-order residual of a stationary point."""
-        return self.models.tolerance
 
     @property
     def function(self) -> Reduced:
@@ -189,10 +189,10 @@ class Outer:
         """
         if not self.problem.design:
             return self, q
-        other = Outer.of(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
+        plain = Outer.of(self.problem.at_design(self.design(q)), self.objective, self.tolerance)
         if not np.any(q):  # where shapes begin
-            return other, np.zeros(other.n)
-        return other, other.discretisation.mesh_map.q_of(self.nodes(q))
+            return plain, np.zeros(plain.n)
+        return plain, plain.discretisation.mesh_map.q_of(self.nodes(q))
 
     def system(self, q: Array) -> ContactSystem:
         """The contact problem at outer variables ``q``."""

@@ -91,8 +91,10 @@ def surviving_gain(assessment: Assessment) -> SurvivingGain | None:
         for state in (assessment.given, assessment.final)
     )
     fall = _value(before, objective) - _value(after, objective)
-    left = _value(refined(before), objective) - _value(refined(after), objective)
-    return SurvivingGain(left / fall, objective.text) if fall > 0 and np.isfinite(left) else None
+    fall_refined = _value(refined(before), objective) - _value(refined(after), objective)
+    if not (fall > 0 and np.isfinite(fall_refined)):
+        return None
+    return SurvivingGain(fall_refined / fall, objective.text)
 
 
 def _of_displacement(objective: Objective) -> Objective | None:

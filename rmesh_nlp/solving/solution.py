@@ -256,9 +256,8 @@ class Solution:
         elif self.certificate_remark is not None:
             extra["certificate_remark"] = self.certificate_remark
         if self.error_reduction is not None:
-            found = self.error_reduction.record()
-            proved = self.certificate
-            extra["error_reduction"] = found if proved is None else proved.of_reduction(found)
+            estimated, proved = self.error_reduction.record(), self.certificate
+            extra["error_reduction"] = estimated if proved is None else proved.of_reduction(estimated)
         return extra
 
     def _measured_record(self) -> dict[str, Any]:
@@ -266,7 +265,7 @@ class Solution:
         assessment, given, final = self.assessment, self.assessment.given, self.assessment.final
         if final.point is None:
             return {}
-        found = {
+        always = {
             "tolerance": assessment.tolerance,
             "own_equilibrium_residual": assessment.own.equilibrium,
             "own_complementarity_residual": assessment.own.complementarity,
@@ -276,7 +275,7 @@ class Solution:
             "warnings": list(self.warnings),
             "objective_value": final.objective,
         }
-        known = {
+        optional = {
             "sticking_nodes": final.sticking_nodes,
             "sliding_nodes": final.sliding_nodes,
             "objective_initial": given.objective if assessment.is_same_mesh else None,
@@ -285,12 +284,12 @@ class Solution:
             "coulomb_residual": final.coulomb_residual,
             "coulomb_residual_initial": given.coulomb_residual,
         }
-        found |= {name: value for name, value in known.items() if value is not None}
+        record = always | {name: value for name, value in optional.items() if value is not None}
         if given.quantities is not None and final.quantities is not None:
-            found |= given.quantities.entries("_initial") | final.quantities.entries()
+            record |= given.quantities.entries("_initial") | final.quantities.entries()
             if self.reduced_error.quantities is not None:
-                found |= self.reduced_error.quantities.entries("_refined")
-        return found
+                record |= self.reduced_error.quantities.entries("_refined")
+        return record
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -337,14 +336,17 @@ class Solution:
 
     def _design_record(self) -> dict[str, Any]:
         """Design variables at the end and at the start, their bounds, and what is constrained."""
-        entries: dict[str, Any] = {}
+        record: dict[str, Any] = {}
         if self.designed is not None:
-            own = [one for one in self.designed.design if one.name in self.design]
-            entries = {"design": dict(self.design), "design_initial": {one.name: one.start for one in own}}
-            entries["design_bounds"] = {one.name: list(one.bounds) for one in own}
+            own = [variable for variable in self.designed.design if variable.name in self.design]
+            record["design"] = dict(self.design)
+            record["design_initial"] = {variable.name: variable.start for variable in own}
+            record["design_bounds"] = {variable.name: list(variable.bounds) for variable in own}
         if self.constraints:
-            entries["constraints"] = {text: one.record() for text, one in self.constraints.items()}
-        return entries
+            record["constraints"] = {
+                text: constrained.record() for text, constrained in self.constraints.items()
+            }
+        return record
 
     def _own(self, *names: str) -> dict[str, Any]:
         return {name: getattr(self, name) for name in names}

@@ -10,8 +10,8 @@ from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import (
+    ContactResiduals,
     Quantities,
-    Residuals,
     corrections,
     quantities,
     residuals,
@@ -62,7 +62,7 @@ class State:
         Likewise: contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
     tangential_stress : (nodes,) array
         Friction on the body in N/m^2, along the tangent; zero without friction.
-    residuals : Residuals
+    residuals : ContactResiduals
         Of that solution.
     penetration : float
         Deepest one between contact nodes, in units of length.
@@ -99,7 +99,7 @@ class State:
     displacement: Array
     pressure: Array
     tangential_stress: Array
-    residuals: Residuals = Residuals(NAN, NAN)  # noqa: RUF009 frozen
+    residuals: ContactResiduals = ContactResiduals(NAN, NAN)  # noqa: RUF009 frozen
     penetration: float = NAN
     coulomb_residual: float | None = None
     sticking_nodes: int | None = None
@@ -154,32 +154,32 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
         nodes = np.asarray(at.problem.mesh.p)
     exact = at.models.energy_at_start if is_given else at.energy(position)
     point = outer.models.at_start if is_given else outer.function(q)
-    found, system, space = exact.equilibrium, exact.system, at.discretisation.space
-    continuous = at.assessor.solve(nodes, found.active)
-    displacement = at.contact.displacement.values(found.u)
+    solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
+    continuous = at.assessor.solve(nodes, solved.active)
+    displacement = at.contact.displacement.values(solved.u)
     rows = at.discretisation.friction_rows
-    sliding = int(np.count_nonzero(found.active.sliding[rows])) if rows.size else None
-    audited = _audited(at, position, found, continuous)
+    sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
+    audited = _audited(at, position, solved, continuous)
     return State(
         problem=at.problem,
         design=outer.figures(q),
         mesh=relocated_mesh(at.problem.mesh, nodes),
         before=before,
         min_area_ratio=ratio,
-        equilibrium=found,
+        equilibrium=solved,
         displacement=space.values(displacement),
-        pressure=_nodal_stress(at.contact, nodes, found.normal_force),
-        tangential_stress=_nodal_stress(at.contact, nodes, found.tangential_force),
-        residuals=residuals(system, found),
+        pressure=_nodal_stress(at.contact, nodes, solved.normal_force),
+        tangential_stress=_nodal_stress(at.contact, nodes, solved.tangential_force),
+        residuals=residuals(system, solved),
         penetration=penetration(space, nodes, displacement),
         coulomb_residual=coulomb_residual(
-            space, nodes, displacement, found.normal_force, found.tangential_force
+            space, nodes, displacement, solved.normal_force, solved.tangential_force
         ),
         sticking_nodes=None if sliding is None else int(rows.size) - sliding,
         sliding_nodes=sliding,
-        quantities=quantities(space, nodes, system, found),
+        quantities=quantities(space, nodes, system, solved),
         continuous=continuous,
-        corrections=corrections(at.contact, nodes, found, continuous),
+        corrections=corrections(at.contact, nodes, solved, continuous),
         point=point,
         objective_audited=audited,
         size=max(abs(audited), size_of(point)),
@@ -218,14 +218,14 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
     return objective.on(fields).evaluate()(x)
 
 
-def _audited(outer: Outer, q: Array, found: Equilibrium, continuous: Admissible) -> float:
+def _audited(outer: Outer, q: Array, solved: Equilibrium, continuous: Admissible) -> float:
     """What is minimised, at the displacement that is admissible for the continuous problem.
 
     Another objective than the energy is of the contact solution where that needs a refined mesh.
     """
     if outer.objective.collapses:
         return continuous.energy + outer.energy.of_positions(q)
-    state = continuous.state if continuous.problem is outer.problem else found
+    state = continuous.state if continuous.problem is outer.problem else solved
     return objective_value(outer.energy, outer.objective, q, state)
 
 
@@ -233,13 +233,13 @@ def _constrained(outer: Outer, point: ReducedPoint) -> dict[str, Constrained]:
     """What the problem constrains, without levels; what is bounded twice is there once."""
     if outer.constraints is None:
         return {}
-    found, names = dict[str, Constrained](), outer.figures(point.q).keys()
+    constrained, names = dict[str, Constrained](), outer.figures(point.q).keys()
     of_levels = [not set(names_in(constraint.bounds[1])) <= names for constraint in outer.problem.constraints]
     for skipped, (text, value, lower, upper) in zip(of_levels, outer.constraints.values(point), strict=True):
         if not skipped:
-            bounds = found.get(text, Constrained(value, lower, upper))
-            found[text] = Constrained(value, max(lower, bounds.lower), min(upper, bounds.upper))
-    return found
+            bounds = constrained.get(text, Constrained(value, lower, upper))
+            constrained[text] = Constrained(value, max(lower, bounds.lower), min(upper, bounds.upper))
+    return constrained
 
 
 def _nodal_stress(model: ContactSolver, nodes: Array, force: Array) -> Array:

@@ -46,8 +46,8 @@ def summary(solution: Any) -> Rows:
         said = f"{best:.2g} times less error: {share:.0%} of that is reached"
         rows.append(("best mesh of as many triangles", said))
     if solution.multipliers is not None and not solution.problem.motion.is_fixed:
-        found = solution.multipliers
-        for by, what, rate in (("move limits", "nodes", found.limit), ("areas", "elements", found.area)):
+        pulls = solution.multipliers
+        for by, what, rate in (("move limits", "nodes", pulls.limit), ("areas", "elements", pulls.area)):
             rows.append((f"limited by {by}", f"{np.sum(rate > 0)} {what}, largest {figure(rate.max())}"))
     return rows
 
@@ -67,15 +67,16 @@ def _objective_rows(solution: Any) -> list[tuple[str, str]]:
             rows.append(("gain", gain_in_words(first - last, first)))
     if surviving is not None:
         rows.append(("gain left on refined meshes", f"{surviving.share:.0%} of the objective's"))
-    for one in () if solution.designed is None else solution.designed.design:
-        if one.name not in solution.design:
+    for variable in () if solution.designed is None else solution.designed.design:
+        if variable.name not in solution.design:
             continue
-        there, bounds = figure(solution.design[one.name]), bounds_in_words(*one.bounds)
-        range_ = one.bounds[1] - one.bounds[0]
-        if min(abs(solution.design[one.name] - bound) for bound in one.bounds) <= AT_BOUND * range_:
-            there += ", at its bound,"
-        rows.append((f"design variable {one.name}", f"{there} from {figure(one.start)}, bounds {bounds}"))
-    return rows + [(f"constraint {text}", one.in_words()) for text, one in solution.constraints.items()]
+        value, (low, high) = solution.design[variable.name], variable.bounds
+        at_bound = min(value - low, high - value) <= AT_BOUND * (high - low)
+        said = figure(value) + (", at its bound," if at_bound else "")
+        said += f" from {figure(variable.start)}, bounds {bounds_in_words(low, high)}"
+        rows.append((f"design variable {variable.name}", said))
+    constrained = solution.constraints.items()
+    return rows + [(f"constraint {text}", quantity.in_words()) for text, quantity in constrained]
 
 
 def _energy_rows(solution: Any) -> list[tuple[str, str]]:

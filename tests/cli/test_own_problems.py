@@ -19,7 +19,7 @@ from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.meshes import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
-from rmesh_nlp.solving.assess import Assessment
+from rmesh_nlp.solving.assessment import Assessment
 from support.designs import FILE
 
 BLOCK = """

@@ -25,7 +25,7 @@ from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.cascade import CascadeResult, cascade
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularised_descent import Finish, finished
+from rmesh_nlp.models.regularised_descent import FinishedDescent, finished
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -155,7 +155,7 @@ def test_a_worse_end_is_never_kept(limit: int | None, monkeypatch: pytest.Monkey
     def worse(energy: ReducedEnergy, q: np.ndarray) -> np.ndarray:
         return 0.02 * np.sign(energy(np.zeros(q.size)).gradient)
 
-    def spoilt_way(energy: ReducedEnergy, q: np.ndarray, *given: Any, **options: Any) -> Finish:
+    def spoilt_way(energy: ReducedEnergy, q: np.ndarray, *given: Any, **options: Any) -> FinishedDescent:
         found = finished(energy, q, *given, **options)
         return replace(found, result=replace(found.result, x=worse(energy, q)))
 

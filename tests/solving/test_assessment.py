@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.assessor import EXPLOITS, Residuals
+from rmesh_nlp.assessment.assessor import EXPLOITS, ContactResiduals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
@@ -42,7 +42,11 @@ CONCLUSIONS: dict[str, list[tuple[Status, dict[str, Any], Status]]] = {
         # the solver's own displacement does not solve the contact problem
         (Status.CONVERGED, {"own": BROKEN}, Status.INACCURATE),
         *(
-            (Status.CONVERGED, {"residuals": Residuals(**{**vars(HOLDS), name: value})}, Status.INACCURATE)
+            (
+                Status.CONVERGED,
+                {"residuals": ContactResiduals(**{**vars(HOLDS), name: value})},
+                Status.INACCURATE,
+            )
             for name in ("equilibrium", "complementarity")
             for value in (2e-6, NAN)
         ),
@@ -111,7 +115,7 @@ numbers = st.sampled_from([0.0, 1e-6, 1.1e-6, NAN, float("inf")])
 assessments = st.builds(
     compared,
     st.sampled_from(list(Status)),
-    residuals=st.just(HOLDS) | st.builds(Residuals, equilibrium=numbers, complementarity=numbers),
+    residuals=st.just(HOLDS) | st.builds(ContactResiduals, equilibrium=numbers, complementarity=numbers),
     min_area_ratio=st.just(0.5) | st.sampled_from([0.5, 0.0, -1.0, NAN]),
     contact=st.sampled_from([*4 * [Status.CONVERGED], Status.CYCLED, Status.ITERATION_LIMIT]),
     own=st.sampled_from([HOLDS, BROKEN]),

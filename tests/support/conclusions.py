@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import EXPLOITS, Residuals
+from rmesh_nlp.assessment.assessor import EXPLOITS, ContactResiduals
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
@@ -18,7 +18,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.state import State
 from support.endings import ended
 
-HOLDS, BROKEN = Residuals(1e-9, 1e-9), Residuals(1e-2, 1e-2)
+HOLDS, BROKEN = ContactResiduals(1e-9, 1e-9), ContactResiduals(1e-2, 1e-2)
 
 
 @cache
@@ -48,8 +48,8 @@ def compared(
     stationary: bool = True,
     contact: Status = Status.CONVERGED,
     min_area_ratio: float = 0.5,
-    residuals: Residuals = HOLDS,
-    own: Residuals = HOLDS,
+    residuals: ContactResiduals = HOLDS,
+    own: ContactResiduals = HOLDS,
     corrections: Mapping[str, float] | None = None,
 ) -> Assessment:
     """An assessment with these figures; ``audited_above``: the audited less the own energy at the end."""
