@@ -7,7 +7,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations.refined import prolong
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle, Parametrised
@@ -32,7 +31,7 @@ from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.motion import BY_BARRIER
 from rmesh_nlp.problem.rigid import rigid_motions
 from support.curved import HOLE, plate
-from support.formulations import fixed, joint, mpcc
+from support.formulations import fixed, mpcc
 
 
 def test_problem_is_frozen_and_one_condition_may_stand_alone() -> None:
@@ -241,14 +240,3 @@ def test_what_is_printed_fits_a_screen() -> None:
     assert "16 triangles" in repr(problem)
     assert dict(problem.summary())["contact"] == "4 nodes on contact, normal (0, 1), friction bound 10"
     assert f"{problem.contact_nodes.size * 3} complementarity pairs" in repr(mpcc.build(problem))
-
-
-def test_prolonged_relocation_keeps_the_displacement_of_the_coarse_mesh() -> None:
-    problem = replace(EXAMPLES["6.3"]((4, 2)), motion=Motion(Relative(0.3)))
-    coarse, finer = joint.solve(problem), refined(problem)
-    nodes = prolong(problem, coarse.mesh.p, finer)
-    start = fixed.solve(replace(finer, mesh=replace(finer.mesh, doflocs=nodes)))
-    # the coarse P1 functions are among the fine ones on the prolonged mesh, contact is imposed at more nodes
-    assert start.energy < coarse.energy
-    with pytest.raises(ValueError, match="not the uniform refinement"):
-        prolong(problem, coarse.mesh.p, problem)
