@@ -64,9 +64,9 @@ class Assessment:
         ``given`` is the mesh of the problem; ``final`` is that mesh with its nodes moved, or a new one.
     first_order : FirstOrder
         At the end.
-    said : Status
+    solver_status : Status
         How the solver says that it ended.
-    own : ContactResiduals
+    own_residuals : ContactResiduals
         Of the displacement and the forces that the formulation itself found.
     objective : Objective
     is_same_mesh : bool
@@ -83,8 +83,8 @@ class Assessment:
     given: State
     final: State
     first_order: FirstOrder
-    said: Status
-    own: ContactResiduals
+    solver_status: Status
+    own_residuals: ContactResiduals
     objective: Objective
     is_same_mesh: bool
     tolerance: float
@@ -152,7 +152,7 @@ class Assessment:
             return Status.EVALUATION_ERROR
         if final.violation > 0:
             return Status.VIOLATED
-        return Status.INACCURATE if self.said in MET and not self.own.hold else None
+        return Status.INACCURATE if self.solver_status in MET and not self.own_residuals.hold else None
 
     @property
     def valid(self) -> bool:
@@ -192,13 +192,13 @@ class Assessment:
             return Status.EXPLOITED if self.is_exploited else Status.WORSE
         if self.first_order.is_stationary:
             return Status.CONVERGED
-        if self.said in MET:
+        if self.solver_status in MET:
             return Status.NOT_STATIONARY
-        if self.said in LIMITS:
-            return self.said
+        if self.solver_status in LIMITS:
+            return self.solver_status
         if self.decrease > self.rounding:  # failed on the way from a better mesh
             return Status.STALLED
-        return self.said if self.said in FAILURES else Status.FAILED
+        return self.solver_status if self.solver_status in FAILURES else Status.FAILED
 
     @property
     def success(self) -> bool:

@@ -8,12 +8,11 @@ with a safe one. Then it makes the solution.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status
@@ -22,13 +21,13 @@ from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.clock import TOLERANCE, Limits, timed
-from rmesh_nlp.solving.epigraph import with_levels
 from rmesh_nlp.solving.exploited import End, back, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, composed
+from rmesh_nlp.solving.formulation import Chooser, Formulation
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.options import Start, beginning, request, with_settings
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Choices, Step
+from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
 
@@ -92,12 +91,12 @@ def solve(
         return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
     monitor = Monitor(limits, on_step, problem.mesh)
-    plan = _Plan.of(problem, formulation, parse_objective(objective), tolerance, start, seed)
+    plan = Plan.of(problem, formulation, parse_objective(objective), tolerance, start, seed)
     end, safe = _ended(plan, plan.problem, monitor), None
     if is_spurious(end.assessment):
         end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
-    if monitor.stopped is not None and end.assessment.said is monitor.stopped and not end.assessment.success:
-        end = monitor.finish(lambda: back(end))
+    if monitor.stopped is not None:
+        end = monitor.finish(lambda: back(end, monitor.stopped))
     return _made(plan, end, safe, monitor, certify)
 
 
@@ -113,70 +112,7 @@ def solve_by_options(
     return solve(problem, **request(formulation, options), on_step=on_step, certify=certify)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """What is run on which problem, from where; ``chooser`` and ``why`` where it was chosen."""
-
-    formulation: Formulation
-    problem: ContactProblem
-    objective: Objective
-    tolerance: float
-    start: Start
-    seed: int | None
-    chooser: str
-    why: str
-
-    @classmethod
-    def of(
-        cls,
-        problem: ContactProblem,
-        formulation: str | Formulation | Chooser,
-        objective: Objective,
-        tolerance: float,
-        start: Start,
-        seed: int | None,
-    ) -> _Plan:
-        """The formulation, chosen if that was asked for, and the problem as it takes it."""
-        problem = with_levels(problem, objective)
-        asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
-        choice = _chosen(asked, problem, objective, start is not None or seed is not None)
-        chosen = choice.formulation
-        _check_energy(problem, objective, chosen)
-        chosen.accepts(choice.problem, objective)
-        if not chosen.relocates:
-            start = seed = None
-        return cls(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
-
-
-def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
-    """Raise a BadInputError where an energy is to be minimised that there is not."""
-    energies = [term.name for _, term in objective.terms if term.name == "energy"]
-    if not (energies and formulation.relocates):
-        return
-    example = (
-        f"which the objective {objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
-    )
-    if problem.has_coulomb:
-        raise BadInputError(f"with Coulomb friction no energy is minimised, {example}")
-    if problem.design or problem.constraints:
-        raise BadInputError(f"energies of different designs do not compare, {example}")
-
-
-def _chosen(
-    asked: Formulation | Chooser, problem: ContactProblem, objective: Objective, is_started: bool
-) -> Choice:
-    """A formulation, the problem as it is to be solved, and why; without a reason if it was asked for."""
-    if isinstance(asked, Chooser):
-        return asked.choose(problem, objective, is_started=is_started)
-    if isinstance(asked, Wrapper):
-        choice = _chosen(asked.inner, problem, objective, is_started)
-        inner = choice.formulation
-        wrapped = asked if inner is asked.inner else replace(asked, inner=inner)
-        return Choice(wrapped, choice.problem, choice.why)
-    return Choice(asked, problem, "")
-
-
-def _ended(plan: _Plan, problem: ContactProblem, monitor: Monitor) -> End:
+def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     """Where a formulation ends on a problem: built, run, measured.
 
     A model of the given mesh is built when the formulation first asks for it.
@@ -198,7 +134,7 @@ def _ended(plan: _Plan, problem: ContactProblem, monitor: Monitor) -> End:
     return End(outer, outcome, assessment, begin.name, spent, contact_seconds)
 
 
-def _made(plan: _Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
+def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
     """The one place where a solution is made."""
     assessment, certificate, remark, reduced = end.assessment, None, None, None
     with monitor.clock.during("audit"):

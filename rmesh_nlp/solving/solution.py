@@ -267,8 +267,8 @@ class Solution:
             return {}
         always = {
             "tolerance": assessment.tolerance,
-            "own_equilibrium_residual": assessment.own.equilibrium,
-            "own_complementarity_residual": assessment.own.complementarity,
+            "own_equilibrium_residual": assessment.own_residuals.equilibrium,
+            "own_complementarity_residual": assessment.own_residuals.complementarity,
             "assessed_equilibrium_residual": final.residuals.equilibrium,
             "assessed_complementarity_residual": final.residuals.complementarity,
             "exploits": assessment.costliest if assessment.is_exploited else None,
@@ -309,7 +309,7 @@ class Solution:
             **self._own("success", "valid"),
             "improved": assessment.improved,
             "message": self.message,
-            "solver_status": assessment.said.value,
+            "solver_status": assessment.solver_status.value,
             **self._own("energy_initial", "energy", "energy_initial_audited", "energy_audited"),
             **self._own("gain", "gain_audited"),
             "u_min": float(self.displacement.min()),

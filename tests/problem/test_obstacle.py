@@ -85,7 +85,7 @@ def test_formulations_agree(make: Make) -> None:
     # with friction on the circle there are several local minima, 0.2 % of the gain apart
     start = first if make is block_sliding_on_a_circle else None
     solutions = [first, *(module.solve(problem, start=start) for module in (nested, mpcc))]
-    assert all(one.valid and one.assessment.said is Status.CONVERGED for one in solutions)
+    assert all(one.valid and one.assessment.solver_status is Status.CONVERGED for one in solutions)
     gain = solutions[0].energy_initial - solutions[0].energy
     assert gain > 0
     for other in solutions[1:]:

@@ -181,7 +181,7 @@ def test_a_contact_solve_of_the_given_mesh_that_failed_is_a_fault() -> None:
     vars(ill.contact)["given"] = replace(ill.contact.given, status=Status.ITERATION_LIMIT)
     judged = ended(ill, np.zeros(ill.n))
     assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
-    assert judged.said is Status.CONVERGED
+    assert judged.solver_status is Status.CONVERGED
 
 
 def pressed(*_: Any) -> Any:

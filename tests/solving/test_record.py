@@ -46,7 +46,7 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
             given=with_energies(assessment.given, -1.0, -2.0),
             final=with_energies(assessment.final, -1.5, -2.25, penetration=0.5),
             first_order=replace(assessment.first_order, residual=float("nan")),
-            said=Status.STALLED,
+            solver_status=Status.STALLED,
         ),
     )  # fmt: skip
     record = made.record()

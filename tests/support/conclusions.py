@@ -79,8 +79,8 @@ def compared(
         found,
         given=given,
         final=final,
-        said=said,
-        own=own,
+        solver_status=said,
+        own_residuals=own,
         objective=parse_objective("energy" if is_energy else "mean(top, -uy)"),
         first_order=replace(found.first_order, is_stationary=stationary),
     )

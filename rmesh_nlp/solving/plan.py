@@ -1,0 +1,78 @@
+"""What one solve runs: a formulation, chosen if that was asked for, and the problem as it takes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.epigraph import with_levels
+from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, composed
+from rmesh_nlp.solving.options import Start
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A formulation, the problem, what is minimised, and from where.
+
+    ``why`` is empty unless ``chooser`` chose the formulation.
+    """
+
+    formulation: Formulation
+    problem: ContactProblem
+    objective: Objective
+    tolerance: float
+    start: Start
+    seed: int | None
+    chooser: str
+    why: str
+
+    @classmethod
+    def of(
+        cls,
+        problem: ContactProblem,
+        formulation: str | Formulation | Chooser,
+        objective: Objective,
+        tolerance: float,
+        start: Start,
+        seed: int | None,
+    ) -> Plan:
+        """The plan of a solve; raises a BadInputError where the formulation does not take the problem."""
+        problem = with_levels(problem, objective)
+        asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
+        choice = _chosen(asked, problem, objective, start is not None or seed is not None)
+        chosen = choice.formulation
+        _check_energy(problem, objective, chosen)
+        chosen.accepts(choice.problem, objective)
+        if not chosen.relocates:
+            start = seed = None
+        return cls(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
+
+
+def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
+    """Raise a BadInputError where an energy is to be minimised that there is not."""
+    energies = [term.name for _, term in objective.terms if term.name == "energy"]
+    if not (energies and formulation.relocates):
+        return
+    example = (
+        f"which the objective {objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
+    )
+    if problem.has_coulomb:
+        raise BadInputError(f"with Coulomb friction no energy is minimised, {example}")
+    if problem.design or problem.constraints:
+        raise BadInputError(f"energies of different designs do not compare, {example}")
+
+
+def _chosen(
+    asked: Formulation | Chooser, problem: ContactProblem, objective: Objective, is_started: bool
+) -> Choice:
+    """A formulation, the problem as it is to be solved, and why; without a reason if it was asked for."""
+    if isinstance(asked, Chooser):
+        return asked.choose(problem, objective, is_started=is_started)
+    if isinstance(asked, Wrapper):
+        choice = _chosen(asked.inner, problem, objective, is_started)
+        inner = choice.formulation
+        wrapped = asked if inner is asked.inner else replace(asked, inner=inner)
+        return Choice(wrapped, choice.problem, choice.why)
+    return Choice(asked, problem, "")
