@@ -206,8 +206,6 @@ def _examples() -> Iterator[tuple[str, str, Callable[[], End]]]:
             words = [example, "--formulation", formulation]
             run = partial(command, *words, "--delta", "none", "--remesh")
             yield f"{example} --remesh", formulation, run
-            run = partial(command, *words, "--n", "4" if example == "6.1" else "6x3", "--levels", "2")
-            yield f"{example} --levels 2", formulation, run
         problem = partial(make, paper, delta="none")
         yield f"{example} no limits", "cascade", partial(contact, problem, "cascade")
 
