@@ -207,11 +207,11 @@ class _AtZero:
         x, groups = ca.MX.sym("x", n), [term.on(positions, field) for term in terms]
         sums = parts.assemble(groups, x, X, parts.n_contact)
         self._zero, self._no_forces = np.zeros(n), np.zeros(parts.n_contact)
-        self._first = sums.numeric("gradient")
+        self._first = sums.gradient
         self._quadratic = quadratic
         if quadratic:
-            self._rows, self._second = sums.numeric("values"), sums.numeric("hessian")
-            self.matrix = Symmetric(self._second.sums[0].numbered)
+            self._rows, self._second = sums.values, sums.hessian()
+            self.matrix = Symmetric(self._second.pattern)
 
     def __call__(self, given: Array) -> tuple[float, list[Array]]:
         """The value, and all else."""

@@ -14,10 +14,9 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.closed_forms import energies
 from rmesh_nlp.fem.element import RESULTS, plain
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Values
-from rmesh_nlp.fem.numeric import AXES, Kernel, LocalKernels, Numeric, numeric_parts
+from rmesh_nlp.fem.numeric import AXES, Kernel, LocalKernels, Mapped, Numeric, merged
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.straightened import straightened
 from rmesh_nlp.fem.sums import Shape, Sums, sparse
@@ -104,7 +103,7 @@ class Assembled:
         settings: AssemblySettings = USUAL,
     ) -> None:
         present = [group for group in groups if group.size > 0]
-        self._groups = [part for group in present for part in straightened(group)]
+        self._groups = merged([part for group in present for part in straightened(group)])
         self._large = any(group.size >= settings.numpy_from for group in groups)
         self._settings = settings
         self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
@@ -116,26 +115,45 @@ class Assembled:
     def _local(self) -> list[LocalKernels]:
         return [LocalKernels(group) for group in self._groups]
 
-    def numeric(self, which: str, leading: int | None = None) -> Numeric:
-        """The sums ``RESULTS[which]`` as a function of arrays.
+    @property
+    def values(self) -> Numeric:
+        """``(x, p) -> (f, g)`` on arrays."""
+        return self._numeric("values")
 
-        Of a Hessian with ``leading`` only the rows of as many unknowns.
+    @property
+    def gradient(self) -> Numeric:
+        """``(x, p) -> (f, gradient)`` on arrays."""
+        return self._numeric("gradient")
+
+    @property
+    def jacobian(self) -> Numeric:
+        """``(x, p) -> (g, nonzeros of the Jacobian)`` on arrays."""
+        return self._numeric("jacobian")
+
+    def hessian(self, leading: int | None = None) -> Numeric:
+        """``(x, p, lam_f, lam_g) -> (nonzeros of the Hessian of the Lagrangian,)`` on arrays, upper triangle.
+
+        With ``leading`` only the rows of as many unknowns.
         """
-        return Numeric(self._shapes(which), numeric_parts(self._groups, which, leading, self._settings))
+        return self._numeric("hessian", leading)
+
+    def _numeric(self, which: str, leading: int | None = None) -> Numeric:
+        kernels = [part.kernel(which, leading, whole=False) for part in self._local]
+        return Numeric(self._shapes(which), [Mapped(kernel, self._settings) for kernel in kernels])
 
     @cached_property
-    def _values(self) -> list[ca.MX]:
+    def _expressions(self) -> list[ca.MX]:
         return self._in_casadi(*self._sums("values"))
 
     @property
     def f(self) -> ca.MX:
         """The objective."""
-        return self._values[0]
+        return self._expressions[0]
 
     @property
     def g(self) -> ca.MX:
         """The constraints."""
-        return self._values[1]
+        return self._expressions[1]
 
     @cached_property
     def grad_f(self) -> ca.Function:
@@ -168,27 +186,18 @@ class Assembled:
         inputs = self._inputs[:n_in]
         if not self._large:
             return ca.Function(name, inputs, self._in_casadi(*self._sums(which)))
-        self.kernels.append(Summed(name, inputs, self.numeric(which)))
+        self.kernels.append(Summed(name, inputs, self._numeric(which)))
         return ca.Function(name, inputs, self.kernels[-1].call(inputs))
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:
     """A function of the unknowns ``x``: what each element of each group adds to the objective."""
-    evaluate = [
-        columnwise(plain(group.function, group.at_points), group.size) if group.closed is None else None
-        for group in groups
-    ]
+    evaluate = [columnwise(plain(group.function, group.at_points), group.size) for group in groups]
 
     def values(x: Array) -> list[Array]:
         found = []
         for columns, group in zip(evaluate, groups, strict=True):
-            used = group.arguments if columns is not None else group.arguments[: group.used]
-            local = [field.values(x) for field in used]
-            if columns is None:
-                assert group.closed is not None
-                found.append(energies(group.closed, *local))
-            else:
-                found.append(columns(local)[0].ravel())
+            found.append(columns([field.values(x) for field in group.arguments])[0].ravel())
         return found
 
     return values

@@ -13,15 +13,17 @@ has ``F_i lambda_i`` in addition.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
-from rmesh_nlp.fem.element import NO_ROWS, PointValues, corners, line_rule, local_symbols, point_values
+from rmesh_nlp.fem.element import NO_ROWS, corners, line_rule, local_symbols
 from rmesh_nlp.fem.fields import (
     CONSTANT,
     ElementGroup,
@@ -41,7 +43,7 @@ FRICTION_DEGREE = 31
 
 
 def friction_energy(friction: Coefficient, order: int = 1) -> tuple[ca.Function, PointValues | None]:
-    """``(X_e, s_e[, g at the points]) -> (energy, empty)`` on one contact edge.
+    """``(X_e, s_e[, mean of g times shape functions]) -> (energy, empty)`` on one contact edge.
 
     The integral of g times the sum of s_i and shape functions, with the slip magnitudes s_i = |u_t,i|: by
     convexity at least that of g |u_t|. With a constant bound and order 1 it is |e| g (s_1 + s_2) / 2, the
@@ -53,9 +55,9 @@ def friction_energy(friction: Coefficient, order: int = 1) -> tuple[ca.Function,
         energy = length * friction * ca.sum2(s) / s.numel()
         return ca.Function("friction_energy", columns, [energy, NO_ROWS], OPEN), None
     shares, weights = line_rule(FRICTION_DEGREE)
-    bound = ca.SX.sym("g", weights.size)
-    energy = length * ca.dot(bound, ca.vec(s @ ca.DM(functions(order, shares) * weights)))
-    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: at(friction, x, y))
+    bound = ca.SX.sym("g", s.numel())
+    energy = length * ca.dot(bound, ca.vec(s))
+    at_points = PointValues.of(partial(at, friction), shares, functions(order, shares) * weights)
     return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS], OPEN), at_points
 
 
@@ -201,7 +203,6 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
         group,
         function=ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
         rows=np.where(index == CONSTANT, CONSTANT, index + shift),
-        closed=None,
     )
 
 

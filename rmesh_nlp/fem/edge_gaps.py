@@ -28,8 +28,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.arcs import Arc, kind_of
+from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
-from rmesh_nlp.fem.element import PointValues, point_values
 from rmesh_nlp.fem.fields import ElementTerm
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
@@ -219,8 +219,8 @@ class _Beside:
     order: int
     at_edge: bool
 
-    def gap_function(self, components: int) -> tuple[ca.Function, PointValues]:
-        """``([parameters,] patch, u_i, (free, given), distances) -> (0, gap)``.
+    def gap_function(self, components: int) -> tuple[ca.Function, PointValues | None]:
+        """``([parameters,] patch, u_i, (free, given)[, distances]) -> (0, gap)``.
 
         ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
         ``given``: cell by cell, in each those at its vertices and then those at its edges.
@@ -233,13 +233,15 @@ class _Beside:
         free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
         interior = self.obstacle.boundary is Place.INTERIOR
         shares = _samples(corners, interior)
-        points = ca.horzsplit(X)
+        points, of_cells = ca.horzsplit(X), []
         for cell, arc in zip(self.cells, self.on_curve, strict=True):
+            of_cells.append(np.zeros((vertices, shares.shape[1])))
+            of_cells[-1][list(cell)] = shares
             if self.curve is not None and arc:
                 edge = Arc(self.curve, ca.vertcat(*(t[i] for i in cell)), kind)
                 points += [edge.point(s) for s in shares[1]]
             else:
-                points += [sum(share * X[:, i] for share, i in zip(at, cell, strict=True)) for at in shares.T]
+                points += ca.horzsplit(X @ ca.DM(of_cells[-1]))
         distance = kind.sym("distance", len(points))
         middles = [
             np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in SIDES[corners]
@@ -263,7 +265,10 @@ class _Beside:
         x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if self.at_edge else X[:, 0])
         gap = ca.dot(self.obstacle.direction(x, y), u) + own - off
         columns = [*([] if self.curve is None else [t]), ca.vec(X), u, constants]
-        at_points = point_values(columns, ca.horzcat(*points), self.obstacle.distance)
+        if self.curve is not None:  # points that are no mean of vertices
+            values = ca.vertcat(*(self.obstacle.distance(*ca.vertsplit(point)) for point in points))
+            return ca.Function("edge_gap", columns, [0, ca.substitute(gap, distance, values)], OPEN), None
+        at_points = PointValues.of(self.obstacle.distance, np.hstack([np.eye(vertices), *of_cells]))
         return ca.Function("edge_gap", [*columns, distance], [0, gap], OPEN), at_points
 
 

@@ -1,20 +1,17 @@
-"""The function of one element, and its derivatives.
-
-A load or an exact solution enters through its values at a few points. Its derivatives by the coordinates of a
-point are carried to the nodes by the chain rule: a third of the operations of going node by node.
-"""
+"""The function of one element, and its derivatives."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
 
@@ -26,26 +23,6 @@ NO_ROWS = ca.SX(0, 1)
 
 KEPT = 256
 """Element functions whose derivatives are kept."""
-
-
-class PointValues(NamedTuple):
-    """Values of ``function``, ``(x, y) -> column``, at ``points``, ``(*columns) -> (2, points)``."""
-
-    points: ca.Function
-    function: ca.Function
-
-    def of(self, columns: list[Any]) -> Any:
-        """Values at all points of an element, one below the other."""
-        points = ca.horzsplit(self.points(*columns))
-        values = [self.function(*ca.vertsplit(point)) for point in points]
-        return ca.vertcat(type(columns[0])(0, 1), *values)
-
-
-def point_values(columns: list[Any], points: Any, value: Callable[[Any, Any], Any]) -> PointValues:
-    """Values ``value(x, y)``, a scalar or a column, at ``points`` (2, points), expressions of the columns."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    values = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))], OPEN)
-    return PointValues(ca.Function("points", columns, [points]), values)
 
 
 def with_design(function: ca.Function, at_points: PointValues | None) -> tuple[ca.Function, tuple[str, ...]]:
@@ -73,7 +50,7 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     if at_points is None:
         return function
     columns = local_symbols(function)[:-1]
-    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.of(columns))), OPEN)
+    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.values(columns))), OPEN)
 
 
 def corners(n: int, components: int, kind: Any = ca.SX, order: int = 1) -> tuple[Any, Any]:
@@ -113,63 +90,88 @@ RESULTS = {
 }
 """Results of the Functions of :class:`Differentiated`."""
 
+ORDERS = {"values": 0, "gradient": 1, "jacobian": 1, "hessian": 2}
+"""Order of the derivatives that they take of values at points."""
+
 
 class Differentiated:
     """An element function ``(*columns[, values at points]) -> (f, g)`` and its derivatives by some columns.
 
     f and the gradient have no nonzero if f is constantly zero. The Hessian is the upper triangle of that of
-    ``lam_f f + lam_g . g``.
+    ``lam_f f + lam_g . g``. Values at points and their derivatives are arguments.
 
     Attributes
     ----------
     patterns : dict of casadi.Sparsity
         Of each result.
+    at_points : PointValues or None
     """
 
     def __init__(self, function: ca.Function, at_points: PointValues | None, variable: list[int]) -> None:
         symbols = local_symbols(function)
         kind = type(symbols[0])
-        self._columns = symbols if at_points is None else symbols[:-1]
+        self.at_points, self._columns, self._at_points = at_points, symbols, []
         local = ca.vertcat(kind(0, 1), *[symbols[i] for i in variable])
         f, g = function(*symbols)
         self._multipliers = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
         lagrangian = self._multipliers[0] * f + ca.dot(self._multipliers[1], g)
         gradient, jacobian = ca.gradient(f, local), ca.jacobian(g, local)
         hessian = ca.hessian(lagrangian, local)[0]
+        self._moves = at_points is not None and at_points.place in variable
         if at_points is not None:
-            values = symbols[-1]
-            if not ca.jacobian(at_points.points(*self._columns), local).nnz():
-                there = at_points.of(self._columns)  # the points stay where they are
-            else:
-                chain = _Chain(at_points, self._columns, local)
-                there = chain.values
-                gradient += chain.slope.T @ ca.gradient(f, values)
-                jacobian += ca.jacobian(g, values) @ chain.slope
+            self._columns, values = symbols[:-1], symbols[-1]
+            self._at_points = at_points.symbols(kind)
+            chain = at_points.chain(self._at_points)
+            if self._moves:
+                # places of X among the local unknowns
+                first = sum(symbols[i].shape[0] for i in variable[: variable.index(at_points.place)])
+                X = slice(first, first + symbols[at_points.place].shape[0])
+                slope = kind(values.shape[0], local.shape[0])
+                slope[:, X] = chain.slope
                 by_value = ca.gradient(lagrangian, values)
-                mixed = ca.jacobian(by_value, local).T @ chain.slope
-                hessian += mixed + mixed.T + chain.slope.T @ ca.hessian(lagrangian, values)[0] @ chain.slope
-                hessian += chain.curvature(by_value)
-            f, g, gradient, jacobian, hessian = ca.substitute(
-                [f, g, gradient, jacobian, hessian], [values], [there]
-            )
+                mixed = ca.jacobian(by_value, local).T @ slope
+                gradient += slope.T @ ca.gradient(f, values)
+                jacobian += ca.jacobian(g, values) @ slope
+                hessian += mixed + mixed.T + slope.T @ ca.hessian(lagrangian, values)[0] @ slope
+                hessian[X, X] += chain.curvature(by_value)
+            found = ca.substitute([f, g, gradient, jacobian, hessian], [values], [chain.values])
+            f, g, gradient, jacobian, hessian = found
         if f.is_zero():
             f = kind(1, 1)  # without nonzeros: nothing to evaluate
         results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}
         self.patterns = {name: result.sparsity() for name, result in results.items()}
         self._nonzeros = {name: r if name == "f" else r.nz[:] for name, r in results.items()}
-        self._functions: dict[tuple[str, bool], ca.Function] = {}
+        self._functions: dict[tuple[object, ...], ca.Function] = {}
 
-    def function(self, which: str, *, for_few: bool = False) -> ca.Function:
-        """``(*columns) ->`` the nonzeros of ``RESULTS[which]``; a Hessian takes lam_f and lam_g as well.
+    def order(self, which: str) -> int:
+        """The order of the derivatives of values at points that ``which`` takes."""
+        return ORDERS[which] if self._moves else 0
 
-        ``for_few`` elements common subexpressions are not looked for, which would take longer than they cost.
+    def function(
+        self,
+        which: str,
+        kept: tuple[tuple[int, ...], ...] | None = None,
+        *,
+        whole: bool = True,
+        for_few: bool = False,
+    ) -> ca.Function:
+        """``(*columns[, *derivatives at points]) ->`` nonzeros of ``RESULTS[which]``, all or those ``kept``.
+
+        A ``whole`` one puts in the derivatives at points. A Hessian takes lam_f and lam_g as well. Common
+        subexpressions are not looked for if it is ``for_few`` elements: that would take longer than it saves.
         """
-        if (which, for_few) not in self._functions:
-            columns = [*self._columns, *(self._multipliers if which == "hessian" else ())]
+        key = which, kept, whole, for_few
+        if key not in self._functions:
             results = [self._nonzeros[name] for name in RESULTS[which]]
-            function = ca.Function(which, columns, results if for_few else ca.cse(results))
-            self._functions[which, for_few] = function
-        return self._functions[which, for_few]
+            if kept is not None:
+                results = [result[list(rows)] for result, rows in zip(results, kept, strict=True)]
+            given = self._at_points[: self.order(which) + 1]
+            if whole and self.at_points is not None:
+                at = self.at_points.expressions(self._columns, self.order(which))
+                results, given = ca.substitute(results, given, at), []
+            columns = [*self._columns, *given, *(self._multipliers if which == "hessian" else ())]
+            self._functions[key] = ca.Function(which, columns, results if for_few else ca.cse(results))
+        return self._functions[key]
 
 
 def differentiated(
@@ -179,47 +181,13 @@ def differentiated(
 
     Functions are told apart by what they compute, so that it does not matter who made them, and when.
     """
-    parts = (function,) if at_points is None else (function, *at_points)
+    at = None if at_points is None else replace(at_points, kept=[])  # without what it has evaluated
     try:
-        texts = tuple(part.serialize() for part in parts)
+        return _differentiated(function.serialize(), at, tuple(variable))
     except RuntimeError:  # a Function of someone's own that cannot be written as text
-        return Differentiated(function, at_points, variable)
-    return _differentiated(texts, tuple(variable))
+        return Differentiated(function, at, variable)
 
 
 @lru_cache(maxsize=KEPT)
-def _differentiated(texts: tuple[str, ...], variable: tuple[int, ...]) -> Differentiated:
-    function, *points = (ca.Function.deserialize(text) for text in texts)
-    return Differentiated(function, PointValues(*points) if points else None, list(variable))
-
-
-class _Chain:
-    """Values at all points of an element, and how they change with its local unknowns."""
-
-    def __init__(self, at_points: PointValues, columns: list[Any], local: Any) -> None:
-        kind = type(local)
-        self._position = position = kind.sym("x", 2)
-        value = at_points.function(*ca.vertsplit(position))
-        self._slope = ca.jacobian(value, position)
-        self._weights, self._pull = kind.sym("weights", value.shape[0]), kind.sym("pull", 2)
-        self._curvature = ca.hessian(ca.dot(self._weights, value), position)[0]
-        self._points = ca.horzsplit(at_points.points(*columns))
-        self._rates = [ca.jacobian(point, local) for point in self._points]
-        self._bend = [ca.hessian(ca.dot(self._pull, point), local)[0] for point in self._points]
-        self.values = ca.vertcat(*[self._at(value, point) for point in self._points])
-        slopes = zip(self._points, self._rates, strict=True)
-        self.slope = ca.vertcat(*[self._at(self._slope, point) @ rate for point, rate in slopes])
-
-    def curvature(self, weights: Any) -> Any:
-        """Second derivative of ``weights . values``, the weights held."""
-        total, parts = 0, ca.vertsplit(weights, self._weights.shape[0])
-        for point, rate, bend, weight in zip(self._points, self._rates, self._bend, parts, strict=True):
-            here = self._at(ca.substitute(self._curvature, self._weights, weight), point)
-            total = total + rate.T @ here @ rate
-            if bend.nnz():  # a point that does not move affinely: a node of the element is on a curve
-                slope = self._at(self._slope, point)
-                total = total + ca.substitute(bend, self._pull, ca.densify(slope.T @ weight))
-        return total
-
-    def _at(self, expression: Any, point: Any) -> Any:
-        return ca.substitute(expression, self._position, point)
+def _differentiated(text: str, at_points: PointValues | None, variable: tuple[int, ...]) -> Differentiated:
+    return Differentiated(ca.Function.deserialize(text), at_points, list(variable))

@@ -6,8 +6,6 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
@@ -15,18 +13,16 @@ from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem import arcs
+from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import corner_fields, functions
-from rmesh_nlp.fem.closed_forms import Strain
-from rmesh_nlp.fem.element import NO_ROWS, PointValues, affine, corners, line_rule, point_values, vector
+from rmesh_nlp.fem.element import NO_ROWS, affine, corners, line_rule, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
-from rmesh_nlp.fem.load_moments import Load
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
-from rmesh_nlp.problem.design import names_in
-from rmesh_nlp.problem.laws import Laplace, Law, energy_density
+from rmesh_nlp.problem.laws import Law, energy_density
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
@@ -70,15 +66,14 @@ def strain_energy(law: Law, order: int = 1) -> ca.Function:
 
 
 def load_energy(law: Law, quadrature: str | int, order: int = 1) -> tuple[ca.Function, PointValues]:
-    """``(X_e, u_e, load at the points) -> (-integral of load . u, empty)`` of one triangle."""
+    """``(X_e, u_e, means of load times shape functions) -> (-work of the load, empty)`` of one triangle."""
     shares, weights = triangle_rule(quadrature)
     X, u = corners(3, law.components, order=order)
-    weighted, columns = u @ ca.DM(functions(order, shares) * weights), [ca.vec(X), ca.vec(u)]
-    load = ca.SX.sym("f", *weighted.shape)
-    work = affine(X, u)[0] / 2 * ca.dot(load, weighted)
-    energy = ca.Function("load_energy", [*columns, ca.vec(load)], [-work, NO_ROWS])
-    at_points = point_values(columns, X @ ca.DM(shares), lambda x, y: vector(law.load, ca.vertcat(x, y)))
-    return energy, at_points
+    load = ca.SX.sym("f", *u.shape)
+    work = affine(X, u)[0] / 2 * ca.dot(load, u)
+    energy = ca.Function("load_energy", [ca.vec(X), ca.vec(u), ca.vec(load)], [-work, NO_ROWS])
+    weights = functions(order, shares) * weights
+    return energy, PointValues.of(lambda x, y: vector(law.load, ca.vertcat(x, y)), shares, weights)
 
 
 def traction_energy(traction: Traction, degree: int, order: int = 1) -> ca.Function:
@@ -104,9 +99,7 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     for law, straight, beside in _elements(space.problem):
         vertices = space.problem.triangles[:, straight]
         nodes = vertices, space.nodes_of(vertices)
-        function = strain_energy(law, space.order)
-        closed = None if names_in(_stiffness(law)) else Strain(law, space.order)
-        terms.append(ElementTerm(function, nodes, closed=closed))
+        terms.append(ElementTerm(strain_energy(law, space.order), nodes))
         curved = [(arcs.strain_energy(law, curve, space.order), place) for curve, place in beside]
         terms += [_beside(space, function, *place) for function, place in curved]
     return terms
@@ -163,19 +156,13 @@ def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curv
     return found
 
 
-def _stiffness(law: Law) -> tuple[Any, ...]:
-    """The coefficients of its strain energy."""
-    return (law.conductivity,) if isinstance(law, Laplace) else (law.lame_lambda, law.lame_mu)
-
-
 def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertices: Index) -> ElementTerm:
     return ElementTerm(function, (vertices[2:], space.nodes_of(vertices)), arc=(number, vertices[:2]))
 
 
 def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
     function, at_points = load_energy(law, rule, space.order)
-    closed = None if names_in(law.load) else Load(at_points.function, triangle_rule(rule), space.order)
-    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points, closed=closed)
+    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points)
 
 
 def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:

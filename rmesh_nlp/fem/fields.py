@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.closed_forms import ClosedForm
-from rmesh_nlp.fem.element import PointValues, local_symbols, with_design
+from rmesh_nlp.fem.at_points import PointValues
+from rmesh_nlp.fem.element import local_symbols, with_design
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
@@ -266,21 +266,12 @@ class ElementGroup:
         For each other argument its local values, (length, elements).
     rows : (len(g), elements) int array
         Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
-    closed : ClosedForm, optional
-        The same function in closed form, of the first ``used`` arguments: positions of the corners of
-        triangles, and their displacements.
     """
 
     function: ca.Function
     arguments: tuple[Values, ...]
     rows: Index
     at_points: PointValues | None = None
-    closed: ClosedForm | None = None
-
-    @property
-    def used(self) -> int:
-        """Number of arguments that the closed form takes."""
-        return 0 if self.closed is None else self.closed.arguments
 
     @property
     def size(self) -> int:
@@ -294,8 +285,7 @@ class ElementGroup:
     def some(self, chosen: Index) -> ElementGroup:
         """The same group of some of its elements."""
         arguments = tuple(field.elements(chosen) for field in self.arguments)
-        closed = None if self.closed is None else self.closed.some(chosen)
-        return replace(self, arguments=arguments, rows=self.rows[:, chosen], closed=closed)
+        return replace(self, arguments=arguments, rows=self.rows[:, chosen])
 
 
 def element_group(
@@ -304,7 +294,6 @@ def element_group(
     local: tuple[Values, ...],
     rows: Index | None = None,
     at_points: PointValues | None = None,
-    closed: ClosedForm | None = None,
 ) -> ElementGroup:
     """Elements of local values; without ``rows`` they add to the objective alone.
 
@@ -314,7 +303,7 @@ def element_group(
     rows = np.zeros((0, size), dtype=np.int64) if rows is None else rows
     whole, names = with_design(function, at_points)
     if not names:
-        return ElementGroup(function, local, rows, at_points, closed)
+        return ElementGroup(function, local, rows, at_points)
     if positions.design is None:
         raise ValueError(f"{function.name()} depends on the design variables {', '.join(names)}")
     return ElementGroup(whole, (positions.design.of(names, size), *local), rows)
@@ -338,8 +327,6 @@ class ElementTerm:
     arc : (int, (nodes per element, elements) int array), optional
         The function takes the parameters of these vertices on this curve of the motion.
     constants : (length, elements) array, optional
-    closed : ClosedForm, optional
-        See :class:`ElementGroup`.
     """
 
     function: ca.Function
@@ -349,7 +336,6 @@ class ElementTerm:
     at_points: PointValues | None = None
     arc: tuple[int, Index] | None = None
     constants: Array | None = None
-    closed: ClosedForm | None = None
 
     def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
         """The element group on these fields, positions first, its rows numbered from ``first_row``."""
@@ -365,4 +351,4 @@ class ElementTerm:
         if self.constants is not None:
             local = (*local, constant_field(self.constants))
         rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
-        return element_group(self.function, positions, local, rows, self.at_points, self.closed)
+        return element_group(self.function, positions, local, rows, self.at_points)

@@ -100,7 +100,7 @@ def as_row(group: ElementGroup, row: int) -> ElementGroup:
     symbols = local_symbols(group.function)
     value = ca.densify(group.function(*symbols)[0])
     function = ca.Function(group.function.name(), symbols, [0, value])
-    return replace(group, function=function, rows=np.full((1, group.size), row), closed=None)
+    return replace(group, function=function, rows=np.full((1, group.size), row))
 
 
 def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
@@ -109,12 +109,11 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
         return group
     symbols = local_symbols(group.function)
     f, g = group.function(*symbols)
-    closed = None if group.closed is None else group.closed.scaled(weight)
     if group.at_points is not None:
         function = ca.Function(group.function.name(), symbols, [weight * f, g])
-        return replace(group, function=function, closed=closed)
+        return replace(group, function=function)
     # the weight is data of the elements: derivatives of the function serve every weight
     factor = type(symbols[0]).sym("weight")
     function = ca.Function(group.function.name(), [*symbols, factor], [factor * f, g])
     arguments = (*group.arguments, constant_field(np.full((1, group.size), weight)))
-    return replace(group, function=function, arguments=arguments, closed=closed)
+    return replace(group, function=function, arguments=arguments)

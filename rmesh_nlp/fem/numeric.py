@@ -1,19 +1,17 @@
-"""Sums over elements in numpy: functions of arrays, for all elements at a time.
-
-Energies of triangles are in closed form (:mod:`rmesh_nlp.fem.closed_forms`), and those of the same triangles
-are added up before they are summed; all other element functions are CasADi's.
-"""
+"""Sums over elements in numpy: functions of arrays, for all elements at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.closed_forms import Layout, evaluated
+from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.element import FEW, RESULTS, differentiated
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, LocalField, Values
 from rmesh_nlp.fem.space import Index
@@ -24,13 +22,18 @@ from rmesh_nlp.vectorised import AssemblySettings, columnwise
 class Kernel(NamedTuple):
     """A function of one element, the inputs that its arguments come from, and where its results go.
 
-    Inputs are x, p, lam_f and lam_g. Result number k is summed into output number k.
+    Inputs are x, p, lam_f and lam_g. Result number k is summed into output number k. With ``at_points`` the
+    function takes the derivatives of values there up to an ``order`` as well, after the first ``columns``
+    arguments.
     """
 
     function: ca.Function
     arguments: tuple[tuple[int, Values], ...]
     results: tuple[Entries, ...]
     size: int
+    columns: int
+    at_points: PointValues | None
+    order: int
 
 
 AXES = {
@@ -52,11 +55,22 @@ class LocalKernels:
         self._local = differentiated(group.function, group.at_points, self.variable)
         self._axes = _axes(group, self.variable)
 
-    def kernel(self, which: str, leading: int | None = None) -> Kernel:
-        """The kernel with the results ``RESULTS[which]``; see :meth:`Assembled.numeric` for ``leading``."""
-        results = tuple(self._entries(name, leading) for name in RESULTS[which])
-        function = self._local.function(which, for_few=self.group.size <= FEW)
-        return Kernel(function, self.arguments(which), results, self.group.size)
+    def kernel(self, which: str, leading: int | None = None, *, whole: bool = True) -> Kernel:
+        """The kernel with the results ``RESULTS[which]``; see :meth:`Assembled.hessian` for ``leading``.
+
+        A ``whole`` one puts in the values at points; else they are arguments.
+        """
+        results = [self._entries(name, leading) for name in RESULTS[which]]
+        kept = None
+        if leading is not None:  # many results go nowhere
+            used = [np.flatnonzero(np.any((one.row >= 0) & (one.column >= 0), axis=1)) for one in results]
+            results = [one.some(rows) for one, rows in zip(results, used, strict=True)]
+            kept = tuple(tuple(rows.tolist()) for rows in used)
+        local, size = self._local, self.group.size
+        function = local.function(which, kept, whole=whole, for_few=size <= FEW)
+        at_points, columns = None if whole else self.group.at_points, len(self.group.arguments)
+        arguments, order = self.arguments(which), local.order(which)
+        return Kernel(function, arguments, tuple(results), size, columns, at_points, order)
 
     def arguments(self, which: str) -> tuple[tuple[int, Values], ...]:
         """The inputs and fields that a kernel takes."""
@@ -111,61 +125,30 @@ Inputs = Sequence[Array | None]
 """x, p, lam_f and lam_g, as far as they are needed; None is zero."""
 
 
-class _Mapped:
+class Mapped:
     """Local results of one kernel, by its function over all elements."""
 
     def __init__(self, kernel: Kernel, settings: AssemblySettings) -> None:
-        self.entries, self._size = kernel.results, kernel.size
+        self.entries, self._n, self._order = kernel.results, kernel.columns, kernel.order
         self._columns = columnwise(kernel.function, kernel.size, settings)
         self._gathers = [_Gather(*a) for a in kernel.arguments]
+        self._at_points = kernel.at_points
 
     def __call__(self, inputs: Inputs, outputs: list[Array]) -> None:
         """Write the results into arrays (length, elements)."""
-        results = self._columns([gather(inputs) for gather in self._gathers])
-        for output, result in zip(outputs, results, strict=True):
+        columns = [gather(inputs) for gather in self._gathers]
+        if self._at_points is not None:
+            X = columns[self._at_points.place]
+            columns[self._n : self._n] = self._at_points.evaluated(X, self._order)
+        for output, result in zip(outputs, self._columns(columns), strict=True):
             output[:] = result
-
-
-class _Triangles:
-    """Local results of energies of the same triangles in closed form, added up."""
-
-    def __init__(self, groups: list[ElementGroup], which: str, leading: int | None) -> None:
-        largest = max(groups, key=lambda group: group.used)
-        variable = [i for i in _variable(largest) if i < largest.used]
-        self._forms, self._which = [group.closed for group in groups if group.closed is not None], which
-        self._gathers = [_Gather(int(f.parameter), f) for f in largest.arguments[: largest.used]]
-        axes = _axes(largest, variable)
-        moves = 0 in variable
-        displacements = axes["x"].index[6 if moves else 0 :]
-        corner = leading is None or np.any((displacements != CONSTANT) & (displacements < leading))
-        self._layout = layout = Layout(moves, len(displacements), bool(corner))
-        zero = np.zeros(1, int)
-        entries = {
-            "f": (zero, zero),
-            "g": (zero[:0], zero[:0]),
-            "gradient": (np.arange(layout.size), np.zeros(layout.size, int)),
-            "jacobian": (zero[:0], zero[:0]),
-            "hessian": layout.entries,
-        }
-        self.entries = tuple(_entries(axes, name, *entries[name], leading) for name in RESULTS[which])
-
-    def __call__(self, inputs: Inputs, outputs: list[Array]) -> None:
-        """Write the results into arrays (length, elements)."""
-        if all(output.size == 0 for output in outputs):
-            return
-        X, *u = [gather(inputs) for gather in self._gathers]
-        evaluated(self._forms, self._which, self._layout, X, u[0] if u else None, outputs)
-        if self._which == "hessian":
-            factor = 0.0 if inputs[2] is None else float(inputs[2][0])
-            if factor != 1.0:
-                outputs[0] *= factor
 
 
 class Numeric:
     """The sums over element groups as a function of arrays."""
 
-    def __init__(self, shapes: list[Shape], parts: Sequence[_Mapped | _Triangles]) -> None:
-        self._parts = [part for part in parts if any(map(_any_kept, part.entries))]
+    def __init__(self, shapes: list[Shape], parts: Sequence[Mapped]) -> None:
+        self._parts = [part for part in parts if any(one.row.size for one in part.entries)]
         self.sums = [
             Sums(shape, [part.entries[number] for part in self._parts]) for number, shape in enumerate(shapes)
         ]
@@ -181,15 +164,16 @@ class Numeric:
         for part in self._parts:
             part.entries = ()
 
+    @property
+    def pattern(self) -> sp.csc_array:
+        """That of the last result, a matrix, with 1, 2, ... as values."""
+        return self.sums[-1].numbered
+
     def __call__(self, *inputs: Array | None) -> list[Array]:
         """Nonzeros of each result at x, p, lam_f and lam_g, as many of them as it takes."""
         for part, views in zip(self._parts, self._views, strict=True):
             part(inputs, views)
         return [one(results) for one, results in zip(self.sums, self._results, strict=True)]
-
-
-def _any_kept(entries: Entries) -> bool:
-    return bool(np.any((entries.row >= 0) & (entries.column >= 0)))
 
 
 class _Gather:
@@ -211,10 +195,43 @@ class _Gather:
         return values if self._local is None else self._local.gathered(values)
 
 
+def merged(groups: Sequence[ElementGroup]) -> list[ElementGroup]:
+    """The groups, those of the same elements as one: what their functions have in common is done once."""
+    found: list[ElementGroup] = []
+    for group in groups:
+        place = next((k for k, other in enumerate(found) if _alike(other, group)), None)
+        if place is None:
+            found.append(group)
+        else:
+            found[place] = _joined(found[place], group)
+    return found
+
+
 def _alike(one: ElementGroup, other: ElementGroup) -> bool:
-    """Whether two groups of energies in closed form have the same triangles, as far as both say."""
-    pairs = zip(one.arguments[: one.used], other.arguments[: other.used], strict=False)
-    return one.size == other.size and all(_equal(a, b) for a, b in pairs)
+    """Whether two groups have the same elements, as far as a shared argument says, and can be joined."""
+    same = one.size == other.size and any(_equal(a, b) for a in one.arguments for b in other.arguments)
+    kinds = {group.function.class_name() for group in (one, other)}
+    return same and len(kinds) == 1 and (one.at_points is None or other.at_points is None)
+
+
+def _joined(one: ElementGroup, other: ElementGroup) -> ElementGroup:
+    """The group of the sum of two objectives, with the rows of both."""
+    arguments, places = list(one.arguments), []
+    for argument in other.arguments:
+        place = next((k for k, known in enumerate(one.arguments) if _equal(known, argument)), len(arguments))
+        arguments += [argument] if place == len(arguments) else []
+        places.append(place)
+    kind = ca.SX if one.function.is_a("SXFunction") else ca.MX
+    columns = [kind.sym(f"a{i}", argument.shape[0]) for i, argument in enumerate(arguments)]
+    at_points = one.at_points or other.at_points
+    values: list[Any] = [] if at_points is None else [kind.sym("values", at_points.size)]
+    first = one.function(*columns[: len(one.arguments)], *(values if one.at_points else ()))
+    second = other.function(*(columns[k] for k in places), *(values if other.at_points else ()))
+    results = [first[0] + second[0], ca.vertcat(first[1], second[1])]
+    function = ca.Function(one.function.name(), [*columns, *values], results)
+    if at_points is not None and at_points is other.at_points:
+        at_points = replace(at_points, place=places[at_points.place])
+    return ElementGroup(function, tuple(arguments), np.concatenate([one.rows, other.rows]), at_points)
 
 
 def _equal(one: Values, other: Values) -> bool:
@@ -226,21 +243,3 @@ def _equal(one: Values, other: Values) -> bool:
         and np.array_equal(one.scale, other.scale)
         and np.array_equal(one.offset, other.offset)
     )
-
-
-def numeric_parts(
-    groups: Sequence[ElementGroup], which: str, leading: int | None, settings: AssemblySettings
-) -> list[_Mapped | _Triangles]:
-    """What gives the local results of element groups; those of the same triangles together."""
-    closed: list[list[ElementGroup]] = []
-    parts: list[_Mapped | _Triangles] = []
-    for group in groups:
-        if group.closed is None:
-            parts.append(_Mapped(LocalKernels(group).kernel(which, leading), settings))
-            continue
-        same = next((those for those in closed if _alike(those[0], group)), None)
-        if same is None:
-            closed.append([group])
-        else:
-            same.append(group)
-    return parts + [_Triangles(those, which, leading) for those in closed]

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.element import PointValues, local_symbols, plain
+from rmesh_nlp.fem.element import local_symbols, plain
 from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, LocalField, constant_field
 from rmesh_nlp.fem.space import Index
 
@@ -46,8 +46,7 @@ def _with_modes(group: ElementGroup) -> ElementGroup:
     moved = [i for i, field in enumerate(arguments) if field.modes is not None]
     if not moved:
         return group
-    if group.at_points is not None:
-        group = replace(group, function=plain(group.function, group.at_points), at_points=None)
+    group = _alone(group)
     columns = local_symbols(group.function)
     kind, inputs, inner = type(columns[0]), list(columns), list(columns)
     for i in moved:
@@ -61,12 +60,12 @@ def _with_modes(group: ElementGroup) -> ElementGroup:
         inputs, arguments = [*inputs, a, V], [*arguments, amplitudes, constant_field(motions)]
         arguments[i] = LocalField(replace(field.nodal, modes=None), field.nodes)
     function = ca.Function(group.function.name(), inputs, group.function(*inner))
-    return replace(group, function=function, arguments=tuple(arguments), closed=None)
+    return replace(group, function=function, arguments=tuple(arguments))
 
 
 def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     """The group as a function of the affine values behind its arguments."""
-    function, at_points = group.function, group.at_points
+    function = _alone(group).function
     bends = [one.functions if one else () for one in (field.bends for field in group.arguments)]
     used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
     kind: Any = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
@@ -75,11 +74,12 @@ def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
         column if np.all(row == STRAIGHT) else _bent(column, row, functions)
         for column, row, functions in zip(columns, sort, bends, strict=True)
     ]
-    values = [] if at_points is None else [kind.sym("values", function.size1_in(len(columns)))]
-    composed = ca.Function(function.name(), [*columns, *values], function(*bent, *values))
-    if at_points is not None:
-        at_points = PointValues(ca.Function("points", columns, [at_points.points(*bent)]), at_points.function)
-    return replace(group, function=composed, at_points=at_points, closed=None)
+    return replace(group, function=ca.Function(function.name(), columns, function(*bent)), at_points=None)
+
+
+def _alone(group: ElementGroup) -> ElementGroup:
+    """The group with its values at points put in."""
+    return replace(group, function=plain(group.function, group.at_points), at_points=None)
 
 
 def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:

@@ -22,6 +22,13 @@ class Entries(NamedTuple):
     column: Index
     scale: Array | None = None
 
+    def some(self, results: Index) -> Entries:
+        """Those of some of the local results."""
+        if results.size == len(self.row):
+            return self
+        scale = None if self.scale is None else self.scale[results]
+        return Entries(self.row[results], self.column[results], scale)
+
 
 class Sums:
     """The nonzeros of a sparse matrix, each the sum of some local results; a column is dense.

@@ -239,13 +239,13 @@ class SecondDerivatives:
     def __init__(self, relocation: Relocation, rule: int | None = None) -> None:
         self._relocation = rel = relocation
         self._modelled = rel if rule is None else with_lower_rule(rel, rule)
-        self._hessian = self._modelled.lagrangian.numeric("hessian", rel.n_q)
-        self._jacobian = rel.contact_rows.numeric("jacobian")
+        self._hessian = self._modelled.lagrangian.hessian(rel.n_q)
+        self._jacobian = rel.contact_rows.jacobian
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper = self._hessian.sums[0].numbered
+        upper = self._hessian.pattern
         self._qq = Symmetric(upper, rel.n_q)
         self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        first = self._jacobian.sums[1].numbered
+        first = self._jacobian.pattern
         self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:

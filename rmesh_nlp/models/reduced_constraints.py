@@ -40,8 +40,8 @@ class ReducedConstraints:
         self._n_sums = n = len(rows.sums)
         x = ca.MX.sym("x", function.n_x)
         groups = [*Functional([], rows.sums).rows, *(group.shifted(n) for group in rows.groups)]
-        self._numeric = parts.assemble(groups, x, ca.MX(0, 1), n + rows.size).numeric("jacobian")
-        self._block = Block(self._numeric.sums[1].numbered, slice(None), slice(None))
+        self._numeric = parts.assemble(groups, x, ca.MX(0, 1), n + rows.size).jacobian
+        self._block = Block(self._numeric.pattern, slice(None), slice(None))
         self._last: tuple[ReducedPoint, ConstraintPoint] | None = None
 
     def at(self, point: ReducedPoint) -> ConstraintPoint:

@@ -71,9 +71,9 @@ class ReducedEnergy:
         self._active: ActiveSet | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
-        self._gradient = relocation.lagrangian.numeric("gradient")
-        self._jacobian = relocation.contact_rows.numeric("jacobian")
-        numbers, rows = self._jacobian.sums[1].numbered, relocation.n_contact + 2 * relocation.n_s
+        self._gradient = relocation.lagrangian.gradient
+        self._jacobian = relocation.contact_rows.jacobian
+        numbers, rows = self._jacobian.pattern, relocation.n_contact + 2 * relocation.n_s
         self._rows = Block(numbers, slice(0, rows), slice(0, relocation.n_q))
         self._position_terms = element_values(relocation.position_groups)
 
@@ -190,10 +190,10 @@ class ReducedObjective:
         self.n_x = int(n[-1])
         x = ca.MX.sym("x", self.n_x)
         outer = parts.assemble([*functional.groups, *functional.rows], x, ca.MX(0, 1), len(functional.sums))
-        self._outer = outer.numeric("gradient")
+        self._outer = outer.gradient
         if functional.sums:
-            self._sums, self._combine = outer.numeric("jacobian"), Evaluator(functional.function)
-            self._of_sums = Block(self._sums.sums[1].numbered, slice(None), slice(None))
+            self._sums, self._combine = outer.jacobian, Evaluator(functional.function)
+            self._of_sums = Block(self._sums.pattern, slice(None), slice(None))
         self._derivatives = SecondDerivatives(rel)
         self._last: tuple[Equilibrium, Blocks] | None = (
             None  # several functions are differentiated at a point
@@ -201,8 +201,8 @@ class ReducedObjective:
         terms = [term.on(rel.mesh_map.positions) for term in coefficient_terms(parts.space)]
         self._coefficients = None
         if terms:
-            rows = parts.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).numeric("jacobian")
-            self._coefficients = rows, Block(rows.sums[1].numbered, slice(0, rel.n_s), slice(0, rel.n_q))
+            rows = parts.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).jacobian
+            self._coefficients = rows, Block(rows.pattern, slice(0, rel.n_s), slice(0, rel.n_q))
 
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""

@@ -120,7 +120,6 @@ def test_weights_of_a_group_share_one_differentiated_function() -> None:
     q = 0.1 * np.ones(MeshMap.of(problem).n)
     plain, *weighted = (sum(part.sum() for part in element_values([each])(q)) for each in (group, one, two))
     assert weighted == pytest.approx([0.5 * plain, 3 * plain], rel=1e-14)
-    assert scaled_group(one, 2.0).closed is not None
     assert element_values([scaled_group(one, 2.0)])(q)[0].sum() == pytest.approx(plain, rel=1e-14)
 
 

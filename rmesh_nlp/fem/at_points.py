@@ -1,0 +1,201 @@
+"""Values of a load, or of an exact solution, at points of elements, and how they change with the positions.
+
+At a point ``x_p = sum_b l_b(p) X_b`` of an element with vertices X_b the value of a function f has the
+derivatives ``l_b f'`` and ``l_b l_c f''``. An element function takes the values as an argument, and the chain
+rule brings their derivatives to the vertices: f is differentiated by x and y alone, and its derivatives on a
+mesh are evaluated once for all element functions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
+from itertools import combinations_with_replacement
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.vectorised import USUAL, Columns, columnwise
+
+
+@dataclass(frozen=True, eq=False)
+class PointValues:
+    """Values of ``function``, ``(x, y) -> column``, at points ``X @ shares`` of elements, or sums of them.
+
+    Attributes
+    ----------
+    shares : (vertices, points) array
+        Barycentric coordinates of the points.
+    weights : (sums, points) array, optional
+        An element function takes sums of values with these weights; by default the values themselves.
+    place : int
+        Which argument of the element function X is. The values are the last one, point by point.
+    kept : list
+        What was evaluated last: a solver asks for several derivatives on one mesh.
+    """
+
+    function: ca.Function
+    shares: Array
+    weights: Array | None = None
+    place: int = 0
+    kept: list[tuple[Array, list[Array]]] = field(default_factory=list, repr=False)
+
+    @classmethod
+    def of(cls, value: Callable[[Any, Any], Any], shares: Array, weights: Array | None = None) -> PointValues:
+        """Those of ``value(x, y)``, a scalar or a column."""
+        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        function = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))], OPEN)
+        return cls(function, shares, weights)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PointValues) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def _key(self) -> tuple[object, ...]:
+        weights = None if self.weights is None else self.weights.tobytes()
+        return self.function.serialize(), self.shares.tobytes(), weights, self.place
+
+    @property
+    def length(self) -> int:
+        """Of a value."""
+        return int(self.function.size1_out(0))
+
+    @property
+    def size(self) -> int:
+        """Of the argument of the element function."""
+        return self.length * len(self._matrices[0])
+
+    @cached_property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of vertices."""
+        return list(combinations_with_replacement(range(len(self.shares)), 2))
+
+    @cached_property
+    def _matrices(self) -> tuple[Array, Array, Array]:
+        """From derivatives at points to their sums: as they are, times shares, times pairs of shares."""
+        sums = np.eye(self.shares.shape[1]) if self.weights is None else self.weights
+        of_pairs = np.stack([self.shares[b] * self.shares[c] for b, c in self.pairs])
+        factors = np.ones((1, sums.shape[1])), self.shares, of_pairs
+        first, second, third = ((sums[:, None] * factor).reshape(-1, sums.shape[1]) for factor in factors)
+        return first, second, third
+
+    def values(self, columns: list[Any]) -> Any:
+        """The argument of an element function, from its other ones."""
+        # by the function itself, which may have free symbols
+        found = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in self._points(columns)))
+        return ca.vec(found if self.weights is None else found @ ca.DM(self.weights.T))
+
+    def _points(self, columns: list[Any]) -> list[Any]:
+        return list(ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares)))
+
+    def expressions(self, columns: list[Any], order: int) -> list[Any]:
+        """What :meth:`evaluated` returns, from the other arguments of an element function."""
+        derivatives = _derivatives(self.function.serialize(), order)
+        found = [derivatives.call(ca.vertsplit(point)) for point in self._points(columns)]
+        parts = [ca.horzcat(*(results[k] for results in found)).T for k in range(order + 1)]
+        if self.weights is not None:
+            parts = [ca.DM(matrix) @ part for matrix, part in zip(self._matrices, parts, strict=False)]
+        return [ca.vec(part) for part in parts]
+
+    def evaluated(self, X: Array, order: int) -> list[Array]:
+        """Derivatives of order 0, 1, ... at X (2 * vertices, elements), each as (numbers, elements).
+
+        They are those at the points or, where there are weights, the sums that the chain rule takes.
+        """
+        if not (self.kept and order < len(self.kept[0][1]) and np.array_equal(self.kept[0][0], X)):
+            # who asks for values will ask for slopes
+            self.kept[:] = [(X, self._evaluated(X, max(order, 1)))]
+        return self.kept[0][1][: order + 1]
+
+    def _evaluated(self, X: Array, order: int) -> list[Array]:
+        text, count, n = self.function.serialize(), self.shares.shape[1], X.shape[1]
+        rows = [count] * 3 if self.weights is None else [len(matrix) for matrix in self._matrices]
+        results = [np.empty(((k + 1) * self.length, rows[k], n)) for k in range(order + 1)]
+        size = min(max(USUAL.chunk // count, 1), n)  # elements at a time, so that all stays in the cache
+        columns = _columns(text, order, size * count)
+        for first in range(0, n, size):
+            part = slice(min(first, n - size), min(first + size, n))
+            points = [(self.shares.T @ X[k::2, part]).reshape(1, -1) for k in range(2)]
+            for matrix, found, result in zip(self._matrices, columns(points), results, strict=False):
+                found = found.reshape(len(found), count, size)
+                result[..., part] = found if self.weights is None else matrix @ found
+        return [result.reshape(-1, n) for result in results]
+
+    def symbols(self, kind: Any) -> list[Any]:
+        """Symbols for what :meth:`evaluated` returns for order 2."""
+        rows = [self.shares.shape[1]] * 3 if self.weights is None else map(len, self._matrices)
+        return [kind.sym(f"d{k}", n * (k + 1) * self.length) for k, n in enumerate(rows)]
+
+    def chain(self, symbols: list[Any]) -> Chain:
+        """How the values change with X, from :meth:`symbols`."""
+        parts = [ca.reshape(one, -1, (k + 1) * self.length) for k, one in enumerate(symbols)]
+        if self.weights is None:
+            parts = [ca.sparsify(ca.DM(m)) @ part for m, part in zip(self._matrices, parts, strict=True)]
+        values, first, second = parts
+        return Chain(values, first, second, self.length, self.pairs)
+
+
+class Chain:
+    """Values at points, or sums of them, as expressions with derivatives by X.
+
+    Parameters
+    ----------
+    values, first, second
+        ``sum W f``, ``sum W l_b f'`` and ``sum W l_b l_c f''``: a row for each sum and each b, or pair of b
+        and c, which runs fastest, and a column for each component of each derivative.
+    length : int
+        Components of f.
+    pairs : list of (int, int)
+    """
+
+    def __init__(
+        self, values: Any, first: Any, second: Any, length: int, pairs: list[tuple[int, int]]
+    ) -> None:
+        self.values, self._length, self._pairs, self._second = ca.vec(values.T), length, pairs, second
+        n, vertices = values.shape[0], 1 + pairs[-1][1]
+        by_vertex = [ca.vertsplit(ca.reshape(part, vertices, n)) for part in ca.horzsplit(first)]
+        columns = [
+            ca.vec(ca.vertcat(*(by_vertex[k * length + i][b] for i in range(length))))
+            for b in range(vertices)
+            for k in range(2)
+        ]
+        self.slope = ca.horzcat(*columns)
+
+    def curvature(self, weights: Any) -> Any:
+        """Second derivative of ``weights . values``, the weights held."""
+        weights, n = ca.reshape(weights, self._length, -1), 2 + 2 * self._pairs[-1][1]
+        total, columns = type(weights)(n, n), ca.horzsplit(self._second)
+        for k, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):
+            of_pairs = sum(
+                ca.reshape(columns[k * self._length + row], len(self._pairs), -1) @ weights[row, :].T
+                for row in range(self._length)
+            )
+            for (b, c), value in zip(self._pairs, ca.vertsplit(of_pairs), strict=True):
+                for one, other in ((2 * b + i, 2 * c + j), (2 * b + j, 2 * c + i)):
+                    total[one, other] = total[other, one] = value
+        return total
+
+
+@lru_cache(maxsize=64)
+def _columns(text: str, order: int, n: int) -> Columns:
+    return columnwise(_derivatives(text, order), n)
+
+
+@lru_cache(maxsize=64)
+def _derivatives(text: str, order: int) -> ca.Function:
+    """``(x, y) ->`` value, slopes by x and y, derivatives by xx, xy and yy, up to an order."""
+    value = ca.Function.deserialize(text)
+    kind = ca.SX if value.is_a("SXFunction") else ca.MX
+    x, y = kind.sym("x"), kind.sym("y")
+    f = value(x, y)
+    by_x, by_y = ca.jacobian(f, x), ca.jacobian(f, y)
+    parts = [[f], [by_x, by_y], [ca.jacobian(by_x, x), ca.jacobian(by_x, y), ca.jacobian(by_y, y)]]
+    results = [ca.densify(ca.vertcat(*part)) for part in parts[: order + 1]]
+    return ca.Function("derivatives", [x, y], ca.cse(results))
