@@ -8,9 +8,8 @@ limits. With constraints on a design ``mpcc`` is.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 from formulations.cascade import Cascade
 from formulations.confirmed import Confirmed, first_rule
@@ -24,6 +23,7 @@ from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.regularisation import weights
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import Open
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 
 MANY = 2000
@@ -54,16 +54,8 @@ class Auto(Chooser):
         Final weight of the distortion in the place of that of the cascade, or a whole schedule.
     """
 
-    cascade: Cascade = field(default_factory=Cascade)
+    cascade: Annotated[Cascade, Open(Cascade)] = field(default_factory=Cascade)
     regularisation: Any = None
-
-    def having(self, given: Mapping[str, Any]) -> Auto:
-        """With other values of fields, and of those of ``cascade`` by their own names."""
-        own = {key: value for key, value in given.items() if key in vars(self)}
-        more = {key: value for key, value in given.items() if key not in own}
-        if more:
-            own["cascade"] = self.cascade.having(more)
-        return super().having(own)
 
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = problem if problem.design else with_edge_gaps(problem)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -16,10 +15,11 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
-from rmesh_nlp.models.levels import COARSER, prolonged
+from rmesh_nlp.models.levels import prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES
 from rmesh_nlp.models.regularised_descent import descend, finished
+from rmesh_nlp.optimize.budget import processor_seconds
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Limit, Positive
@@ -91,16 +91,16 @@ class Maps(Formulation):
     settings: CascadeSettings = field(default_factory=CascadeSettings)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen, levels = self.settings, _Levels(outer, self.settings, monitor)
+        chosen, levels = self.settings, _Levels(outer, monitor)
         weight, distortion = chosen.final(outer.problem.order), chosen.distortion
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = partial(CascadeFigures, "newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)
-        given = outer.problem, chosen, levels, monitor.is_over, outer.contact
+        given = outer.problem, chosen, levels, monitor.budget, outer.contact
         maps = monitor.attempt(lambda: cascade(*given))
         if maps is None:
             return Outcome(outer, levels.best(outer), monitor.end, details=(figures(),))
-        with monitor.clock.during("build"):
+        with monitor.budget.during("build"):
             if maps.built is None:
                 end = outer.minimising(maps.objective)
             else:
@@ -119,10 +119,10 @@ class Maps(Formulation):
 class _Levels:
     """What listens to a cascade: :data:`rmesh_nlp.models.cascade.OnStep`."""
 
-    def __init__(self, outer: Outer, settings: CascadeSettings, monitor: Monitor) -> None:
-        self._outer, self._settings, self._monitor = outer, settings, monitor
+    def __init__(self, outer: Outer, monitor: Monitor) -> None:
+        self._outer, self._monitor = outer, monitor
         self._track: Track | None = None
-        self._began, self._first = 0.0, 0
+        self._first = 0
         self._last: Array | None = None
         self._map: tuple[Array, NDArray[np.int64], Array] | None = None
 
@@ -130,7 +130,6 @@ class _Levels:
         """Note an iteration; whether to stop."""
         track = self._track
         if track is None or track.outer.energy is not energy:
-            self._began = time.perf_counter()
             track = self._track = self._monitor.track(Outer.around(energy, self._outer.tolerance))
             self._first = iteration
         mesh = energy.relocation.problem.mesh
@@ -138,22 +137,8 @@ class _Levels:
             self._last = np.array(q)
         else:
             self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
-        given, done = track.outer.given.energy, iteration - self._first
-        seconds = self._seconds_left(int(mesh.p.shape[1]), done)
-        return track.exact(done, q, energy(q), energy_given=given, seconds_left=seconds)
-
-    def _seconds_left(self, nodes: int, done: int) -> float:
-        """A guess: every mesh to come takes its most iterations, at the seconds per node of this one."""
-        if done == 0:
-            return float("nan")
-        chosen, most = self._settings, self._outer.problem.mesh.p.shape[1]
-        rate = (time.perf_counter() - self._began) / (done * nodes)
-        limits = {True: chosen.iterations, False: chosen.brief_unnested}
-        nodes_left = max(limits[nodes < most] - done, 0) * nodes
-        while nodes < most:
-            nodes = min(COARSER * nodes, most)
-            nodes_left += limits[nodes < most] * nodes
-        return rate * nodes_left
+        given = track.outer.given.energy
+        return track.exact(iteration - self._first, q, energy(q), energy_given=given)
 
     def best(self, outer: Outer) -> Array:
         """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
@@ -224,7 +209,7 @@ class Polished(Wrapper):
         energy = end.energy
         if end.residual(energy(q)) <= end.tolerance:
             return outcome
-        began, before = time.process_time(), energy.contact_solves
+        began, before = processor_seconds(), energy.contact_solves
         last = before + max(self.most - monitor.spent.contact_solves - SPARE, 1)
         track, begin = monitor.track(end), q
         finish = monitor.attempt(
@@ -251,7 +236,7 @@ class Polished(Wrapper):
             "products": finish.result.products,
             "contact_solves": energy.contact_solves - before,
             "factorisations": finish.factorisations,
-            "seconds": time.process_time() - began,
+            "seconds": processor_seconds() - began,
         }
         continuous = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
         if not (end.is_valid(x) and continuous.energy <= end.assessor.initial.energy):

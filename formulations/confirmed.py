@@ -48,12 +48,12 @@ class Confirmed(Wrapper):
             higher = next_rule(outcome.outer.problem)
             if monitor.is_over() or higher is None:
                 break
-            with monitor.clock.during("audit"):
+            with monitor.budget.during("audit"):
                 confirmed = agrees(outcome)
             if confirmed:
                 break
             rules.append(higher)
-            with monitor.clock.during("build"):
+            with monitor.budget.during("build"):
                 finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=higher))
             outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
         return outcome.having(Rules(tuple(rules)))

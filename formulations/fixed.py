@@ -25,6 +25,6 @@ class Fixed(Formulation):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         found = active_set.solve(outer.system(np.zeros(outer.n)))
         monitor.work += Work(1, 1, found.iterations)
-        nan, seconds = float("nan"), monitor.clock.elapsed
+        nan, seconds = float("nan"), monitor.budget.elapsed
         monitor.note(Step(found.iterations, found.energy, 0.0, 0.0, nan, 1, seconds))
         return Outcome(outer, np.zeros(outer.n), found.status, label="")

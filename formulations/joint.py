@@ -166,7 +166,7 @@ class Joint(Formulation):
         else:
             unit = half_energy(contact) if areas else pull(contact.gradient)
         units = _units(program, contact)
-        with track.monitor.clock.during("build"):
+        with track.monitor.budget.during("build"):
             nlp = program.nlp if units is None else units.program(program.nlp)
             watch = track if units is None else Seen(units, track, track.see_multipliers)
             solver = Solver(nlp, options=self.options(areas, unit, distorted), monitor=watch)
@@ -189,7 +189,7 @@ class Joint(Formulation):
         residual, value = measure(energy(q)), energy(q).value
         if not outer.tolerance < residual <= NEAR:
             return q
-        outcome = Nested(max_iterations=STEPS).run(outer.near(), q, monitor)
+        outcome = Nested(iterations=STEPS).run(outer.near(), q, monitor)
         if not (outer.is_valid(outcome.q) and energy.is_defined(outcome.q)):
             return q
         point = energy(outcome.q)

@@ -101,13 +101,10 @@ def _finished(
     outer: Outer, point: ReducedPoint, monitor: Monitor, ipopt: Mapping[str, Any]
 ) -> tuple[ReducedPoint | None, int]:
     program = outer.kkt
-    limits: dict[str, Any] = {
-        "time_limit_s": max(monitor.remaining, 1e-3),
-        "max_iterations": monitor.iterations_left,
-    }
-    with monitor.clock.during("build"):
-        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt, **limits)
-    result = solver.finish(program.point(point.q, point.equilibrium, point.system))
+    with monitor.budget.during("build"):
+        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
+    start = program.point(point.q, point.equilibrium, point.system)
+    result = solver.finish(start, budget=monitor.budget.share())
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)
     q = outer.clipped(program.split(result.x)[0])

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import Open
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -48,6 +49,9 @@ OPTIONS: Mapping[str, Any] = {
 }
 """Options of :class:`rmesh_nlp.mpcc.Options` for mesh problems. t is in units of the largest displacement
 on the given mesh times its largest nodal load."""
+
+OF_ALL_SOLVES = ("starts", "seed", "time_limit_s", "max_iterations")
+"""Options of :class:`rmesh_nlp.mpcc.Options` that every solve has by itself."""
 
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 """Ipopt options that push a start off its bounds."""
@@ -190,7 +194,7 @@ class AllAtOnce(Formulation):
     """
 
     relaxation: str = "scholtes"
-    options: Mapping[str, Any] = field(default_factory=dict)
+    options: Annotated[Mapping[str, Any], Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
     without_first: bool = False
     twice: bool | None = None
 
@@ -199,14 +203,6 @@ class AllAtOnce(Formulation):
         if self.relaxation not in RELAXATIONS:
             raise unknown("relaxation", self.relaxation, RELAXATIONS)
         Options(**{**OPTIONS, **self.options})
-
-    def having(self, given: Mapping[str, Any]) -> AllAtOnce:
-        """With other values of fields, and of ``options`` by their own names."""
-        own = {key: value for key, value in given.items() if key in vars(self)}
-        further = {key: value for key, value in given.items() if key not in own}
-        if further:
-            own["options"] = {**self.options, **own.get("options", {}), **further}
-        return super().having(own)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         before = monitor.iterations
@@ -228,7 +224,7 @@ class AllAtOnce(Formulation):
         if is_energy and not outer.is_near:
             q = _in_step(outer, q)
         point = outer.energy(q)
-        with monitor.clock.during("build"):
+        with monitor.budget.during("build"):
             program = outer.kkt if not (is_energy or np.any(q)) else _own_units(outer, point)
         track = monitor.track(outer, program.value)
         if is_energy:
@@ -243,16 +239,10 @@ class AllAtOnce(Formulation):
             x, near, solves = first.x, True, 1
             track = monitor.track(outer, program.value)
         own = _options(outer, program.value / pull(begin.gradient), near)
-        limits_left = [most for most in (monitor.iterations_left, most) if most is not None]
-        limits = {
-            "time_limit_s": max(monitor.remaining, 1e-3),
-            "max_iterations": min(limits_left, default=None),
-        }
-        with monitor.clock.during("build"):
-            solver = MPCCSolver(
-                program.mpcc, **{"relaxation": self.relaxation, **OPTIONS, **own, **limits, **self.options}
-            )
-        result = solver(x, on_iteration=track.iterate)
+        with monitor.budget.during("build"):
+            options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
+            solver = MPCCSolver(program.mpcc, **options)
+        result = solver(x, on_iteration=track.iterate, budget=monitor.budget.share(most))
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
         relaxation = RelaxationName(self.relaxation)

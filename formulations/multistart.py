@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -36,6 +37,7 @@ class MultiStart(Wrapper):
     """
 
     starts: Count = 8
+    begins_by_itself: ClassVar[tuple[str, ...]] = ("seed",)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         ends: list[tuple[float, Outcome]] = []

@@ -17,7 +17,6 @@ from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterR
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, reduced_nlp
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.clock import Falling
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -82,24 +81,22 @@ class _Descent:
     def __init__(self, settings: Nested, outer: Outer, monitor: Monitor) -> None:
         self._settings, self._outer, self._monitor = settings, outer, monitor
         self._track, self._before = monitor.track(outer), 0
-        self._ends = None if settings.enough is None else _Decrease(settings.enough)
-        unlimited = settings.enough is None and settings.max_iterations is None
+        unlimited = settings.enough is None and settings.iterations is None
         is_other = isinstance(outer.function, ReducedObjective)
         self._has_kinks = unlimited and is_other and outer.discretisation.n_contact > 0
         self._lowest: ReducedPoint | None = None
 
     def note(self, iteration: int, q: Array) -> bool:
         """Report an iterate; whether the solve is over."""
-        outer, ends, lowest = self._outer, self._ends, self._lowest
+        outer, lowest = self._outer, self._lowest
         point = outer.function(q)
         if self._has_kinks and (lowest is None or outer.merit(point) < outer.merit(lowest)):
             self._lowest = point if outer.is_valid(q) else lowest
-        known = {} if ends is None else {"seconds_left": ends(self._monitor.clock.elapsed, point.value)}
-        return self._track.exact(self._before + iteration, q, point, **known)
+        return self._track.exact(self._before + iteration, q, point)
 
     def __call__(self, q: Array) -> OuterResult:
         outer, monitor = self._outer, self._monitor
-        with monitor.clock.during("build"):
+        with monitor.budget.during("build"):
             program = replace(
                 reduced_nlp(
                     outer.relocation,
@@ -109,7 +106,7 @@ class _Descent:
                     outer.tolerance,
                     outer.constraints,
                 ),
-                out_of_time=lambda: monitor.remaining == 0.0,
+                budget=monitor.budget,
                 warm=outer.is_near,
             )
         if not self._has_kinks:
@@ -152,20 +149,3 @@ class _Descent:
         self._monitor.check()
         self._before += found.iterations
         return found
-
-
-class _Decrease:
-    """Guesses the seconds that are left of a descent that ends as soon as a step is not worth taking."""
-
-    def __init__(self, enough: float) -> None:
-        self._falling, self._first, self._last = Falling(enough), float("nan"), float("nan")
-
-    def __call__(self, seconds: float, value: float) -> float:
-        if self._first != self._first:
-            self._first = value
-        else:
-            gain = self._first - value
-            self._falling(seconds, (self._last - value) / gain if gain > 0 else 0.0)
-        self._last = value
-        left = self._falling.seconds_left
-        return float("nan") if left is None else left

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
@@ -41,6 +42,7 @@ class Remeshed(Wrapper):
     """
 
     nodes: int | bool = True
+    begins_by_itself: ClassVar[tuple[str, ...]] = ("starts", "seed", "start")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -61,8 +63,8 @@ class Remeshed(Wrapper):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         nodes = outer.problem.mesh.p.shape[1] if self.nodes is True else int(self.nodes)
-        with monitor.clock.during("build"):
-            start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.is_over)
+        with monitor.budget.during("build"):
+            start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.budget)
         monitor.work += Work(len(start.nodes), len(start.nodes))
         energy = ReducedEnergy.of(start.solved.solver, outer.objective)
         remeshed = Outer.around(energy, outer.tolerance).near().knowing(start.solved.error)

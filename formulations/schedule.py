@@ -57,7 +57,7 @@ class Schedule(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         schedule, gain = weights(self.weights), monitor.estimate(outer)
         for weight in schedule:
-            with monitor.clock.during("build"):
+            with monitor.budget.during("build"):
                 objective = regularised(gain, weight, self.distortion)
                 weighted = outer.knowing(gain).minimising(objective)
             outcome = monitor.run(self.inner, weighted, q)

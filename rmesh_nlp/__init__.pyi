@@ -16,6 +16,7 @@ from rmesh_nlp.meshes.curves import Circle as Circle
 from rmesh_nlp.meshes.curves import Parametrised as Parametrised
 from rmesh_nlp.meshes.curves import Spline as Spline
 from rmesh_nlp.mpcc import MPCC as MPCC
+from rmesh_nlp.optimize.budget import Limits as Limits
 from rmesh_nlp.optimize.status import Status as Status
 from rmesh_nlp.problem import Constraint as Constraint
 from rmesh_nlp.problem import ContactProblem as ContactProblem
@@ -35,7 +36,6 @@ from rmesh_nlp.problem import Traction as Traction
 from rmesh_nlp.problem import Units as Units
 from rmesh_nlp.problem import where as where
 from rmesh_nlp.solving.certify import certify as certify
-from rmesh_nlp.solving.clock import Limits as Limits
 from rmesh_nlp.solving.driver import solve as solve
 from rmesh_nlp.solving.formulation import Formulation as Formulation
 from rmesh_nlp.solving.formulation import formulations as formulations

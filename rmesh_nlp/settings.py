@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -52,6 +53,25 @@ Seconds = Annotated[float, Number(infinite=True)]
 
 
 @dataclass(frozen=True)
+class Open:
+    """Mark of a field that holds settings, or a mapping of some: their names may be given in its place.
+
+    None of them may be among those that are ``closed``.
+    """
+
+    kind: type[Settings]
+    closed: tuple[str, ...] = ()
+
+    def check(self, name: str, value: Any) -> None:
+        """Raise a BadInputError if a mapping has other names."""
+        if isinstance(value, Mapping):
+            self.kind().having(value)
+            for one in self.closed:
+                if one in value:
+                    raise BadInputError(f"{name} may not have {one}, got {value[one]!r}")
+
+
+@dataclass(frozen=True)
 class Settings:
     """Base of the settings of a method.
 
@@ -73,20 +93,35 @@ class Settings:
             return cls()
         if isinstance(given, cls):
             return given
-        if isinstance(given, Settings):
-            raise BadInputError(f"expected settings of kind {cls.__name__}, got {type(given).__name__}")
+        if not isinstance(given, Mapping):
+            kind = f"settings of kind {cls.__name__}, or a mapping of its fields"
+            raise BadInputError(f"expected {kind}, got {given!r}")
         return cls().having(given)
 
+    @classmethod
+    def names(cls) -> dict[str, str]:
+        """What may be given by name, and the field that it is for: fields, and names of open ones."""
+        own: Any = cls
+        names = {field.name: field.name for field in fields(own)}
+        for place, kind in _kinds(own).items():
+            for mark in (mark for mark in get_args(kind)[1:] if isinstance(mark, Open)):
+                open_names = (name for name in mark.kind.names() if name not in mark.closed)
+                names = {**dict.fromkeys(open_names, place), **names}
+        return names
+
     def having(self: S, given: Mapping[str, Any]) -> S:
-        """These settings with other values of some fields; a BadInputError if there is no such field."""
-        known = {field.name for field in fields(self)}
-        values = {}
+        """These settings with other values by :meth:`names`; a BadInputError if there is no such name."""
+        places, values = self.names(), dict[str, Any]()
         for name, value in given.items():
-            if name not in known:
-                raise unknown("setting", name, sorted(known))
-            now = getattr(self, name)
-            inner = isinstance(now, Settings) and isinstance(value, Mapping)
-            values[name] = now.having(value) if inner else value
+            if name not in places:
+                raise unknown("setting", name, sorted(places))
+            place = places[name]
+            now = values.get(place, getattr(self, place))
+            inner = value if place == name else {name: value}
+            if isinstance(now, Settings) and isinstance(inner, Mapping):
+                values[place] = now.having(inner)
+            else:
+                values[place] = inner if place == name else {**now, **inner}
         return replace(self, **values)
 
     def changed(self) -> dict[str, Any]:
@@ -104,6 +139,26 @@ class Settings:
         return found
 
 
+def from_texts(given: Iterable[str], where: str = "--set ") -> dict[str, Any]:
+    """Settings from texts ``name=value`` or ``outer.name=value``; a value is JSON, or else a text."""
+    found: dict[str, Any] = {}
+    for text in given:
+        names, equals, value = text.partition("=")
+        *outer, name = (part.strip() for part in names.split("."))
+        if not (equals and name and all(outer)):
+            raise BadInputError(f"{where}must be NAME=VALUE, got {text!r}")
+        table = found
+        for part in outer:
+            table = table.setdefault(part, {})
+            if not isinstance(table, dict):
+                raise BadInputError(f"{where}{text}: {part} has a value already, {table!r}")
+        try:
+            table[name] = json.loads(value)
+        except ValueError:
+            table[name] = value.strip()
+    return found
+
+
 WORDS: Mapping[Any, str] = {bool: "true or false", str: "a name"}
 
 
@@ -116,7 +171,9 @@ def _kinds(settings: type[Any]) -> dict[str, Any]:
 def _check(name: str, value: Any, kind: Any) -> None:
     """Raise a BadInputError if a value is not what the type of its field says, beyond what Python's says."""
     if get_origin(kind) is Annotated:
-        for rule in get_args(kind)[1:]:
+        base, *rules = get_args(kind)
+        _check(name, value, base)
+        for rule in rules:
             rule.check(name, value)
     elif type(None) in get_args(kind):
         if value is not None:

@@ -46,7 +46,7 @@ PARTS = {
     "descents": "models.regularised_descent:descend models.regularised_descent:finished",
     "metric": "models.remeshing:metric_start",
     "estimate": "models.regularisation:gain_estimate",
-    "unit": "solving.clock:timed",
+    "unit": "optimize.budget:timed",
     "assess": "formulations.confirmed:agrees solving.assess:assess",
     "reduction": "assessment.error_reduction:error_reduction",
     "attainable": "solving.attained:attained",

@@ -68,7 +68,7 @@ Row = dict[str, Any]
 
 def solved(data: Data, formulation: str, **options: Any) -> Any:
     """The package's solution: the only place that knows how it is called."""
-    return rm.solve(data.problem(), formulation, time_limit_s=0.8 * LONGEST, **options)
+    return rm.solve(data.problem(), formulation, limits=rm.Limits(0.8 * LONGEST), **options)
 
 
 def claimed_factor(record: Row) -> float | None:

@@ -12,8 +12,8 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper
-from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.solving.formulation import NEEDLESS, Chooser, Formulation, Wrapper
+from rmesh_nlp.solving.formulation import options as of_formulation
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.plan import planned
@@ -103,7 +103,7 @@ def compare(
         Names of installed formulations, or objects such as ``Joint(first_barrier=1e-2)``; an object is
         called by its name and its settings that differ from the defaults, ``joint(first_barrier=0.01)``.
     options
-        Options such as ``seed``, for those formulations that take them.
+        Those of :func:`rmesh_nlp.solve`, such as ``seed`` or ``limits``, for the formulations that take them.
 
     Raises
     ------
@@ -115,9 +115,9 @@ def compare(
     names = [one if isinstance(one, str) else described(one) for one in formulations]
     if len(set(names)) < len(names):
         raise BadInputError(f"a formulation is named twice in {names}")
-    taken = [accepted(one, options) for one in formulations]
+    taken = [of_formulation(one) for one in formulations]
     for option in options:
-        if not any(option in known for known in taken):
+        if option not in NEEDLESS and not any(option in known for known in taken):
             raise BadInputError(f"{option}: not an option of {', '.join(names)}")
     solutions, records = {}, []
     for one, name, known in zip(formulations, names, taken, strict=True):

@@ -11,6 +11,7 @@ from typer.main import get_command
 
 from rmesh_nlp.cli.commands import app
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.optimize.budget import end_like_interrupts
 
 BAD_INPUT, INTERRUPTED = 2, 130
 
@@ -50,6 +51,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 def main() -> None:
     """Entry point of ``rmesh``; linear algebra takes one thread unless the environment says otherwise."""
+    end_like_interrupts()
     if not any(name in os.environ for name in THREADS):
         os.environ.update(dict.fromkeys(THREADS, "1"))
     sys.exit(run(sys.argv[1:]))

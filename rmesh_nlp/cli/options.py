@@ -5,7 +5,6 @@ Nothing heavy is imported here. What depends on the problem (an odd number of co
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -15,6 +14,7 @@ from typing import Annotated, Any, Literal
 from typer import Argument, Option
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.settings import from_texts
 
 Size = Annotated[
     str | None,
@@ -144,7 +144,7 @@ Set = Annotated[
     Option(
         "--set",
         metavar="NAME=VALUE",
-        help="A setting of the formulation, such as tol=1e-8 or newton.forcing=0.2; repeat.",
+        help="Any option or setting by its name, such as tol=1e-8 or newton.forcing=0.2; repeat.",
     ),
 ]
 Jobs = Annotated[
@@ -235,26 +235,6 @@ def parse_seeds(given: str | list[str]) -> int | list[int]:
     return int(texts[0]) if len(texts) == 1 else [int(text) for text in texts]
 
 
-def parse_settings(given: list[str]) -> dict[str, Any]:
-    """Settings from texts ``name=value`` or ``outer.name=value``; a value is JSON, or else a text."""
-    found: dict[str, Any] = {}
-    for text in given:
-        names, equals, value = text.partition("=")
-        *outer, name = (part.strip() for part in names.split("."))
-        if not (equals and name and all(outer)):
-            raise BadInputError(f"--set must be NAME=VALUE, got {text!r}")
-        table = found
-        for part in outer:
-            table = table.setdefault(part, {})
-            if not isinstance(table, dict):
-                raise BadInputError(f"--set {text}: {part} has a value already, {table!r}")
-        try:
-            table[name] = json.loads(value)
-        except ValueError:
-            table[name] = value.strip()
-    return found
-
-
 def parse_weights(text: str) -> tuple[float, ...]:
     """``0.01`` or a schedule ``1,0.1,0.01``."""
     try:
@@ -284,13 +264,25 @@ PARSERS: dict[str, Callable[[Any], Any]] = {
     "quadrature": parse_quadrature,
     "seed": parse_seeds,
     "regularisation": parse_weights,
-    "settings": parse_settings,
+    "settings": from_texts,
 }
 
-SETTINGS = ("n", "delta", "order", "quadrature", "certify", "repeats")
-OPTIONS = (  # of :func:`rmesh_nlp.solving.driver.solve_by_options`
-    *("seed", "objective", "relaxation", "outer", "regularisation", "remesh", "starts"),
-    *("time_limit_s", "max_iterations", "tolerance", "start", "settings"),
+ABOUT = ("n", "delta", "order", "quadrature", "certify", "repeats")
+"""Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison` beside the options of a formulation."""
+
+LIMITS = {"time_limit": "seconds", "max_iterations": "iterations"}
+"""By the fields of :class:`rmesh_nlp.optimize.budget.Limits`."""
+
+OPTIONS = (
+    "seed",
+    "objective",
+    "relaxation",
+    "outer",
+    "regularisation",
+    "remesh",
+    "starts",
+    "tolerance",
+    "start",
 )
 
 
@@ -306,5 +298,7 @@ def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
         for name, value in typed.items()
         if not (value is None or value is False or value in ([], ()))
     }
-    chosen = {name: given[name] for name in OPTIONS if name in given}
-    return {"options": chosen, **{name: given[name] for name in SETTINGS if name in given}}
+    chosen = {**given.get("settings", {}), **{name: given[name] for name in OPTIONS if name in given}}
+    if limits := {field: given[name] for name, field in LIMITS.items() if name in given}:
+        chosen["limits"] = {**chosen.get("limits", {}), **limits}
+    return {"options": chosen, **{name: given[name] for name in ABOUT if name in given}}

@@ -26,7 +26,7 @@ from rmesh_nlp.io.files import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table, with_order
 from rmesh_nlp.io.problem_file import template as problem_template
-from rmesh_nlp.io.problem_messages import one_line
+from rmesh_nlp.io.problem_messages import nearest, one_line
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
@@ -35,9 +35,7 @@ from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solving.advice import advise as advice
-from rmesh_nlp.solving.formulation import find
-from rmesh_nlp.solving.options import accepted
-from rmesh_nlp.study.comparison import HARMLESS
+from rmesh_nlp.solving.formulation import NEEDLESS, checked, options
 from rmesh_nlp.study.study_file import is_study
 from rmesh_nlp.study.study_file import template as study_template
 
@@ -69,11 +67,11 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
             raise BadInputError(f"--order {order} is for problem files: write it into {path}")
         return studies.check(path)
     problem = load_problem(path, order)
-    _, options = solve_options(path, None, {})
+    _, asked = solve_options(path, None, {})
     parts = discretise(problem)
     free = parts.mesh_map
     rows = problem.summary()
-    if "regularisation" in options and problem.motion.delta is not None and problem.motion.min_angle == 0:
+    if "regularisation" in asked and problem.motion.delta is not None and problem.motion.min_angle == 0:
         rows.append(("regularisation", "a barrier in the place of the least area: areas are only positive"))
     rows += [(f"nodes {kind.name.lower()}", str(np.sum(free.mobility == kind))) for kind in Mobility]
     rows += [("outer variables", str(free.n)), ("validity constraints", str(parts.validity.size))]
@@ -180,19 +178,19 @@ def solve_options(
     plan = read_table(path).solve
     name = formulation or plan.formulation
     try:
-        find(name)
+        known = options(name)
     except BadInputError as error:
         raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
     if "objective" not in given:
         with located(f"{path}: solve.objective"):
             parse_objective(plan.objective)
         plan = plan.model_copy(update={"objective": beside(plan.objective, path.parent)})
-    wanted = {**plan.model_dump(exclude={"formulation", "certify"}), **given}
     # the defaults need not be known to every formulation, what was asked for must be
-    default = {"objective": "energy", "starts": 0, "remesh": False}
-    asked = {key: value for key, value in wanted.items() if value != default.get(key)}
-    taken = accepted(name, asked)
-    refused = asked.keys() - taken - HARMLESS
-    if refused:
-        raise BadInputError(f"{path}: the formulation {name!r} takes no {min(refused)}")
-    return name, {key: value for key, value in asked.items() if key in taken}
+    asked = {**plan.options(), **given}
+    for option in asked:
+        if option not in known and option not in NEEDLESS:
+            said = f"{path}: the formulation {name!r} takes no {option}"
+            raise BadInputError(said + nearest(option, sorted(known)))
+    taken = {key: value for key, value in asked.items() if key in known}
+    with located(path):
+        return name, dict(checked(name, taken))

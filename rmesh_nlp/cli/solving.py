@@ -22,8 +22,8 @@ from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
+from rmesh_nlp.optimize.budget import deferred
 from rmesh_nlp.report.style import Page
-from rmesh_nlp.solving.clock import deferred
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study import comparison
 from rmesh_nlp.study.plan import PlannedSolve, planned

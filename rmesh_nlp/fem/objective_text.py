@@ -34,6 +34,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import FUNCTIONS, value_of
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
@@ -63,13 +64,16 @@ def parse_objective(text: str | Objective) -> Objective:
 
     Raises
     ------
-    ValueError
+    BadInputError
         If a term is unknown, or a weight is not a number that suits it.
     """
     if isinstance(text, Objective):
         return text
-    parts = [_weighted(part, text) for part in _summands(text)]
-    return Objective(tuple(term for part in parts for term in part.terms))
+    try:
+        parts = [_weighted(part, text) for part in _summands(text)]
+        return Objective(tuple(term for part in parts for term in part.terms))
+    except ValueError as error:
+        raise BadInputError(str(error)) from error
 
 
 def _weighted(part: str, whole: str) -> Objective:

@@ -243,8 +243,10 @@ FittedCurve = Annotated[
 ]
 
 
-class SolveTable(Table):
-    """``[solve]``: defaults of ``rmesh solve`` for this file."""
+class SolveTable(BaseModel):
+    """``[solve]``: defaults of ``rmesh solve`` for this file, and any other option of the formulation."""
+
+    model_config = ConfigDict(extra="allow", frozen=True)
 
     formulation: Text = "auto"
     objective: Text = "energy"
@@ -259,6 +261,11 @@ class SolveTable(Table):
         if self.starts and self.seed is not None:
             raise ValueError("expected starts alone, without a seed")
         return self
+
+    def options(self) -> dict[str, Any]:
+        """Those that are not the defaults."""
+        given = self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
+        return {name: value for name, value in given.items() if value is not None}
 
 
 class ProblemTable(Table):

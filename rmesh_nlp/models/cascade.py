@@ -18,7 +18,6 @@ corrected.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
@@ -35,7 +34,8 @@ from rmesh_nlp.models.levels import accepted, coarsened, prolonged
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
 from rmesh_nlp.models.regularised_descent import descend
-from rmesh_nlp.optimize.status import Status, StoppedError
+from rmesh_nlp.optimize.budget import Budget, processor_seconds
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
 from rmesh_nlp.settings import Count, Limit, Positive, Settings
@@ -139,9 +139,6 @@ class CascadeSettings(Settings):
 OnStep = Callable[[int, ReducedEnergy, Array, float], bool | None]
 """``(iteration, energy, q, value)`` of a level; the descent stops if it returns True."""
 
-IsLate = Callable[[], bool]
-"""Whether the time is up; asked before each model build and before each mesh is coarsened."""
-
 
 @dataclass(frozen=True)
 class Level:
@@ -197,7 +194,7 @@ def cascade(
     problem: ContactProblem,
     settings: CascadeSettings | None = None,
     on_step: OnStep | None = None,
-    is_late: IsLate = lambda: False,
+    budget: Budget | None = None,
     solver: ContactSolver | None = None,
 ) -> CascadeResult:
     """Minimise the energy over the positions of all nodes, without move limits, by a cascade of meshes.
@@ -209,8 +206,8 @@ def cascade(
     settings : CascadeSettings, optional
     on_step : callable, optional
         Called after each iteration on each mesh.
-    is_late : callable, optional
-        Once it is true nothing more is built or solved: the map of the last mesh is prolonged to the given
+    budget : Budget, optional
+        Once it is over nothing more is built or solved: the map of the last mesh is prolonged to the given
         one, where it is neither corrected nor compared, and the status is INTERRUPTED.
     solver : ContactSolver, optional
         Of the problem, where there is one already.
@@ -221,10 +218,11 @@ def cascade(
         If the time is up before there is a map.
     """
     chosen = settings or CascadeSettings()
-    problems = _hierarchy(problem, chosen.coarsest, is_late)
-    _check_time(is_late)
+    budget = budget or Budget()
+    problems = _hierarchy(problem, chosen.coarsest, budget)
+    budget.check()
     final_weight = chosen.final(problem.order)
-    run = _Descents(chosen, final_weight, on_step, is_late)
+    run = _Descents(chosen, final_weight, on_step, budget)
     sizes = [one.mesh.p.shape[1] for one in problems]
 
     def solver_of(here: ContactProblem) -> ContactSolver:
@@ -238,7 +236,7 @@ def cascade(
         run.error = float(errors[number])
         before = taken = float("nan")
         if number == 0:
-            _check_time(is_late)
+            budget.check()
             energy, q, status = run.searched(coarsest, chosen.starts(sizes[0], sizes[-1]))
         else:
             coarse = problems[number - 1]
@@ -264,11 +262,11 @@ def cascade(
     return CascadeResult(q, problem, objective, final, status, tuple(levels), built)
 
 
-def _hierarchy(problem: ContactProblem, coarsest: int, is_late: IsLate) -> list[ContactProblem]:
+def _hierarchy(problem: ContactProblem, coarsest: int, budget: Budget) -> list[ContactProblem]:
     """The problem on coarser and coarser meshes, coarsest first, itself last."""
     levels = [problem]
     while True:
-        _check_time(is_late)
+        budget.check()
         coarser = coarsened(levels[-1], coarsest)
         if coarser is None or not _is_fixed(coarser):
             return levels[::-1]
@@ -285,11 +283,6 @@ def _is_fixed(problem: ContactProblem) -> bool:
     return True
 
 
-def _check_time(is_late: IsLate) -> None:
-    if is_late():
-        raise StoppedError
-
-
 class _Descents:
     """Descents on the meshes of one cascade, and what they cost on the present one.
 
@@ -297,20 +290,20 @@ class _Descents:
     """
 
     def __init__(
-        self, settings: CascadeSettings, final_weight: float, on_step: OnStep | None, is_late: IsLate
+        self, settings: CascadeSettings, final_weight: float, on_step: OnStep | None, budget: Budget
     ) -> None:
-        self._settings, self._weight, self._on_step, self._is_late = settings, final_weight, on_step, is_late
+        self._settings, self._weight, self._on_step, self._budget = settings, final_weight, on_step, budget
         self._reported, self.stopped, self.error = 0, False, float("nan")
         self._clear()
 
     def _clear(self) -> None:
         self._iterations = self._products = 0
         self._energies: list[ReducedEnergy] = []
-        self._began, self._seconds = time.process_time(), 0.0
+        self._began, self._seconds = processor_seconds(), 0.0
 
     def late(self) -> bool:
         """Whether the descents were stopped, or the time is up."""
-        self.stopped = self.stopped or self._is_late()
+        self.stopped = self.stopped or self._budget.is_over()
         return self.stopped
 
     def energy(self, solver: ContactSolver, weight: float) -> ReducedEnergy:
@@ -333,7 +326,7 @@ class _Descents:
             products=self._products,
             contact_solves=sum(energy.contact_solves for energy in self._energies),
             seconds=self._seconds,
-            build_seconds=time.process_time() - self._began - self._seconds,
+            build_seconds=processor_seconds() - self._began - self._seconds,
         )
         self._clear()
         return level
@@ -375,7 +368,7 @@ class _Descents:
                 self.stopped = True
             return self.stopped
 
-        began = time.process_time()
+        began = processor_seconds()
         result = descend(
             energy,
             q,
@@ -386,7 +379,7 @@ class _Descents:
             approximate=True,
             on_step=report,
         )
-        self._seconds += time.process_time() - began
+        self._seconds += processor_seconds() - began
         self._reported += result.iterations
         self._iterations += result.iterations
         self._products += result.products

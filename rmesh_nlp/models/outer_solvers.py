@@ -16,10 +16,11 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.models.second_derivatives import curvature_of
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.newton_step import Model, Operator
 from rmesh_nlp.optimize.solver import Solver
-from rmesh_nlp.optimize.status import Status, StoppedError
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
 from rmesh_nlp.settings import Count, Positive, Settings
 
@@ -70,7 +71,7 @@ class NestedSettings(Settings):
 
     Attributes
     ----------
-    max_iterations : int or None
+    iterations : int or None
         Of the outer solver; by default 500, and 200 for newton.
     tol : float
         Ipopt's tolerance with limited memory, in units of the objective on the given mesh. What the tolerance
@@ -86,7 +87,7 @@ class NestedSettings(Settings):
         Further Ipopt options, which override all others.
     """
 
-    max_iterations: Count | None = None
+    iterations: Count | None = None
     tol: Positive = 1e-6
     enough: Positive | None = None
     newton: NewtonSettings = field(default_factory=NewtonSettings)
@@ -101,7 +102,7 @@ class NestedSettings(Settings):
             "limited_memory_max_skipping": 1_000_000,
             **({"limited_memory_init_val": CURVATURE_IN_LIMITS} if has_limits else {}),
             "tol": self.tol,
-            "max_iter": self.max_iterations or 500,
+            "max_iter": self.iterations or 500,
             **self.ipopt,
         }
 
@@ -112,7 +113,7 @@ class NestedSettings(Settings):
             **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if problem.warm else {}),
             "tol": max(LEAST_TOL, problem.tolerance**2),
             "acceptable_tol": max(LEAST_ACCEPTABLE_TOL, problem.tolerance**2),
-            "max_iter": self.max_iterations or 500,
+            "max_iter": self.iterations or 500,
             "nlp_scaling_method": "none",
             "obj_scaling_factor": problem.scale / problem.residual.unit,
             **self.ipopt,
@@ -199,7 +200,7 @@ def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Neste
     """Projected Newton-CG where move limits alone keep the elements valid, else an interior point."""
     function = problem.function
     if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
-        most = settings.max_iterations or 200
+        most = settings.iterations or 200
         found = descend(
             function, start, gain_tolerance=TIGHT_REGULARISED, max_iterations=most, on_step=monitor
         )
@@ -219,7 +220,7 @@ def _newton_cg(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Ne
     """
     if not problem.nlp.n_g or problem.constraints is not None:
         return _newton(problem, start, monitor, settings)
-    found = _descend(problem, start, monitor, replace(settings, max_iterations=ALONG_AREAS))
+    found = _descend(problem, start, monitor, replace(settings, iterations=ALONG_AREAS))
     if found.status in (Status.CONVERGED, Status.INTERRUPTED):
         return OuterResult(found.x, found.status, found.iterations, CONJUGATE_GRADIENTS)
     near = replace(problem, warm=found.status is Status.STALLED and not found.crowded)
@@ -249,9 +250,7 @@ def _descend(
         if guarded and not problem.is_valid(q):
             return None
         point = function(q)
-        return Evaluation(
-            point.value, point.gradient, lambda: _timed(curvature.at(point), problem.out_of_time)
-        )
+        return Evaluation(point.value, point.gradient, lambda: _timed(curvature.at(point), problem.budget))
 
     return minimise(
         evaluate,
@@ -261,14 +260,14 @@ def _descend(
         tolerance=problem.tolerance if tolerance is None else tolerance,
         unit=problem.residual.unit,
         gain_tolerance=gain,
-        max_iterations=settings.max_iterations or 200,
+        max_iterations=settings.iterations or 200,
         constraints=function.energy.validity if nlp.n_g else None,
         settings=settings.newton,
         on_step=lambda iteration, q, here: monitor(iteration, q, here.value),
     )
 
 
-def _timed(model: Model, out_of_time: Callable[[], bool]) -> Operator:
+def _timed(model: Model, budget: Budget) -> Operator:
     """A model whose products end the solve when its time is over.
 
     One step may take hundreds of products and projections on linearised element areas: without move limits
@@ -276,8 +275,7 @@ def _timed(model: Model, out_of_time: Callable[[], bool]) -> Operator:
     """
 
     def product(d: Array) -> Array:
-        if out_of_time():
-            raise StoppedError
+        budget.check()
         return model(d)
 
     return Operator(product, model.diagonal)

@@ -22,7 +22,7 @@ itself, and dw has no effect. One factorisation takes the place of one back-subs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import casadi as ca
@@ -38,6 +38,7 @@ from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted, ObjectiveCurvature, curvature_of
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem import Place
@@ -67,7 +68,7 @@ class ReducedNLP:
     scale: float
     tolerance: float
     constraints: ReducedConstraints | None = None
-    out_of_time: Callable[[], bool] = lambda: False
+    budget: Budget = field(default_factory=Budget)
     warm: bool = False
 
 

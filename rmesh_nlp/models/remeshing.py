@@ -6,7 +6,7 @@ it can gain.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,6 +26,7 @@ from rmesh_nlp.fem.space import Index
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.mmg import remeshed
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
@@ -120,10 +121,10 @@ class MetricStart:
     energies: tuple[float, ...]
 
 
-def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda: False) -> MetricStart:
+def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> MetricStart:
     """Remesh the domain of a problem with a number of nodes, up to two percent, in the best metric.
 
-    Rounds go on until the energy hardly falls, or it ``is_late``; the mesh of least energy counts.
+    Rounds go on until the energy hardly falls, or the budget is over; the mesh of least energy counts.
 
     Raises
     ------
@@ -132,13 +133,17 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
         motion, or nodes that the problem needs.
     ProblemError
         If the contact problem cannot be solved on a new mesh.
+    StoppedError
+        If the budget is over before there is a mesh.
     """
+    budget = budget or Budget()
     if first.problem.has_coulomb:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
     here, ratio, best, off = first, float("nan"), None, sagitta(first.problem)
     done: list[Solved] = []
     for size in _sizes(first.problem.mesh.p.shape[1], nodes):
         tolerance = EXACT if size == nodes else ROUGH
+        budget.check()
         try:
             problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance, off)
             there = _solved(problem, here)
@@ -151,7 +156,7 @@ def metric_start(first: Solved, nodes: int, is_late: Callable[[], bool] = lambda
             fall = np.inf if best is None else best.state.energy - there.state.energy
             best = there if fall > 0 else best
             least = WORTHWHILE * there.error + ROUNDING * abs(there.state.energy)
-            if is_late() or fall <= least:
+            if budget.is_over() or fall <= least:
                 break
         here = there
     assert best is not None

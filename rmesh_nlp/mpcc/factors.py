@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.clock import within
 from rmesh_nlp.mpcc.lifting import IntArray
+from rmesh_nlp.optimize.budget import Budget
 
 T = TypeVar("T")
 _LARGE = 2000  # rows of a system whose dense rows cost more than the border
@@ -31,8 +31,8 @@ Solve = Callable[[Array], Array]
 """The solution for a right side."""
 
 
-def factorised(system: sp.csc_matrix, use: Callable[[Solve], T], seconds: float = np.inf) -> T:
-    """What ``use`` makes of the factors, in ``seconds`` at most.
+def factorised(system: sp.csc_matrix, use: Callable[[Solve], T], budget: Budget | None = None) -> T:
+    """What ``use`` makes of the factors, within a budget.
 
     SuperLU's memory is given back only in the thread in which it was taken, so the factors stay in there:
     ``use`` must not keep the function that it is given.
@@ -41,10 +41,10 @@ def factorised(system: sp.csc_matrix, use: Callable[[Solve], T], seconds: float 
     ------
     RuntimeError
         If the matrix, or its sparse block, is exactly singular.
-    LimitReachedError
-        If it takes longer than ``seconds``.
+    StoppedError
+        If it takes longer.
     """
-    return within(seconds, lambda: use(_solution(system)))
+    return (budget or Budget()).within(lambda: use(_solution(system)))
 
 
 def _solution(system: sp.csc_matrix) -> Solve:

@@ -145,7 +145,7 @@ def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None)
     """Label an exact point; ``offered`` multipliers of an NLP may prove S."""
     lin = _linearised(run, z)
     is_large = run.lifted.source.n_pairs >= LARGE
-    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.seconds_left, is_large)
+    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.budget, is_large)
     return Finish(z, f, found.status, found, lin, 0, int(found.label != "S"))
 
 

@@ -23,6 +23,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
+from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
 
 _ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
 _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
@@ -94,7 +95,7 @@ class Direction:
     proven: bool = True
 
 
-def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Direction | None:
+def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) -> Direction | None:
     """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
     lower, upper = np.where(lin.z_lower, 0.0, -1.0), np.where(lin.z_upper, 0.0, 1.0)
     lower[lifted.pairs[lin.zero]] = 0.0
@@ -107,7 +108,7 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
     )
     pairs, members = lin.biactive, np.zeros(lifted.nlp.n_x)
     if pairs.size > _ENUMERATE:
-        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, seconds)
+        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, budget)
         # that no descent was found is an answer only if all branches were searched
         return None if found is None or (not found.proven and found.decrease >= 0) else found
     best: Direction | None = None
@@ -115,7 +116,7 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
         on_G, here = lin.zero[0].copy(), upper.copy()
         on_G[pairs] = sides
         here[lifted.pairs[:, pairs][on_side(on_G[pairs])]] = 0.0
-        found = _milp(lin.gradient, rows, lower, here, lifted, on_G, pairs[:0], members, np.inf)
+        found = _milp(lin.gradient, rows, lower, here, lifted, on_G, pairs[:0], members, None)
         if found is None or not found.proven:
             return None
         if best is None or found.decrease < best.decrease:
@@ -124,7 +125,7 @@ def descent(lifted: Lifted, lin: Linearisation, seconds: float = np.inf) -> Dire
 
 
 def nearest_branch(
-    lifted: Lifted, z: Array, p: Array, radius: float, seconds: float = np.inf, *,
+    lifted: Lifted, z: Array, p: Array, radius: float, budget: Budget | None = None, *,
     only_violation: bool = False,
 ) -> tuple[Array, BoolArray] | None:  # fmt: skip
     """A branch that the linearisation at an inexact point can satisfy: ``(z + step, zero members)``.
@@ -152,7 +153,7 @@ def nearest_branch(
     elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
     found = _milp(
         np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
-        np.append(upper, elastic + np.inf), lifted, zero[0], pairs, members, seconds,
+        np.append(upper, elastic + np.inf), lifted, zero[0], pairs, members, budget,
     )  # fmt: skip
     return None if found is None else (z + radius * found.step, found.zero)
 
@@ -166,7 +167,7 @@ def _milp(
     on_G: BoolArray,
     pairs: IntArray,
     members: Array,
-    seconds: float,
+    budget: Budget | None,
 ) -> Direction | None:
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
@@ -187,8 +188,8 @@ def _milp(
         wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
         constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
     options: dict[str, float] = {"node_limit": int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))}
-    if np.isfinite(seconds):
-        options["time_limit"] = seconds
+    if budget is not None and np.isfinite(budget.remaining):
+        options["time_limit"] = max(budget.remaining, LEAST_SECONDS)
     answer = milp(
         np.append(cost, np.zeros(k)),
         integrality=np.append(np.zeros(n), np.ones(k)),

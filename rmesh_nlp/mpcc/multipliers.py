@@ -23,6 +23,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 from rmesh_nlp.mpcc.lpec import Linearisation
+from rmesh_nlp.optimize.budget import Budget
 
 _PROXIMAL = 1e-12  # columns have length one
 _REFINEMENTS = 4  # each takes out what the proximal term left
@@ -107,7 +108,7 @@ class LeastSquares:
 
 
 def by_least_squares(
-    lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float = np.inf
+    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
 ) -> LeastSquares | None:
     """Multipliers with which the Lagrangian is stationary within ``tolerance``; None if none were found.
 
@@ -125,7 +126,7 @@ def by_least_squares(
     try:
         random = np.random.default_rng(0).normal(size=size.size)
         gradients = (-(scaled @ random), lin.gradient)
-        again, values = _least_squares(scaled, gradients, np.zeros(size.size), seconds)
+        again, values = _least_squares(scaled, gradients, np.zeros(size.size), budget)
         unique = bool(np.max(np.abs(again - random)) <= _RECOVERED)
         if unique:
             signed = _signed(values / size, columns.may_fall, columns.may_rise)
@@ -133,14 +134,14 @@ def by_least_squares(
                 return None
             zero = bool(np.all((signed <= slack) | s_rise))
             return LeastSquares(columns.scattered(signed), zero, True)
-        found = _with_signs(scaled, lin.gradient, values, columns.may_fall, s_rise, slack, seconds)
+        found = _with_signs(scaled, lin.gradient, values, columns.may_fall, s_rise, slack, budget)
     except RuntimeError:  # exactly singular
         return None
     return None if found is None else LeastSquares(columns.scattered(found / size), True, False)
 
 
 def _least_squares(
-    matrix: sp.csc_matrix, gradients: Sequence[Array], start: Array, seconds: float
+    matrix: sp.csc_matrix, gradients: Sequence[Array], start: Array, budget: Budget | None
 ) -> list[Array]:
     """Multipliers for each gradient, by refinements from a start, with one factorisation."""
     n, k = matrix.shape
@@ -155,7 +156,7 @@ def _least_squares(
             found = [v + solve(right)[n:] for v, right in zip(found, rights, strict=True)]
         return found
 
-    return factorised(system, refined, seconds)
+    return factorised(system, refined, budget)
 
 
 def _signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
@@ -165,7 +166,7 @@ def _signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
 
 def _with_signs(
     matrix: sp.csc_matrix, gradient: Array, values: Array, may_fall: BoolArray, may_rise: BoolArray,
-    slack: float, seconds: float,
+    slack: float, budget: Budget | None,
 ) -> Array | None:  # fmt: skip
     """Multipliers of the right signs, by leaving out in turn what has the wrong one."""
     kept = np.ones(values.size, dtype=bool)
@@ -178,5 +179,5 @@ def _with_signs(
             return None
         kept &= ~wrong
         values = np.where(kept, values, 0.0)
-        values[kept] = _least_squares(matrix[:, kept], [gradient], values[kept], seconds)[0]
+        values[kept] = _least_squares(matrix[:, kept], [gradient], values[kept], budget)[0]
     return None

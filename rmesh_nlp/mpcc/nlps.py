@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
@@ -17,6 +16,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -34,7 +34,7 @@ class CompiledNLPs:
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
-        began = time.perf_counter()
+        watch = Budget()
         self.options = options
         self.lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
@@ -43,7 +43,7 @@ class CompiledNLPs:
         self.watch = Watch()
         self.extra: Mapping[str, Any] = {}
         self.only_clock = False
-        self.build_seconds = time.perf_counter() - began
+        self.build_seconds = watch.elapsed
 
     @cached_property
     def _unlifted(self) -> NLP:
@@ -60,9 +60,9 @@ class CompiledNLPs:
         watch = None if self.watch.monitor is None else self.watch
         key = (*key, watch is None, every, *self.extra)
         if key not in self._solvers:
-            began = time.perf_counter()
+            building = Budget()
             self._solvers[key] = _AnySize(nlp, options, watch, every)
-            self.build_seconds += time.perf_counter() - began
+            self.build_seconds += building.elapsed
         return self._solvers[key]
 
     def relaxed(

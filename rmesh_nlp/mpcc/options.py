@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings, check_positive
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -123,6 +124,10 @@ class Options(Settings):
         check_positive(**{f"t0 of rescue {name}": t for name, t in self.rescues})
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
+
+    def budget(self) -> Budget:
+        """A budget of its limits, from now on."""
+        return Budget(Limits(self.time_limit_s, self.max_iterations))
 
     def relaxed(
         self, n: int, warm: bool, first: bool = False, extra: Mapping[str, Any] = NONE

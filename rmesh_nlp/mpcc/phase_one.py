@@ -59,11 +59,11 @@ def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: boo
     radius, least, zero = min(radius, size), np.inf, lifted.smaller(z)
     smallest, refused = _SMALLEST * radius, np.inf
     for _ in range(_STEPS):
-        run.check()
+        run.budget.check()
         _, gradient, rows, jacobian = lifted.linearise(z, run.p)
         if not all(np.all(np.isfinite(part)) for part in (z, gradient, rows, jacobian.data)):
             break
-        near = nearest_branch(lifted, z, run.p, radius, run.seconds_left, only_violation=only_violation)
+        near = nearest_branch(lifted, z, run.p, radius, run.budget, only_violation=only_violation)
         if near is None or radius < smallest:
             break
         trial, sides = near

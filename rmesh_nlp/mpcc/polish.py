@@ -20,6 +20,7 @@ from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 from rmesh_nlp.mpcc.lpec import steepness
 from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.optimize.budget import Budget
 
 Active = NDArray[np.int8]
 """Of each row, then of each unknown: -1 at the lower bound, 1 at the upper, 0 at none; equations at -1."""
@@ -105,7 +106,7 @@ class _Branch:
         jacobian: sp.csr_matrix,
         hessian: sp.csc_matrix,
         proximal: float,
-        seconds: float = np.inf,
+        budget: Budget | None = None,
     ) -> tuple[Array, Array] | None:
         """Newton steps in z and in the multipliers of the rows; active bounds are met and eliminated.
 
@@ -121,7 +122,7 @@ class _Branch:
         if not np.all(np.isfinite(system.data)) or not np.all(np.isfinite(right)):
             return None
         try:
-            solution = factorised(system, lambda solve: solve(right), seconds)
+            solution = factorised(system, lambda solve: solve(right), budget)
         except RuntimeError:  # exactly singular
             return None
         step[free] = solution[: free.size]
@@ -177,10 +178,10 @@ def _newton(
     lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
     last, changes = np.inf, [float(np.inf)] * _SLOW
     for _ in range(_STEPS_OF_LARGE if release else _STEPS):
-        run.check()
+        run.budget.check()
         hessian = lifted.curvature(z, run.p, lam_rows)
         slope = gradient + jacobian.T @ lam_rows
-        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal, run.seconds_left)
+        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal, run.budget)
         if step is None or not (release or _is_near(z + step[0], origin)):
             return None
         before, z, lam_rows = f, z + step[0], lam_rows + step[1]
@@ -218,9 +219,9 @@ def project(run: Run, z: Array, zero: BoolArray) -> Array | None:
     no_lam = np.zeros(rows.size + z.size)
     active = branch.first_active(np.append(rows, z), no_lam, no_lam + 1.0)
     for _ in range(_STEPS):
-        run.check()
+        run.budget.check()
         active = branch.next_active(active, np.append(rows, z), no_lam, 1.0)
-        step = branch.step(active, np.append(rows, z), none, jacobian, identity, 0.0, run.seconds_left)
+        step = branch.step(active, np.append(rows, z), none, jacobian, identity, 0.0, run.budget)
         if step is None or not _is_near(z + step[0], origin):
             return None
         z = z + step[0]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -11,13 +10,12 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.clock import LimitReachedError
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Iterate, Step
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult
-from rmesh_nlp.optimize.status import Status
 
 Progress = Callable[[str], None]
 Watchers = tuple[Progress | None, Callable[[Step], None] | None, Callable[[Iterate], None] | None]
@@ -46,19 +44,16 @@ class Run:
         progress: Progress | None = None,
         on_step: Callable[[Step], None] | None = None,
         on_iteration: Callable[[Iterate], None] | None = None,
-        spent: float = 0.0,
-        iterations: int = 0,
+        budget: Budget | None = None,
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
         self.p = np.append(p, weight)
         self.steps: list[Step] = []
-        self.iterations = 0
+        self.budget = budget or nlps.options.budget()
+        self._before = self.budget.iterations
         self.nearest: tuple[Array, float, float] | None = None
         self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
-        self._deadline = time.monotonic() + self.options.time_limit_s - spent
-        most = self.options.max_iterations
-        self._most = None if most is None else most - iterations
-        nlps.only_clock = on_iteration is None and self._most is None
+        nlps.only_clock = on_iteration is None and self.budget.iterations_left is None
         if progress is not None:
             progress(Step.HEADER)
 
@@ -78,12 +73,13 @@ class Run:
 
     def solve(self, phase: str, t: float, nlp: Callable[[], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""
-        self.check()
+        self.budget.check()
+        before = self.budget.iterations
         self.nlps.watch.monitor = self._monitor(phase, t)
         result = nlp()
-        self.iterations += result.iterations
+        self.budget.iterations = before + result.iterations
         self.record(phase, t, result.x, result)
-        self.check()
+        self.budget.check()
         return result
 
     def record(self, phase: str, t: float, z: Array, result: NLPResult | None = None) -> None:
@@ -119,39 +115,25 @@ class Run:
         """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
         return self.nlps.excess(z, self.p) <= 1.0
 
-    def check(self) -> None:
-        """Raise LimitReachedError if the time or the iterations are used up."""
-        if self._is_late:
-            raise LimitReachedError(Status.TIME_LIMIT)
-        if self.is_over:
-            raise LimitReachedError(Status.ITERATION_LIMIT)
-
     @property
-    def is_over(self) -> bool:
-        """Whether the time or the iterations are used up."""
-        return self._is_late or (self._most is not None and self.iterations >= self._most)
-
-    @property
-    def _is_late(self) -> bool:
-        return time.monotonic() > self._deadline
-
-    @property
-    def seconds_left(self) -> float:
-        """Time left of the user's limit; infinite without one."""
-        return max(self._deadline - time.monotonic(), 1e-3)
+    def iterations(self) -> int:
+        """Ipopt iterations spent."""
+        return self.budget.iterations - self._before
 
     def _monitor(self, phase: str, t: float) -> Monitor | None:
         """What the NLP calls after each iteration; nothing if nobody asks."""
-        if self._on_iteration is None and self._most is None and not np.isfinite(self._deadline):
+        budget, show = self.budget, self._on_iteration
+        if show is None and not budget.is_limited:
             return None
         # of the whole solve: the callback's own count goes on between NLPs
-        count, n_z, n_x = itertools.count(self.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
+        count, n_z, n_x = itertools.count(budget.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
 
         def after(iteration: int, z: Array, f: float) -> bool:
-            spent = next(count)
-            if self._on_iteration is not None:
-                self._on_iteration(Iterate(iteration=spent, x=z[:n_x], **self._measured(phase, t, z[:n_z])))
-            return time.monotonic() > self._deadline or (self._most is not None and spent >= self._most)
+            budget.iterations = next(count)
+            if show is not None:
+                measured = self._measured(phase, t, z[:n_z])
+                show(Iterate(iteration=self.iterations, x=z[:n_x], **measured))
+            return budget.is_over()
 
         return after
 

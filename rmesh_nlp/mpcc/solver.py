@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import islice
@@ -10,7 +9,6 @@ from itertools import islice
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.clock import LimitReachedError
 from rmesh_nlp.mpcc.finish import finish, polished
 from rmesh_nlp.mpcc.homotopy import Path, first_t, follow, second_path
 from rmesh_nlp.mpcc.lifting import warm_start
@@ -22,6 +20,7 @@ from rmesh_nlp.mpcc.rescues import rescue
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
 from rmesh_nlp.mpcc.run import Progress, Run, Watchers
 from rmesh_nlp.mpcc.starts import MultiStart, moved_starts
+from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
@@ -50,22 +49,27 @@ class MPCCSolver:
         progress: Progress | bool = False,
         on_step: Callable[[Step], None] | None = None,
         on_iteration: Callable[[Iterate], None] | None = None,
-        spent: float = 0.0,
+        budget: Budget | None = None,
     ) -> MPCCResult:
-        """Solve from ``x0`` with parameters ``p``; see :func:`solve`. ``spent`` seconds count too."""
+        """Solve from ``x0`` with parameters ``p``; see :func:`solve`. A ``budget`` replaces the limits."""
         show = print if progress is True else (progress or None)
-        many = self._several(x0, p, start, (show, on_step, on_iteration), spent)
+        many = self._several(x0, p, start, (show, on_step, on_iteration), budget)
         return many.results[0] if self.options.starts == 1 else many.summary()
 
     def several(self, x0: ArrayLike, *, p: ArrayLike = (), progress: Progress | bool = False) -> MultiStart:
         """Solve from ``x0`` and from ``starts - 1`` others; the results of all."""
         show = print if progress is True else (progress or None)
-        return self._several(x0, p, None, (show, None, None), 0.0)
+        return self._several(x0, p, None, (show, None, None), None)
 
     def _several(
-        self, x0: ArrayLike, p: ArrayLike, start: MPCCResult | Duals | None, watchers: Watchers, spent: float
+        self,
+        x0: ArrayLike,
+        p: ArrayLike,
+        start: MPCCResult | Duals | None,
+        watchers: Watchers,
+        budget: Budget | None,
     ) -> MultiStart:
-        began, options, iterations = time.perf_counter(), self.options, 0
+        options, budget = self.options, budget or self.options.budget()
         self.nlps.extra = {}
         parameters = self.mpcc.parameters(p)
         given = self.mpcc.start(x0, parameters)
@@ -79,14 +83,12 @@ class MPCCSolver:
         others = islice(moved_starts(self.mpcc, given, options.seed), options.starts - 1)
         starts = [given, *others]
         for x in starts:
-            used = time.perf_counter() - began + spent
-            run = Run(self.nlps, parameters, weight, *watchers, used, iterations)
+            run = Run(self.nlps, parameters, weight, *watchers, budget)
             result, path = self._one(run, x, first, former)
-            iterations += run.iterations
             joined.append(path.joined)
             results.append(result if path.joined is None else results[path.joined])
             former.append(path.levels if result.success else {})
-            if run.is_over:
+            if budget.is_over():
                 break
         return MultiStart(tuple(results), tuple(starts[: len(results)]), options.seed, tuple(joined))
 
@@ -94,7 +96,7 @@ class MPCCSolver:
         self, run: Run, given: Array, first: NLPResult | None, former: Sequence[dict[float, float]]
     ) -> tuple[MPCCResult, Path]:
         """Solve from one start; also the trajectory of the homotopy, which may have joined a former one."""
-        began, nlps, built = time.perf_counter(), self.nlps, self.nlps.build_seconds
+        watch, nlps, built = Budget(), self.nlps, self.nlps.build_seconds
         z0, is_first = nlps.lifted.start(given, run.p[:-1]), not former
         paths, main = [], Path()
         limit, rescues, infeasible, curvature = None, 0, False, "not tested"
@@ -105,8 +107,8 @@ class MPCCSolver:
                 paths.append(main)
                 t0 = first_t(run, z0)
                 follow(run, main, self.options.relaxation, z0, t0, first if is_first else None, former=former)
-                used = time.perf_counter() - began + nlps.build_seconds
-                if is_first and self._looks_twice(main) and run.seconds_left > used:
+                used = watch.elapsed + nlps.build_seconds
+                if is_first and self._looks_twice(main) and run.budget.remaining > used:
                     paths.append(Path())
                     second_path(run, paths[-1], given, main)
             if is_first:
@@ -114,27 +116,27 @@ class MPCCSolver:
             if main.joined is None:
                 curvature = leave_saddles(run, paths)
                 infeasible = is_infeasible(run, paths, z0)
-        except LimitReachedError as stop:
+        except StoppedError as stop:
             limit = stop.status
-        total, end = time.perf_counter() - began, end_of(run, paths, z0, limit, infeasible)
-        return result_of(run, end, nlps.build_seconds - built, total, rescues, curvature), main
+        end = end_of(run, paths, z0, limit, infeasible)
+        return result_of(run, end, nlps.build_seconds - built, watch.elapsed, rescues, curvature), main
 
-    def finish(self, x0: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
+    def finish(self, x0: ArrayLike, *, p: ArrayLike = (), budget: Budget | None = None) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
 
         It descends over the branches from the one that ``x0`` is next to, without any relaxation.
         """
-        began, built, path = time.perf_counter(), self.nlps.build_seconds, Path()
+        watch, built, path = Budget(), self.nlps.build_seconds, Path()
         parameters = self.mpcc.parameters(p)
         given = self.mpcc.start(x0, parameters)
         z0, weight = self.nlps.lifted.start(given, parameters), self.nlps.lifted.weight(given, parameters)
-        run, limit = Run(self.nlps, parameters, weight), None
+        run, limit = Run(self.nlps, parameters, weight, budget=budget), None
         try:
             path.keep(finish(run, z0, search=True))
-        except LimitReachedError as stop:
+        except StoppedError as stop:
             limit = stop.status
-        total = time.perf_counter() - began
-        return result_of(run, end_of(run, [path], z0, limit), self.nlps.build_seconds - built, total, 0)
+        end = end_of(run, [path], z0, limit)
+        return result_of(run, end, self.nlps.build_seconds - built, watch.elapsed, 0)
 
     def _looks_twice(self, path: Path) -> bool:
         """Whether another trajectory may end lower, and can be had."""
@@ -190,13 +192,13 @@ def solve(
     KeyboardInterrupt
         If the user interrupts; it is never turned into a failed result.
     """
-    began = time.perf_counter()
-    solver = MPCCSolver(mpcc, options, **changes)
+    chosen = (options or Options()).having(changes)
+    budget = chosen.budget()  # what is built counts too
+    solver = MPCCSolver(mpcc, chosen)
     result = solver(
-        x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration,
-        spent=time.perf_counter() - began,
-    )  # fmt: skip
-    seconds = {**result.seconds, "build": solver.nlps.build_seconds, "total": time.perf_counter() - began}
+        x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration, budget=budget
+    )
+    seconds = {**result.seconds, "build": solver.nlps.build_seconds, "total": budget.elapsed}
     return replace(result, seconds=seconds)
 
 

@@ -18,7 +18,6 @@ order, asked of the linear program with equilibrium constraints (LPEC).
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +32,7 @@ from rmesh_nlp.mpcc.multipliers import LeastSquares, Multipliers, by_least_squar
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
 from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
@@ -77,7 +77,7 @@ def stationarity(
     lin: Linearisation,
     tolerance: float,
     offered: tuple[Array, Array] | None = None,
-    seconds: float = np.inf,
+    budget: Budget | None = None,
     by_signs: bool = False,
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
@@ -89,15 +89,15 @@ def stationarity(
     proved = None if offered is None else proof_of_s(lifted, lin, *offered, tolerance)
     if proved is not None:
         return Stationarity("S", proved, True)
-    quick = by_least_squares(lifted, lin, tolerance, seconds)
+    quick = by_least_squares(lifted, lin, tolerance, budget)
     if quick is not None and quick.s_stationary:
         return Stationarity("S", quick.multipliers, True)
     if quick is not None and quick.unique and by_signs:
         return _of_unique(lifted, lin, quick, tolerance)
-    label, multipliers = strongest(lifted, lin, tolerance, seconds)
+    label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)
-    direction = descent(lifted, lin, seconds)
+    direction = descent(lifted, lin, budget)
     if direction is None:
         return Stationarity(label, multipliers)
     flat = direction.decrease >= -tolerance * lin.scale
@@ -168,9 +168,9 @@ class _MultiplierLP:
     part, which costs 1: the minimum is 0 exactly if the point is S-stationary.
     """
 
-    def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float) -> None:
+    def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
         self.lifted, self.pairs, self.decided = lifted, lin.biactive, True
-        self.end = time.monotonic() + seconds
+        self.budget = budget or Budget()
         rows = np.flatnonzero(lin.row_lower | lin.row_upper)
         bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
         biactive = lin.zero & lin.zero[::-1]
@@ -202,8 +202,8 @@ class _MultiplierLP:
                 upper[self.ends[2] + copy] = high
         if lower.size == 0:
             return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
-        left = self.end - time.monotonic()
-        options = {"time_limit": max(left, 1e-3)} if np.isfinite(left) else {}
+        left = self.budget.remaining
+        options = {"time_limit": max(left, LEAST_SECONDS)} if np.isfinite(left) else {}
         answer = linprog(
             self.cost, A_ub=self.matrix, b_ub=self.right, bounds=np.column_stack([lower, upper]),
             method="highs", options=options,
@@ -221,14 +221,14 @@ class _MultiplierLP:
 
 
 def strongest(
-    lifted: Lifted, lin: Linearisation, tolerance: float, seconds: float = np.inf
+    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
 ) -> tuple[str, Multipliers | None]:
     """The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
 
     A linear program that fails numerically decides nothing: the label is then weaker, or empty. Where the
     search of a stronger one ran out of nodes it is ``"at least C"`` or ``"at least W"``.
     """
-    programs = _MultiplierLP(lifted, lin, tolerance, seconds)
+    programs = _MultiplierLP(lifted, lin, tolerance, budget)
     weak = programs.solve({})
     if weak is None:
         return "none" if programs.decided else "", None

@@ -11,6 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import casadi as ca
 
 from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.optimize.budget import SIGNALS
 
 Monitor = Callable[[int, Array, float], bool | None]
 """Called as ``monitor(iteration, x, f)`` after each accepted iteration; True stops the solver."""
@@ -85,17 +86,18 @@ class SignalWatch:
 
     def __init__(self, callback: IterationCallback | None) -> None:
         self._callback, self._interrupted = callback, False
-        self._before: Any = None
+        self._before: dict[int, Any] = {}
 
     def __enter__(self) -> None:
         if threading.current_thread() is threading.main_thread():  # only there may handlers be set
-            self._before = signal.getsignal(signal.SIGINT)
-            if callable(self._before):
-                signal.signal(signal.SIGINT, self._handle)
+            handlers = {number: signal.getsignal(number) for number in SIGNALS}
+            self._before = {number: handler for number, handler in handlers.items() if callable(handler)}
+        for number in self._before:
+            signal.signal(number, self._handle)
 
     def __exit__(self, *exception: object) -> None:
-        if callable(self._before):
-            signal.signal(signal.SIGINT, self._before)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
         interrupted, callback = self._interrupted, self._callback
         if callback is not None:
             interrupted = interrupted or callback.interrupted
@@ -106,6 +108,6 @@ class SignalWatch:
     def _handle(self, number: int, frame: FrameType | None) -> None:
         self._interrupted = True
         if self._callback is None:
-            self._before(number, frame)
+            self._before[number](number, frame)
         else:
             self._callback.stop = True

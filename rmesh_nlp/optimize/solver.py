@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import difflib
 import re
-import time
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, SignalWatch
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
@@ -163,10 +163,9 @@ class Solver:
         if not np.all(np.isfinite(start)):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
-        began = time.perf_counter()
+        watch = Budget()
         with SignalWatch(self._callback):
             solution = self._function(x0=start, p=p, **{**bounds, **others})
-        seconds = time.perf_counter() - began
         stats = self._function.stats()
         word = str(stats["return_status"])
         return NLPResult(
@@ -175,5 +174,5 @@ class Solver:
             status=_IPOPT_STATUS.get(word, Status.CONVERGED if stats["success"] else Status.FAILED),
             iterations=int(stats.get("iter_count", 0)),
             history={key: list(values) for key, values in stats.get("iterations", {}).items()},
-            seconds=seconds,
+            seconds=watch.elapsed,
         )

@@ -55,7 +55,3 @@ def success_in_words(success: bool, status: Status) -> str:
     if not success:
         return "no"
     return "yes" if status is Status.CONVERGED else f"yes: {NOT_STATIONARY_YET}"
-
-
-class StoppedError(Exception):
-    """Raised by a callback to abort a solver."""

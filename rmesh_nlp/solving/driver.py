@@ -15,21 +15,21 @@ import numpy as np
 
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.budget import Limits, timed
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.clock import TOLERANCE, Limits, timed
 from rmesh_nlp.solving.exploited import End, back, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation
+from rmesh_nlp.solving.formulation import Chooser, Formulation, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
-from rmesh_nlp.solving.options import Start, beginning, request, with_settings
-from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.outer import TOLERANCE, Outer
 from rmesh_nlp.solving.parts import Choices, Step
 from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.start import Start, beginning
 
 
 def solve(
@@ -40,7 +40,7 @@ def solve(
     start: Start = None,
     seed: int | None = None,
     tolerance: float = TOLERANCE,
-    limits: Limits | None = None,
+    limits: Limits | Mapping[str, Any] | None = None,
     on_step: OnStep | None = None,
     certify: bool = False,
     **settings: Any,
@@ -59,21 +59,20 @@ def solve(
         What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     start : positions (2, nodes), "given", name of a formulation, or Solution, optional
-        See :func:`rmesh_nlp.solving.options.beginning`.
+        See :func:`rmesh_nlp.solving.start.beginning`.
     seed : int, optional
         Random start; by default the mesh as given.
     tolerance : float
         Largest measured first-order residual of a solution that is called converged.
-    limits : Limits, optional
+    limits : Limits or mapping of its fields, optional
         After them, as after Ctrl-C, the best valid mesh so far is the solution.
     on_step : callable, optional
         Called with each step of the history.
     certify : bool
         Bound the error of the solution: ``solution.certificate``.
     settings
-        Settings of a formulation that is named, and of what takes one, as on the command line:
-        ``remesh=True``, ``starts=8``. ``time_limit_s`` and ``max_iterations``, the limits of 0.1, still work
-        and warn.
+        Of a formulation that is named: its settings, such as ``t0=0.1`` of ``mpcc``, and what takes one, such
+        as ``remesh=True`` or ``starts=8``; :func:`rmesh_nlp.solving.formulation.options` has their names.
 
     Returns
     -------
@@ -85,13 +84,10 @@ def solve(
     BadInputError
         If there is no such formulation, or it does not take the problem or an option.
     """
-    if settings:
-        named = {"objective": objective, "start": start, "seed": seed, "tolerance": tolerance}
-        keywords = with_settings(formulation, settings, limits, named)
-        return solve(problem, **keywords, on_step=on_step, certify=certify)
     check_positive(tolerance=tolerance)
-    monitor = Monitor(limits, on_step, problem.mesh)
-    plan = Plan.of(problem, formulation, parse_objective(objective), tolerance, start, seed)
+    monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
+    asked = composed(formulation, settings)
+    plan = Plan.of(problem, asked, parse_objective(objective), tolerance, start, seed)
     end, safe = _ended(plan, plan.problem, monitor), None
     if is_spurious(end.assessment):
         end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
@@ -100,29 +96,17 @@ def solve(
     return _made(plan, end, safe, monitor, certify)
 
 
-def solve_by_options(
-    problem: ContactProblem,
-    formulation: str | Formulation | Chooser,
-    options: Mapping[str, Any],
-    *,
-    on_step: OnStep | None = None,
-    certify: bool = False,
-) -> Solution:
-    """:func:`solve` with options by name, see :func:`rmesh_nlp.solving.options.request`."""
-    return solve(problem, **request(formulation, options), on_step=on_step, certify=certify)
-
-
 def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     """Where a formulation ends on a problem: built, run, measured.
 
     A model of the given mesh is built when the formulation first asks for it.
     """
-    with monitor.clock.during("build"):
+    with monitor.budget.during("build"):
         outer = Outer.of(problem, plan.objective, plan.tolerance)
-    with monitor.clock.during("audit"):
+    with monitor.budget.during("audit"):
         contact, nodes = outer.contact, np.asarray(problem.mesh.p)
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
-    monitor.clock.enter("solve")
+    monitor.budget.enter("solve")
     begin, formulation = beginning(outer, plan.start, plan.seed, monitor), plan.formulation
     outcome = monitor.run(formulation, begin.outer, begin.q)
     spent = monitor.spent  # what the assessment solves is no part of it
@@ -137,7 +121,7 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
 def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
     """The one place where a solution is made."""
     assessment, certificate, remark, reduced = end.assessment, None, None, None
-    with monitor.clock.during("audit"):
+    with monitor.budget.during("audit"):
         if plan.why:
             reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
@@ -151,13 +135,13 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
         iterations=monitor.iterations,
         work=end.spent,
         contact_time_s=end.contact_seconds,
-        build_time_s=monitor.clock.seconds("build"),
-        solve_time_s=monitor.clock.seconds("solve"),
-        audit_time_s=monitor.clock.seconds("audit"),
+        build_time_s=monitor.budget.seconds("build"),
+        solve_time_s=monitor.budget.seconds("solve"),
+        audit_time_s=monitor.budget.seconds("audit"),
         start=end.start,
         settings=plan.formulation.changed(),
         seed=plan.seed,
-        limits=monitor.limits,
+        limits=monitor.budget.limits,
         choices=Choices(safe, plan.chooser if why else None, why),
         details=end.outcome.details,
         reduced_error=reduced or ReducedError(),

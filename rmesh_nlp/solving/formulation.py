@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
@@ -12,6 +12,8 @@ from typing import Any, ClassVar
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.monitor import Monitor
@@ -20,8 +22,13 @@ from rmesh_nlp.solving.outer import Outer
 
 GROUP = "rmesh_nlp.formulations"
 WRAPPERS = "rmesh_nlp.wrappers"
-"""Entry points of formulations that take one, by the option of the command line that asks for them."""
+"""Entry points of formulations that take one, by the option that asks for them."""
 
+NEEDLESS = ("tolerance", "limits")
+"""Options that a formulation which moves nothing does not need, ..."""
+
+KEYWORDS = ("objective", "start", "seed", *NEEDLESS)
+"""... and all that are keywords of :func:`rmesh_nlp.solving.driver.solve`; others are settings."""
 
 INSIDE_OUT = ("regularisation", "remesh", "starts")
 """Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
@@ -61,6 +68,9 @@ class Wrapper(Formulation):
     """A formulation that takes one, ``inner``; what a chooser chooses takes its place before it runs."""
 
     inner: Any
+
+    begins_by_itself: ClassVar[tuple[str, ...]] = ()
+    """Options of where to start that it leaves no room for."""
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         """As what it takes does."""
@@ -128,29 +138,63 @@ def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -
         raise BadInputError(said) from error
 
 
-def name_of(kind: type[Any]) -> str:
+def name_of(kind: type[Any], group: Callable[[], Mapping[str, EntryPoint]] = available) -> str:
     """The name of an entry point of a class; that of the class where it has none."""
     value = f"{kind.__module__}:{kind.__qualname__}"
-    names = [name for name, entry in available().items() if entry.value == value]
+    names = [name for name, entry in group().items() if entry.value == value]
     return names[0] if names else kind.__name__.lower()
 
 
-def composed(name: str, options: Mapping[str, Any]) -> Formulation | Chooser:
-    """A formulation by name with settings, within those that other options ask for.
+def kind_of(formulation: str | Formulation | Chooser) -> type[Formulation | Chooser]:
+    """The class of a formulation, given by its name or by an object."""
+    kind = find(formulation) if isinstance(formulation, str) else formulation
+    kind = kind if isinstance(kind, type) else type(kind)
+    if not issubclass(kind, (Formulation, Chooser)):
+        raise BadInputError(f"formulation {formulation!r} is {kind!r}, not a class of formulations")
+    return kind
 
-    Options are fields of the formulation, by themselves or in a mapping ``settings``, and names of
-    ``WRAPPERS``, each with what it is to do. A BadInputError names an option that is neither.
+
+def options(formulation: str | Formulation | Chooser) -> set[str]:
+    """Names of the options that a formulation takes, wherever they are given.
+
+    They are keywords of :func:`rmesh_nlp.solving.driver.solve` and, of a formulation by name, its settings
+    and those of ``WRAPPERS``.
     """
-    kind = find(name)
-    if isinstance(kind, (Formulation, Chooser)):
-        kind = type(kind)
-    if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
-        raise BadInputError(f"formulation {name!r} is {kind!r}, not a class of formulations")
-    known = {field.name for field in fields(kind)}
-    asked = {key: value for key, value in options.items() if key != "settings" and value is not None}
-    own = {key: value for key, value in asked.items() if key in known}
-    around = [key for key, value in asked.items() if key not in known and value not in (0, False)]
-    made: Formulation | Chooser = kind().having({**(options.get("settings") or {}), **own})
+    kind, is_named = kind_of(formulation), isinstance(formulation, str)
+    names = {"objective", *(kind.names() if is_named else ())}
+    if getattr(kind, "relocates", True):
+        names |= {*KEYWORDS, *(wrappers() if is_named else ())}
+    return names
+
+
+def checked(formulation: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Options of a formulation, if each of them and its value can be meant; else a BadInputError."""
+    composed(formulation, {name: value for name, value in given.items() if name not in KEYWORDS})
+    Limits.of(given.get("limits"))
+    parse_objective(given.get("objective", "energy"))
+    return given
+
+
+def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
+    """A formulation by name with settings, within those that other options ask for; None is a default.
+
+    Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do. A
+    BadInputError names an option that is neither.
+    """
+    asked = {key: value for key, value in given.items() if value is not None}
+    if not isinstance(formulation, str):
+        if asked:
+            example = f"{type(formulation).__name__}({next(iter(asked))}=...)"
+            raise BadInputError(f"settings are fields of the formulation: {example}")
+        return formulation
+    kind, known = kind_of(formulation), options(formulation)
+    for key, value in asked.items():
+        if key not in known and value not in (0, False):
+            said = f"the formulation {formulation!r} takes no {key}, got {key}={value!r}"
+            raise BadInputError(f"{said}; it takes {', '.join(sorted(known))}")
+    own = kind.names()
+    made = kind().having({key: value for key, value in asked.items() if key in own})
+    around = [key for key, value in asked.items() if key not in own and value not in (0, False)]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
         made = find(key, wrappers)(made, asked[key])
     return made

@@ -1,4 +1,4 @@
-"""The only place that knows time, limits, Ctrl-C, history and callbacks.
+"""The only place that knows history and callbacks, and where a budget stops what runs.
 
 A formulation reports every iterate to a :class:`Track`, one for each NLP that it runs, and is stopped by
 it. What was reached until then is kept here, so that no formulation has to look after it.
@@ -20,8 +20,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
 from rmesh_nlp.mpcc import Iterate
-from rmesh_nlp.optimize.status import Status, StoppedError
-from rmesh_nlp.solving.clock import Clock, Limits, deferred
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, deferred
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step, Work
@@ -57,12 +57,10 @@ class Monitor:
 
     Attributes
     ----------
-    clock : Clock
-        Runs from the making of the monitor on.
+    budget : Budget
+        Of the solve, from the making of the monitor on.
     steps : list of Step
         The history, over all NLPs of the solve.
-    stopped : Status or None
-        INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside.
     work : Work
         What formulations have spent beside the contact solves of the outer problems that they track.
     last_q : array or None
@@ -72,10 +70,9 @@ class Monitor:
     def __init__(
         self, limits: Limits | None = None, on_step: OnStep | None = None, mesh: MeshTri | None = None
     ) -> None:
-        self.clock = Clock()
-        self.limits, self.on_step, self.mesh = limits or Limits(), on_step, mesh
+        self.budget = Budget(limits or Limits())
+        self.on_step, self.mesh = on_step, mesh
         self.steps: list[Step] = []
-        self.stopped: Status | None = None
         self.work = Work()
         self.last_q: Array | None = None
         self._tracked: list[Outer] = []
@@ -83,20 +80,14 @@ class Monitor:
         self._track: Track | None = None
 
     @property
-    def remaining(self) -> float:
-        """Seconds that are left, not negative."""
-        return max(0.0, self.limits.seconds - self.clock.elapsed)
-
-    @property
     def iterations(self) -> int:
         """Number of the last iteration, over all NLPs."""
         return self.steps[-1].iteration if self.steps else 0
 
     @property
-    def iterations_left(self) -> int | None:
-        """Up to the limit; None without one."""
-        most = self.limits.iterations
-        return None if most is None else max(most - self.iterations, 0)
+    def stopped(self) -> Status | None:
+        """INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside."""
+        return self.budget.stopped
 
     @property
     def spent(self) -> Work:
@@ -105,22 +96,11 @@ class Monitor:
 
     def is_over(self) -> bool:
         """Whether the solve was stopped, or a limit is reached."""
-        if self.stopped is None and self.remaining == 0.0:
-            self.stopped = Status.TIME_LIMIT
-        if self.stopped is None and self.steps and self.iterations_left == 0:
-            self.stopped = Status.ITERATION_LIMIT
-        return self.stopped is not None
+        return self.budget.is_over()
 
     def check(self) -> None:
-        """End what runs if the solve is over.
-
-        Raises
-        ------
-        StoppedError
-            Caught by :meth:`run`.
-        """
-        if self.is_over():
-            raise StoppedError
+        """End what runs if the solve is over, by a StoppedError that :meth:`run` catches."""
+        self.budget.check()
 
     def track(self, outer: Outer, unit: float = 1.0) -> Track:
         """What the iterates of one NLP are reported to.
@@ -132,7 +112,7 @@ class Monitor:
         unit : float
             Value of the objective where the program's is one.
         """
-        with self.clock.during("build"):
+        with self.budget.during("build"):
             _ = outer.residual  # of a model that is built when it is first asked for
         self._track = Track(self, self.tracked(outer), unit)
         return self._track
@@ -157,6 +137,7 @@ class Monitor:
         if self.steps and _is_same(self.steps[-1], step):
             return self.is_over()  # the start of an NLP is where the last one ended
         self.steps.append(step)
+        self.budget.iterations = step.iteration
         self.last_q = None if q is None else np.array(q)
         if self.on_step is not None:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
@@ -183,9 +164,9 @@ class Monitor:
         try:
             return work()
         except KeyboardInterrupt:
-            self.stopped = Status.INTERRUPTED
-        except StoppedError:
-            self.stopped = self.end
+            self.budget.stopped = Status.INTERRUPTED
+        except StoppedError as stop:
+            self.budget.stopped = self.budget.stopped or stop.status
         return None
 
     @property
@@ -195,10 +176,10 @@ class Monitor:
 
     def finish(self, work: Callable[[], T]) -> T:
         """The result of a part of the assessment; Ctrl-C is noted and ends what follows."""
-        with self.clock.during("audit"), deferred() as pressed:
+        with self.budget.during("audit"), deferred() as pressed:
             result = work()
         if pressed():
-            self.stopped = Status.INTERRUPTED
+            self.budget.stopped = Status.INTERRUPTED
         return result
 
 
@@ -290,7 +271,7 @@ class Track:
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
     def _note(self, iteration: int, q: Array, **known: Any) -> bool:
-        known |= {"seconds": self.monitor.clock.elapsed, "design": self.outer.figures(q)}
+        known |= {"seconds": self.monitor.budget.elapsed, "design": self.outer.figures(q)}
         step = Step(iteration=self._before + iteration, **known)
         return self.monitor.note(step, q, shown=self._shown)
 

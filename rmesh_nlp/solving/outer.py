@@ -23,9 +23,11 @@ from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import Level
-from rmesh_nlp.solving.clock import TOLERANCE
 from rmesh_nlp.solving.outer_models import OuterModels
 from rmesh_nlp.solving.parts import Work
+
+TOLERANCE = 1e-6
+"""Default of ``tolerance``: the largest first-order residual of a point that is called stationary."""
 
 
 @dataclass(frozen=True, eq=False)

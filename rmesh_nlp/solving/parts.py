@@ -165,10 +165,8 @@ class Step:
         First-order residual of the outer problem at the outer variables, by the measure of records; NaN
         where it was not measured.
     energy_given : float
-        Energy on the mesh of this step before any node moved, where the meshes of a descent differ.
-    seconds_left : float
-        What the formulation guesses that the rest of the descent takes; NaN where it has no guess. It is
-        for progress, like ``energy_given``, and no part of a history.
+        Energy on the mesh of this step before any node moved, where the meshes of a descent differ; for
+        progress, and no part of a history.
     design : mapping of str to float
         Design variables at the iterate, by their names.
     """
@@ -186,7 +184,6 @@ class Step:
     biactive: float = float("nan")
     stationarity: float = float("nan")
     energy_given: float = field(default=float("nan"), repr=False, compare=False)
-    seconds_left: float = field(default=float("nan"), repr=False, compare=False)
     design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self) -> dict[str, Any]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, composed
-from rmesh_nlp.solving.options import Start
+from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, name_of, wrappers
+from rmesh_nlp.solving.start import Start
 
 
 @dataclass(frozen=True)
@@ -32,7 +34,7 @@ class Plan:
     def of(
         cls,
         problem: ContactProblem,
-        formulation: str | Formulation | Chooser,
+        formulation: Formulation | Chooser,
         objective: Objective,
         tolerance: float,
         start: Start,
@@ -40,7 +42,8 @@ class Plan:
     ) -> Plan:
         """The plan of a solve; raises a BadInputError where the formulation does not take the problem."""
         problem = with_levels(problem, objective)
-        asked = composed(formulation, {}) if isinstance(formulation, str) else formulation
+        asked = formulation
+        _check_start(asked, {"start": start, "seed": seed})
         choice = _chosen(asked, problem, objective, start is not None or seed is not None)
         chosen = choice.formulation
         _check_energy(problem, objective, chosen)
@@ -48,6 +51,16 @@ class Plan:
         if not chosen.relocates:
             start = seed = None
         return cls(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
+
+
+def _check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
+    """Raise a BadInputError where a start is given and a formulation makes its own."""
+    if isinstance(asked, Wrapper):
+        name = name_of(type(asked), wrappers)
+        for option in asked.begins_by_itself:
+            if given.get(option) is not None:
+                raise BadInputError(f"{name} cannot be combined with {option}: it begins by itself")
+        _check_start(asked.inner, {**given, name: True})
 
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:

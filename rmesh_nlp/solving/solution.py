@@ -19,10 +19,10 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
@@ -55,7 +55,7 @@ class Solution:
     contact_time_s : float
         One cold contact solve on the initial mesh with its assembly, the unit of cost.
     build_time_s, solve_time_s, audit_time_s : float
-        Wall time by the one clock of all formulations (:mod:`rmesh_nlp.solving.clock`).
+        Wall time by the one clock of all formulations (:class:`rmesh_nlp.optimize.budget.Budget`).
     start : str
         "given", "random", "positions", or the formulation whose solution was the start.
     settings : dict

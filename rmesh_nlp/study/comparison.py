@@ -11,7 +11,7 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -19,29 +19,24 @@ from rmesh_nlp.io.files import folder_aside, remove_leftovers
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results
-from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS
-from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.solving.formulation import find
+from rmesh_nlp.settings import from_texts
+from rmesh_nlp.solving.formulation import NEEDLESS, checked
+from rmesh_nlp.solving.formulation import options as options_of
 from rmesh_nlp.solving.monitor import OnStep
-from rmesh_nlp.solving.options import LIMITS, accepted
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import (
     UNLIMITED,
     PlannedSolve,
     build_example,
-    check_objective,
     objective_of_file,
-    options_of,
     planned,
+    taken_of,
 )
 from rmesh_nlp.study.runner import INTERRUPTED, perform
 
 SUFFIX = ".toml"  # end of the name of a problem file
-HARMLESS = {*LIMITS, "tolerance"}
-"""Options that no formulation need take: one that does not iterate needs no limits."""
-
 REFINEMENTS = 2  # uniform refinements that the problem of a file is compared with
 LARGEST = 20_000  # nodes that they may have
 
@@ -70,7 +65,6 @@ def plan_comparison(
     without motion.
     """
     options = dict(options or {})
-    _check_options(options)
     own = _file_problems(examples, order)  # with their objectives
     if own and (n is not None or delta is not None or quadrature is not None):
         raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
@@ -90,15 +84,15 @@ def plan_comparison(
         problems = [(stated, with_reference(problem), {}) for stated, problem, _ in problems]
     chosen = [formulation_options(text) for text in formulations]
     for option in options:
-        if option not in HARMLESS and not any(accepted(name, [option]) for name, _ in chosen):
+        if option not in NEEDLESS and not any(option in options_of(name) for name, _ in chosen):
             said = f"--{option}" if options[option] is True else f"--{option} {options[option]}"
             raise BadInputError(f"{said}: not an option of {', '.join(formulations)}")
     several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
     commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
     solves = []
     for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
-        taken = options_of(name, own_options, {**default, **common})
-        limit = taken.get("time_limit_s", UNLIMITED["time_s"])
+        taken = checked(name, {**taken_of(name, {**default, **common}), **own_options})
+        limit = taken.get("limits", {}).get("seconds", UNLIMITED["time_s"])
         about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
         solves.append(planned(problem, name, taken, **about))
     if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
@@ -110,30 +104,16 @@ def plan_comparison(
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
     """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``."""
     name, *parts = text.split(":")
-    find(name)
-    found: dict[str, Any] = {}
-    for part in parts:
-        key, given, value = part.partition("=")
-        if not given or not value:
-            raise BadInputError(f"{text!r}: an option is written name=value, got {part!r}")
-        if not accepted(name, [key]):
+    found, known = from_texts(parts, f"{text!r}: an option "), options_of(name)
+    for key in found:
+        if key not in known:
             raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
-        found[key] = int(value) if value.isdecimal() else value
-    _check_options(found)
-    return name, found
+    return name, dict(checked(name, found))
 
 
 def _listed(value: Any) -> list[Any]:
     """Several values as a list, one as a list of one."""
     return list(value) if isinstance(value, (list, tuple)) else [value]
-
-
-def _check_options(options: Mapping[str, Any]) -> None:
-    for text in _listed(options.get("objective", [])):
-        check_objective(text)
-    for option, known in (("relaxation", RELAXATIONS), ("outer", OUTER_SOLVERS)):
-        if option in options and options[option] not in known:
-            raise unknown("outer solver" if option == "outer" else option, options[option], known)
 
 
 def _file_problems(names: Sequence[str], order: int | None) -> list[tuple[ContactProblem, str]]:

@@ -13,7 +13,6 @@ import select
 import signal
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Collection
 from contextlib import suppress
@@ -22,6 +21,7 @@ from typing import Any
 
 from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import Results
+from rmesh_nlp.optimize.budget import Budget, Limits, processor_seconds
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.runner import failure, perform
 
@@ -51,7 +51,6 @@ class Contained:
         """The row of a solve, whatever happens to it; its fields are kept in a folder of results."""
         for attempt in range(1, ATTEMPTS + 1):
             process = self._ready()
-            began = time.monotonic()
             request = json.dumps({"solve": solve.plain(), "folder": str(folder)})
             try:
                 assert process.stdin is not None
@@ -60,8 +59,9 @@ class Contained:
             except OSError:  # it died while it had nothing to do
                 self.close()
                 continue
-            line, why = self._answer(process, solve.time_s * GRACE + GRACE_S, solve.memory_mb)
-            seconds = time.monotonic() - began
+            watch = Budget(Limits(solve.time_s * GRACE + GRACE_S))
+            line, why = self._answer(process, watch, solve.memory_mb)
+            seconds = watch.elapsed
             if line is not None:
                 if _megabytes(process.pid) > 0.5 * solve.memory_mb:
                     self.close()  # what a leak has left is not charged to the next solve
@@ -100,20 +100,19 @@ class Contained:
         self._process = process
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
-        line, _ = self._answer(process, START_S)
+        line, _ = self._answer(process, Budget(Limits(START_S)))
         if line is None or line.strip() != READY:
             code = self.close()
             raise RuntimeError(f"no process for solves could be started: it ended with code {code}")
         return process
 
     def _answer(
-        self, process: subprocess.Popen[bytes], seconds: float, megabytes: float = math.inf
+        self, process: subprocess.Popen[bytes], budget: Budget, megabytes: float = math.inf
     ) -> tuple[bytes | None, str]:
         """A line of the process; None with the status of its solve if there is none."""
         assert process.stdout is not None
-        end = time.monotonic() + seconds
         while not select.select([process.stdout], [], [], POLL_S)[0]:
-            if time.monotonic() > end:
+            if budget.is_over():
                 return None, "time_limit"
             if megabytes < _megabytes(process.pid):
                 return None, "memory_limit"
@@ -151,9 +150,9 @@ def main() -> None:
 
 def _row(solve: PlannedSolve, folder: Path) -> bytes:
     """Run a solve, keep its fields in a folder of results, and return its row as JSON."""
-    began, cpu = time.perf_counter(), time.process_time()
+    watch, cpu = Budget(), processor_seconds()
     done = perform(solve)
-    times = {"task_time_s": time.perf_counter() - began, "cpu_time_s": time.process_time() - cpu}
+    times = {"task_time_s": watch.elapsed, "cpu_time_s": processor_seconds() - cpu}
     row = {**done.row, **times}
     if solve.fields:
         done.save(Results(folder).result(row))

@@ -23,8 +23,7 @@ from rmesh_nlp.io.files import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.formulation import Chooser, Formulation, find
-from rmesh_nlp.solving.options import accepted
+from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, options
 from rmesh_nlp.study.study_file import StudyTable
 
 UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}  # limits of a solve for which none is asked
@@ -47,7 +46,7 @@ class PlannedSolve:
     size: str
     variant: str  # its name in a study; empty in a comparison
     formulation: str  # name of an installed one, or what rows call made
-    options: Mapping[str, Any] = field(default_factory=dict)  # of solve_by_options: objective, seed, ...
+    options: Mapping[str, Any] = field(default_factory=dict)  # of a solve: objective, seed, ...
     repeat: int = 0  # number of the repetition in a study
     time_s: float = 60.0  # limits, above which a process of its own is killed
     memory_mb: float = 4000.0
@@ -73,7 +72,7 @@ class PlannedSolve:
         if not self.variant:
             options = [
                 f"{name}{value}" if isinstance(value, (int, float)) else str(value)
-                for name, value in sorted(self.options.items())
+                for name, value in sorted(_flat(self.options))
             ]
             return safe_name("-".join(filter(None, [*which, self.formulation, *options])))
         decisive = ("formulation", "options", "repeat", "certify", "time_s", "memory_mb")
@@ -103,6 +102,15 @@ class PlannedSolve:
         """What travels, by the names of the attributes."""
         kept = (one.name for one in fields(self) if one.name not in ("built", "made"))
         return {name: getattr(self, name) for name in kept}
+
+
+def _flat(options: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Options and those inside of them."""
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value)
+        else:
+            yield name, value
 
 
 def planned(
@@ -146,25 +154,17 @@ def build_example(example: str, quadrature: str | int | None = None, **given: An
         raise BadInputError(str(error)) from error
 
 
-def options_of(formulation: str, own: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
-    """Options that are a formulation's own, and of the common ones those that it takes."""
-    taken = accepted(formulation, common)
-    return {**{name: value for name, value in common.items() if name in taken}, **own}
-
-
-def check_objective(text: str) -> None:
-    """Raise a BadInputError for a text that is no objective."""
-    try:
-        parse_objective(text)
-    except ValueError as error:
-        raise BadInputError(str(error)) from error
+def taken_of(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of some options that a formulation takes."""
+    known = options(formulation)
+    return {name: value for name, value in given.items() if name in known}
 
 
 def objective_of_file(path: Path) -> str:
     """The objective that ``[solve]`` of a problem file states."""
     text = beside(read_table(path).solve.objective, path.parent)
     try:
-        check_objective(text)
+        parse_objective(text)
     except BadInputError as error:
         raise BadInputError(f"{path}: solve.objective: {error}") from error
     return text
@@ -179,7 +179,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """
     for text in study.objectives:
         try:
-            check_objective(text)
+            parse_objective(text)
         except BadInputError as error:
             raise BadInputError(f"{path}: objectives: {error}") from error
     stated = tuple(beside(text, path.parent) for text in study.objectives)
@@ -205,16 +205,16 @@ def _variants(
     study: StudyTable, path: Path, objectives: Sequence[str]
 ) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name, formulation and options of each for each objective and seed, also those that it does not take."""
-    limits = {"time_limit_s": study.limits.time, "max_iterations": study.limits.iterations}
+    limits = {"seconds": study.limits.time, "iterations": study.limits.iterations}
+    limits = {name: value for name, value in limits.items() if value is not None}
     for variant, table in study.formulations.items():
         where, formulation = f"{path}: formulations.{variant}", table.formulation or variant
         try:
-            find(formulation)
+            known = options(formulation)
         except BadInputError as error:
             raise BadInputError(f"{where}: {error}") from error
-        taken = accepted(formulation, table.keywords)
         for name, value in table.keywords.items():
-            if name not in taken:
+            if name not in known:
                 raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")
             try:
                 json.dumps(value)
@@ -222,9 +222,13 @@ def _variants(
                 said = "dates and times are no options"
                 raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
         for objective, seed in product(objectives, study.seeds):
-            common = {**limits, "objective": None if objective == "energy" else objective, "seed": seed}
+            common = {"objective": None if objective == "energy" else objective, "seed": seed}
             common = {name: value for name, value in common.items() if value is not None}
-            yield variant, formulation, options_of(formulation, table.keywords, common)
+            taken = taken_of(formulation, {**common, "limits": limits})
+            try:
+                yield variant, formulation, dict(checked(formulation, {**taken, **table.keywords}))
+            except BadInputError as error:
+                raise BadInputError(f"{where}: {error}") from error
 
 
 def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:

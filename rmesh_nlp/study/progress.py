@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import sys
-import time
 
 from rich.console import Console
 from rich.progress import (
@@ -18,8 +17,8 @@ from rich.progress import (
 )
 
 from rmesh_nlp.io.records import Record, has_energy, objective_of
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.clock import TOLERANCE, Falling, Limits
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.study.plan import PlannedSolve
 
@@ -48,7 +47,7 @@ class SolvesProgress:
         )
         self._task = self._bar.add_task("", total=total, completed=done)
         self._total, self._done, self._each = total, done, each
-        self._name, self._pace, self._said = "", Pace(), time.monotonic()
+        self._name, self._pace, self._said = "", Pace(), Budget()
         if done:
             self._say(f"{done} of {total} solves have a row already")
 
@@ -62,10 +61,10 @@ class SolvesProgress:
     def start(self, solve: PlannedSolve) -> None:
         """A solve begins."""
         self._name = f"{solve.name} {solve.formulation}"
-        limit = None if "starts" in solve.options else solve.options.get("time_limit_s")
+        limits = Limits.of(solve.options.get("limits"))
         of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
-        self._pace = Pace(limit or Limits.seconds, of_energy=of_energy)
-        self._said = time.monotonic()
+        self._pace = Pace(limits, of_energy=of_energy)
+        self._said = Budget()
         self._bar.update(self._task, description=self._name)
 
     def step(self, step: Step) -> None:
@@ -73,8 +72,8 @@ class SolvesProgress:
         self._pace(step)
         text = f"{self._name}: {self._pace.text()}"
         self._bar.update(self._task, description=text)
-        if not self._console.is_terminal and time.monotonic() - self._said > EVERY_S:
-            self._said = time.monotonic()
+        if not self._console.is_terminal and self._said.elapsed > EVERY_S:
+            self._said = Budget()
             self._say(text)
 
     def finish(self, row: Record) -> None:
@@ -125,18 +124,15 @@ def _change(what: str, before: float | None, after: float | None, form: str) -> 
 
 
 class Pace:
-    """Follows the steps of one solve: its gain, its residual, and about how long it will take.
+    """Follows the steps of one solve: its gain, its residual, and what is left of its limits.
 
     Of another objective than the energy it follows the objective.
-    The time left is an estimate: that of the formulation, if it has one, else the residual falls on in time
-    as it did over the last steps, on a logarithmic scale. Where neither is known the time limit is shown.
     """
 
-    def __init__(self, limit: float = math.inf, *, of_energy: bool = True) -> None:
-        self._limit, self._of_energy = limit, of_energy
+    def __init__(self, limits: Limits | None = None, *, of_energy: bool = True) -> None:
+        self._limits, self._of_energy = limits or Limits(), of_energy
         self._step: Step | None = None
         self._given = math.nan
-        self._falling = Falling(TOLERANCE)
 
     def __call__(self, step: Step) -> None:
         """Note a step."""
@@ -148,26 +144,21 @@ class Pace:
             self._given = step.energy_given
         elif math.isnan(self._given) and math.isfinite(step.energy):
             self._given = step.energy
-        self._falling(step.seconds, _residual(step))
 
     def text(self) -> str:
         """One line about the last step."""
-        step = self._step
+        step, most = self._step, self._limits.iterations
         if step is None:
             return ""
-        parts = [f"iteration {step.iteration}"]
+        parts = [f"iteration {step.iteration}" + ("" if most is None else f" of {most} at most")]
         if not self._of_energy and math.isfinite(step.objective):
             parts.append(f"objective {self._given:.6g} -> {step.objective:.6g}")
         elif self._of_energy and math.isfinite(step.energy):
             parts += [f"J = {step.energy:.6g}", f"gain {self._given - step.energy:.3g}"]
         if not math.isnan(_residual(step)):
             parts.append(f"residual {_residual(step):.1e}")
-        longest, own = max(self._limit - step.seconds, 0.0), step.seconds_left
-        left = own if math.isfinite(own) else self._falling.seconds_left
-        if left is not None:
-            parts.append(f"perhaps {_words(min(left, longest))} left")
-        elif math.isfinite(longest):
-            parts.append(f"at most {_words(longest)} left")
+        if math.isfinite(self._limits.seconds):
+            parts.append(f"{_words(step.seconds)} of {_words(self._limits.seconds)} at most")
         return ", ".join(parts)
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import socket
-import time
 import uuid
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -19,6 +18,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import append_whole, write_text
 from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import ROWS, row_files
+from rmesh_nlp.optimize.budget import Budget, Limits, pause
 
 try:
     import fcntl
@@ -110,7 +110,7 @@ def wait_for_workers(folder: Path, seconds: float) -> None:
     """Wait until no worker of an earlier client is solving; a BadInputError if that takes too long."""
     if fcntl is None:
         return
-    end = time.monotonic() + seconds
+    patience = Budget(Limits(seconds))
     for path in row_files(folder):
         with path.open("rb") as file:
             while True:
@@ -118,9 +118,9 @@ def wait_for_workers(folder: Path, seconds: float) -> None:
                     fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
                     break
                 except OSError:
-                    if time.monotonic() > end:
+                    if patience.is_over():
                         raise BadInputError(
                             f"{path} is still being written by a worker of an earlier run: "
                             "wait for it, or end it"
                         ) from None
-                    time.sleep(0.1)
+                    pause(0.1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -13,8 +12,9 @@ from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.files import write_whole
 from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.solving.driver import solve_by_options
+from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution, versions
@@ -73,11 +73,11 @@ def perform(solve: PlannedSolve, on_step: OnStep | None = None) -> Done:
 
 def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
     assert solve.built is not None
-    began = time.perf_counter()
+    watch = Budget()
     try:
         formulation, identity = solve.made or solve.formulation, solve.identity
-        solution = solve_by_options(
-            solve.built, formulation, solve.options, on_step=on_step, certify=solve.certify
+        solution = driver.solve(
+            solve.built, formulation, **solve.options, on_step=on_step, certify=solve.certify
         )
         row = {**identity, "message": solution.status.message, **solution.record(), "key": solve.key}
         asked = {name: value for name, value in identity.items() if row[name] != value}
@@ -86,10 +86,10 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
         terms = error_terms(solution) if solution.assessment.final.min_area_ratio > 0 else None
         return Done(row | (terms.entries() if terms else {}), solution)
     except ValueError as error:  # the formulation does not take this problem or option
-        return Done(failure(solve, "refused", _one_line(error), time.perf_counter() - began))
+        return Done(failure(solve, "refused", _one_line(error), watch.elapsed))
     except Exception as error:
         said = f"{type(error).__name__}: {_one_line(error)}"
-        return Done(failure(solve, "failed", said, time.perf_counter() - began))
+        return Done(failure(solve, "failed", said, watch.elapsed))
 
 
 def _one_line(error: Exception) -> str:

@@ -16,6 +16,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
+from rmesh_nlp.study.comparison import formulation_options
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +50,21 @@ def test_an_option_that_a_formulation_does_not_take_is_named(
 def test_settings_of_an_object_are_its_own() -> None:
     problem = rm.EXAMPLES["6.2"](n=(4, 2))
     assert rm.solve(problem, Joint(first_barrier=1e-2)).settings == {"first_barrier": 1e-2}
-    with pytest.raises(TypeError, match=r"settings are fields of the formulation: Joint\(tol=...\)"):
+    with pytest.raises(BadInputError, match=r"settings are fields of the formulation: Joint\(tol=...\)"):
         rm.solve(problem, Joint(), tol=1e-8)
 
 
-def test_limits_of_old_work_and_warn() -> None:
-    with pytest.warns(DeprecationWarning, match="max_iterations is now a part of limits"):
-        old = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint", max_iterations=2)
-    new = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint", limits=rm.Limits(iterations=2))
-    assert old.status is new.status
-    assert old.extra["limits"] == new.extra["limits"] == {"iterations": 2}
+def test_one_spelling_of_options_serves_names_tables_and_lists() -> None:
+    """What Python takes by keyword, ``compare`` gives to those that take it, and a text may name too."""
+    problem, few = rm.EXAMPLES["6.2"](n=(4, 2)), rm.Limits(iterations=2)
+    alone = rm.solve(problem, "mpcc", t0=1e-3, without_first=True, limits=few)
+    both = rm.compare(problem, ["fixed", "mpcc"], t0=1e-3, without_first=True, limits={"iterations": 2})
+    asked = {"options": {"t0": 1e-3}, "without_first": True}
+    assert alone.settings == both["mpcc"].settings == asked
+    assert alone.limits == both["mpcc"].limits == few
+    named = formulation_options("mpcc:t0=1e-3:without_first=true")
+    assert named == ("mpcc", {"t0": 1e-3, "without_first": True})
+    assert rm.solve(problem, named[0], **named[1], limits=few).settings == asked
 
 
 def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparison) -> None:
@@ -72,7 +78,7 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
 
 def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
     kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1)]
-    found = rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), kinds, max_iterations=3)
+    found = rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), kinds, limits=rm.Limits(iterations=3))
     names = ["fixed", "auto", "joint", "joint(first_barrier=0.01)", "multistart(joint, starts=1)"]
     assert list(found.summary().index) == list(found.solutions) == names
     assert found[names[3]].settings == {"first_barrier": 1e-2}

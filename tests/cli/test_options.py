@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from rmesh_nlp.cli.options import parse_settings
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.settings import from_texts
 from rmesh_nlp.study.plan import PlannedSolve
 from support.problem_files import VALID
 
@@ -29,12 +29,11 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
 
 TYPED = (
     "--relaxation lin-fukushima --seed 0 --objective error-l2 --time-limit 9 --max-iterations 7 "
-    "--tolerance 0.01 --start joint --set tol=1e-8 --set newton.forcing=0.2 --certify"
+    "--tolerance 0.01 --start joint --set t0=1e-3 --set ipopt_exact.tol=1e-9 --certify"
 )
 MEANT = {
-    "relaxation": "lin-fukushima", "seed": 0, "objective": "error-l2", "time_limit_s": 9.0,
-    "max_iterations": 7, "tolerance": 0.01, "start": "joint",
-    "settings": {"tol": 1e-8, "newton": {"forcing": 0.2}},
+    "relaxation": "lin-fukushima", "seed": 0, "objective": "error-l2", "tolerance": 0.01, "start": "joint",
+    "limits": {"seconds": 9.0, "iterations": 7}, "t0": 1e-3, "ipopt_exact": {"tol": 1e-9},
 }  # fmt: skip
 
 
@@ -71,7 +70,8 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
     [
         (True, "", "joint", IN_FILE),
         (True, f"-f nested {TYPED_TOO}", "nested",
-         {"regularisation": (0.5,), "remesh": 50, "seed": 0, "objective": "quality", "time_limit_s": 9.0}),
+         {"regularisation": (0.5,), "remesh": 50, "seed": 0, "objective": "quality",
+          "limits": {"seconds": 9.0}}),
         # a formulation without iterations needs no limits
         (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
     ],
@@ -101,14 +101,14 @@ def test_options_of_the_command_line_override_those_of_a_file(
     ],
 )
 def test_a_name_with_dots_is_a_setting_of_settings(given: list[str], found: dict[str, Any]) -> None:
-    assert parse_settings(given) == found
+    assert from_texts(given) == found
 
 
 @pytest.mark.parametrize("text", ["tol", "=1", ".x=1", "newton.=1", "a..b=1", "tol.x=1"])
 def test_what_is_no_setting_is_refused(text: str) -> None:
     said = r"--set tol\.x=1: tol has a value already, 0\.5" if text == "tol.x=1" else "must be NAME=VALUE"
     with pytest.raises(BadInputError, match=said):
-        parse_settings(["tol=0.5", text])
+        from_texts(["tol=0.5", text])
 
 
 @pytest.mark.parametrize(

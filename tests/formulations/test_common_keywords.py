@@ -12,13 +12,12 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
-from rmesh_nlp.solving.options import LIMITS, accepted
+from rmesh_nlp.solving.formulation import KEYWORDS, options
 from rmesh_nlp.solving.parts import Step
 from support.formulations import auto, fixed, joint, mpcc, nested
 from support.solved import example, solved
 
 FORMULATIONS = [fixed, nested, joint, mpcc]
-COMMON = {"settings", "tolerance", "max_iterations", "time_limit_s", "start", "seed", "on_step", "objective"}
 SMALL = example("6.2", (4, 2))
 UNLIMITED = replace(SMALL, motion=replace(SMALL.motion, delta=None))
 
@@ -35,8 +34,8 @@ def test_one_record_and_one_clock(formulation: Any) -> None:
 
 @pytest.mark.parametrize("formulation", [*FORMULATIONS, auto])
 def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
-    heeded = {"settings", "on_step", "objective"} if formulation is fixed else COMMON
-    assert accepted(formulation.name, {*COMMON, "sede"}) == heeded
+    asked = {*KEYWORDS, "sede"}
+    assert options(formulation.name) & asked == ({"objective"} if formulation is fixed else {*KEYWORDS})
 
 
 @pytest.mark.parametrize(
@@ -46,7 +45,7 @@ def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
 )
 def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any) -> None:
     steps: list[Step] = []
-    solution = formulation.solve(problem, max_iterations=2, tolerance=1e-5, on_step=steps.append)
+    solution = formulation.solve(problem, limits={"iterations": 2}, tolerance=1e-5, on_step=steps.append)
     assert solution.status is Status.ITERATION_LIMIT
     assert solution.iterations == steps[-1].iteration == 2
     assert solution.valid
@@ -58,7 +57,7 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
 
 @pytest.mark.parametrize("formulation", [nested, joint, mpcc])
 def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> None:
-    late = formulation.solve(SMALL, time_limit_s=1e-6)
+    late = formulation.solve(SMALL, limits={"seconds": 1e-6})
     assert (late.status, late.valid, late.success) == (Status.TIME_LIMIT, True, True)
     assert late.energy <= late.energy_initial + 1e-9
     seen: list[Step] = []
@@ -76,11 +75,14 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> N
 @pytest.mark.parametrize(
     ("keyword", "bad", "message"),
     [
-        *((name, bad, f"{field} must be .*, got {bad!r}")
-          for name, field in {**LIMITS, "tolerance": "tolerance"}.items() for bad in (-1, float("nan"), "1")),
+        *(("tolerance", bad, f"tolerance must be .*, got {bad!r}") for bad in (-1, float("nan"), "1")),
+        *(("limits", {name: bad}, f"{name} must be .*, got {bad!r}")
+          for name in ("seconds", "iterations") for bad in (-1, float("nan"), "1")),
+        ("limits", {"minutes": 1}, "unknown setting 'minutes'"),
+        ("limits", 60, "expected settings of kind Limits, or a mapping of its fields, got 60"),
         ("tolerance", 0, "tolerance must be positive and finite, got 0"),
-        ("time_limit_s", 0, "seconds must be positive and finite, got 0"),
-        ("max_iterations", 1.5, r"iterations must be a whole number, got 1\.5"),
+        ("limits", {"seconds": 0}, "seconds must be positive and finite, got 0"),
+        ("limits", {"iterations": 1.5}, r"iterations must be a whole number, got 1\.5"),
         ("start", "jiont", "unknown start 'jiont': did you mean joint"),
         ("start", "auto", "start must be a formulation that is no choice of others, got 'auto'"),
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
@@ -114,7 +116,7 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
     ],
 )
 def test_settings_that_differ_from_the_defaults_are_in_the_record(formulation: Any, settings: Any) -> None:
-    assert formulation.solve(SMALL, settings=settings).record()["settings"] == settings
+    assert formulation.solve(SMALL, **settings).record()["settings"] == settings
 
 
 @pytest.mark.parametrize("outer", ["newton", "newton-cg", "ipopt"])

@@ -190,6 +190,6 @@ def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named
 
 @pytest.mark.parametrize("limit", [1, 3, 6, 10])
 def test_a_limit_of_iterations_leaves_joint_with_a_valid_mesh(limit: int) -> None:
-    solution = joint.solve(EXAMPLES["6.2"]((4, 2), (2.0, 1.0)), max_iterations=limit)
+    solution = joint.solve(EXAMPLES["6.2"]((4, 2), (2.0, 1.0)), limits={"iterations": limit})
     assert solution.valid
     assert solution.status in (Status.ITERATION_LIMIT, Status.CONVERGED)

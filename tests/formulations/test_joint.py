@@ -39,7 +39,7 @@ def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     example: str, arguments: tuple[Any, ...]
 ) -> None:
     steps: list[Step] = []
-    solution = joint.solve(EXAMPLES[example](*arguments), settings=LOOSE, on_step=steps.append)
+    solution = joint.solve(EXAMPLES[example](*arguments), **LOOSE, on_step=steps.append)
     record = solution.record()
     ipopt, newton = record["kkt_factorisations"], record["newton_steps"]
     assert newton > 0

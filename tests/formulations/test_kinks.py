@@ -92,7 +92,7 @@ def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch
     assert solution.status is Status.CONVERGED
 
 
-@pytest.mark.parametrize("formulation", [Nested(max_iterations=3), Nested(enough=0.1)])
+@pytest.mark.parametrize("formulation", [Nested(iterations=3), Nested(enough=0.1)])
 def test_an_end_that_was_asked_for_is_the_end(formulation: Nested, monkeypatch: pytest.MonkeyPatch) -> None:
     def forbidden(*_: object) -> None:
         raise AssertionError("the exact finish was asked")

@@ -179,7 +179,7 @@ def test_starts_that_do_not_fit_are_refused() -> None:
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
     problem = coarse("6.1")
-    loose = joint.solve(problem, settings={"tol": 1e-2}, tolerance=1.0)
+    loose = joint.solve(problem, **{"tol": 1e-2}, tolerance=1.0)
     accurate = mpcc.solve(problem, start=loose)
     assert loose.stationarity_residual > 1e-3 > 1e-6 > accurate.stationarity_residual
     assert accurate.stationarity == "S"
@@ -198,7 +198,7 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
     given = EXAMPLES[name](n)
     problem = replace(given, motion=replace(given.motion, delta=None), quadrature=6)
     positions, steps = MeshMap.of(problem).positions, []
-    solution = formulation.solve(problem, max_iterations=250, on_step=steps.append)
+    solution = formulation.solve(problem, limits={"iterations": 250}, on_step=steps.append)
     assert solution.status.value == "converged"
     assert min(least_area_ratio(problem, positions.values(step.q)) for step in steps) > 0
 

@@ -21,9 +21,9 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.models.cascade import CascadeSettings
 from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Settings
-from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.vectorised import AssemblySettings
 
 WRAPPERS = (Confirmed, MultiStart, Polished, Remeshed, Schedule)

@@ -289,7 +289,7 @@ def test_series_plays_the_iterates(problem, tmp_path, formulation):
 def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path, made):
     """One value per node for a scalar problem, three for an elastic one, which is what viewers warp by."""
     series = Series(made)
-    nested.solve(made, max_iterations=2, on_step=series)
+    nested.solve(made, limits={"iterations": 2}, on_step=series)
     frames = played(series, tmp_path)
     assert len(frames) >= 2
     for frame in frames:

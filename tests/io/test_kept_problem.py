@@ -83,7 +83,7 @@ def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path, order):
     path.write_text(f"order = {order}\n" + VALID.replace('["top", 0]', '["top"]'))
     problem = load_problem(path)
     new = refined(problem)
-    solution = joint.solve(new, max_iterations=5)
+    solution = joint.solve(new, limits={"iterations": 5})
     keep(path, read_table(path), folder)
     write_solution(solution, folder / "solution.vtu")
     assert read_kept(folder, {}) is None  # without the mesh

@@ -16,7 +16,8 @@ from rmesh_nlp.models import cascade as module
 from rmesh_nlp.models.cascade import CascadeSettings, cascade
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate
-from rmesh_nlp.optimize.status import Status, StoppedError
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import NewtonResult
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -100,7 +101,7 @@ def test_descents_are_brief_on_the_finest_mesh_and_longer_where_it_is_not_nested
 
 def test_it_stops_when_asked_to_and_when_the_time_is_up() -> None:
     with pytest.raises(StoppedError):
-        cascade(square(8), CascadeSettings(coarsest=20), is_late=lambda: True)
+        cascade(square(8), CascadeSettings(coarsest=20), budget=Budget(Limits(1e-9)))
     found = cascade(square(8), CascadeSettings(coarsest=20), lambda iteration, *_: iteration == 2)
     assert (found.status, len(found.levels), found.built) == (Status.INTERRUPTED, 1, None)
     # the map so far is taken to the given mesh

@@ -16,7 +16,7 @@ from rmesh_nlp.models import outer_solvers
 from rmesh_nlp.models.outer_solvers import CONJUGATE_GRADIENTS, EXACT, LIMITED_MEMORY, NestedSettings
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.solving.clock import TOLERANCE
+from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import joint, nested
 
@@ -80,7 +80,7 @@ def test_an_interior_point_never_ends_above_its_start(start, end, status, monkey
 
 def test_options_of_ipopt() -> None:
     problem: Any = SimpleNamespace(warm=True, tolerance=1e-5, scale=6.0, residual=SimpleNamespace(unit=2.0))
-    exact = NestedSettings(max_iterations=7, ipopt={"mu_init": 0.5}).exact(problem)
+    exact = NestedSettings(iterations=7, ipopt={"mu_init": 0.5}).exact(problem)
     assert (exact["tol"], exact["acceptable_tol"]) == (pytest.approx(1e-10), 1e-9)
     assert (exact["obj_scaling_factor"], exact["max_iter"], exact["mu_init"]) == (3.0, 7, 0.5)
     assert exact["bound_push"] == exact["slack_bound_frac"] == 1e-6
@@ -102,7 +102,7 @@ def test_bad_settings_are_refused_by_name(given: dict[str, Any], message: str) -
 
 def test_what_differs_from_the_defaults_is_in_the_record_and_changes_the_path() -> None:
     problem, given = EXAMPLES["6.1"](5), {"newton": {"first_radius": 1e-3, "max_products": 10}}
-    usual, other = nested.solve(problem), nested.solve(problem, settings=given)
+    usual, other = nested.solve(problem), nested.solve(problem, **given)
     assert (usual.record()["settings"], other.record()["settings"]) == ({}, given)
     assert other.iterations > usual.iterations
 
@@ -134,7 +134,7 @@ def test_conjugate_gradients_alone_do_where_no_area_is_in_the_way(name: str) -> 
 @pytest.mark.slow
 def test_crowded_areas_are_left_to_the_interior_point() -> None:
     problem = replace(EXAMPLES["6.1"](6, 0.15), quadrature=6)
-    few = solved(problem, outer="newton-cg", settings={"newton": {"crowded": 1}})
+    few = solved(problem, outer="newton-cg", newton={"crowded": 1})
     assert few.record()["outer_method"] == f"{CONJUGATE_GRADIENTS}, then {EXACT}"
     assert few.energy < few.energy_initial
 
@@ -143,7 +143,7 @@ def test_crowded_areas_are_left_to_the_interior_point() -> None:
 def test_thousands_of_variables_without_move_limits_take_a_contact_solve_per_iteration() -> None:
     problem = EXAMPLES["6.1"](40)
     problem = replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
-    solution = nested.solve(problem, max_iterations=6)
+    solution = nested.solve(problem, limits={"iterations": 6})
     assert solution.multipliers.area.size > 3000
     assert (solution.status, solution.success) == (Status.ITERATION_LIMIT, True)
     assert solution.iterations <= 6

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +28,7 @@ from rmesh_nlp.models.remeshing import (
     remeshed_problem,
     sagitta,
 )
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     NO_CONTACT,
@@ -335,7 +337,10 @@ class TestSolved:
 class Calls:
     """Rounds whose energies are given."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, energies: list[Any]) -> None:
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, energies: list[Any], after: Callable[[], Any] = lambda: None
+    ) -> None:
+        self.after = after
         self.sizes: list[int] = []
         self.tolerances: list[float] = []
         self.problems: list[Any] = []
@@ -352,6 +357,7 @@ class Calls:
         return replace(problem, name=f"round {len(self.sizes)}"), 2.0
 
     def solve(self, problem: ContactProblem, _: Solved) -> Any:
+        self.after()
         energy = self.left.pop(0)
         if isinstance(energy, Exception):
             raise energy
@@ -390,10 +396,13 @@ class TestRounds:
         assert [one.name for one in calls.problems] == ["6.1", "round 1", "round 2", "round 3"]
         assert start.solved.state.energy == -1.0  # coarser ones do not count
 
-    def test_one_is_made_even_if_it_is_late(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        calls = Calls(monkeypatch, [-1.0, -2.0])
-        assert metric_start(Solved.of(signorini(2)), 9, lambda: True).solved.state.energy == -1.0
+    def test_rounds_end_with_the_budget(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        budget = Budget(Limits(iterations=1))
+        calls = Calls(monkeypatch, [-1.0, -2.0], lambda: setattr(budget, "iterations", 1))
+        assert metric_start(Solved.of(signorini(2)), 9, budget).solved.state.energy == -1.0
         assert calls.sizes == [9]
+        with pytest.raises(StoppedError):
+            metric_start(Solved.of(signorini(2)), 9, budget)
 
     @pytest.mark.parametrize("error", [ProblemError("mesh", "not solved"), BadInputError("folds")])
     def test_a_later_one_that_fails_is_given_up(

@@ -9,6 +9,7 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import descent, nearest_branch, steepness
+from rmesh_nlp.optimize.budget import Budget, Limits
 from support.scripted_run import XY, XYW, linearised, w, x, y
 
 ONE = np.ones(1)
@@ -78,7 +79,7 @@ def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status,
     monkeypatch.setattr(lpec, "milp", lambda *_, **names: options.append(names["options"]) or answer)
     u, v = ca.SX.sym("u", pairs), ca.SX.sym("v", pairs)
     mpcc = MPCC(ca.vertcat(u, v), ca.sum1(u), None, u, v)
-    found = descent(*linearised(mpcc, np.zeros(2 * pairs)), seconds=2.5)
+    found = descent(*linearised(mpcc, np.zeros(2 * pairs)), budget=Budget(Limits(2.5)))
     assert (found is not None) == decided
     assert ("time_limit" in options[0]) == (pairs > 3)
 

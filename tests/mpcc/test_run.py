@@ -2,6 +2,7 @@
 
 import signal
 import time
+from contextlib import nullcontext
 from dataclasses import replace
 
 import casadi as ca
@@ -10,7 +11,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
 from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.mpcc.run import LimitReachedError
+from rmesh_nlp.optimize.budget import StoppedError
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
@@ -113,31 +114,34 @@ def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
 
 @pytest.mark.parametrize(
     ("limits", "iterations", "status"),
-    [({"max_iterations": 5}, 5, Status.ITERATION_LIMIT), ({"max_iterations": 5}, 4, None),
+    [({"max_iterations": 5}, 5, Status.ITERATION_LIMIT), ({"max_iterations": 6}, 4, None),
      ({"time_limit_s": 1e-9}, 0, Status.TIME_LIMIT), ({"time_limit_s": 100.0}, 0, None)],
 )  # fmt: skip
 def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations, status):
     run, stops = run_of(two_minima(), **limits), []
-    run.iterations = iterations
+    run.budget.iterations = iterations
 
     def nlp():
         stops.extend(run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
         return replace(ended([0.5, 0.5]), iterations=0)
 
     assert run.nlps.only_clock == ("time_limit_s" in limits)
-    assert run.seconds_left > 0
     if status is None:
         run.solve("relaxed", 1.0, nlp)
-        assert stops == [False, "max_iterations" in limits]
+        assert stops == [False, False]
+        run.budget.iterations = 5
+        with pytest.raises(StoppedError) if "max_iterations" in limits else nullcontext():
+            run.solve("relaxed", 1.0, nlp)
+        assert stops == [False, False, False, "max_iterations" in limits]
     else:
-        with pytest.raises(LimitReachedError) as error:
+        with pytest.raises(StoppedError) as error:
             run.solve("relaxed", 1.0, nlp)
         assert (error.value.status, stops) == (status, [])
 
 
 def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
     run = run_of(two_minima(), max_iterations=3)
-    with pytest.raises(LimitReachedError):
+    with pytest.raises(StoppedError):
         run.solve("relaxed", 1.0, lambda: ended([0.5, 0.25]))
     assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
 
@@ -145,7 +149,7 @@ def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
 def test_without_limits_and_observers_nothing_is_watched():
     run = run_of(two_minima())
     run.solve("relaxed", 1.0, lambda: ended([0.5, 0.5]))
-    assert (run.nlps.watch.monitor, run.seconds_left) == (None, np.inf)
+    assert (run.nlps.watch.monitor, run.budget.remaining) == (None, np.inf)
 
 
 @pytest.mark.slow

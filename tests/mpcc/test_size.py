@@ -11,23 +11,23 @@ import pytest
 import scipy.sparse as sp
 
 from rmesh_nlp.mpcc import MPCC, solve
-from rmesh_nlp.mpcc.clock import LimitReachedError, within
 from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import linearise
 from rmesh_nlp.mpcc.multipliers import by_least_squares
 from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.stationarity import stationarity
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
 from rmesh_nlp.optimize.status import Status
 
 
 def test_what_takes_too_long_is_left_and_what_fails_fails():
-    assert within(60.0, lambda: 3) == 3
-    with pytest.raises(LimitReachedError) as stop:
-        within(0.01, lambda: time.sleep(0.5))
+    assert Budget(Limits(60.0)).within(lambda: 3) == 3
+    with pytest.raises(StoppedError) as stop:
+        Budget(Limits(0.01)).within(lambda: time.sleep(0.5))
     assert stop.value.status is Status.TIME_LIMIT
     with pytest.raises(ZeroDivisionError):
-        within(60.0, lambda: 1 / 0)
+        Budget(Limits(60.0)).within(lambda: 1 / 0)
 
 
 def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
@@ -42,7 +42,9 @@ def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
 def test_factors_stay_in_the_thread_that_made_them():
     """SuperLU does not give back memory in another one."""
     eye = sp.identity(3, format="csc")
-    solved, at = factorised(eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), 60.0)
+    solved, at = factorised(
+        eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), Budget(Limits(60.0))
+    )
     assert list(solved) == [1, 1, 1]
     assert at != threading.get_ident()
 

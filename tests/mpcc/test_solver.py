@@ -204,7 +204,7 @@ class TestAttempts:
         self.ends["scholtes"] = end_of(1.0)
         own = automatic_derivatives(XY, ca.SX(0, 1), x + y, XY)
         solve(MPCC(XY, x + y, None, x, y, derivatives=own), [0.5, 0.6])
-        monkeypatch.setattr(solving.Run, "seconds_left", property(lambda run: 1e-6))
+        monkeypatch.setattr(solving.Budget, "remaining", property(lambda _: 1e-6))
         self.solved()
         assert self.looks == 0
 

@@ -10,6 +10,7 @@ from scipy.optimize import linprog
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
 from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proof_of_s, stationarity, strongest
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, XYW, w, x, y
 from support.scripted_run import linearised as at
@@ -244,7 +245,7 @@ def test_linear_program_that_fails_decides_nothing(monkeypatch):
     lifted, lin = at(MPCC(XY, x + y, None, x, y), [0, 0])
     assert strongest(lifted, lin, TOLERANCE) == ("", None)
     Answer.status = 2
-    assert strongest(lifted, lin, TOLERANCE, 2.5) == ("none", None)
+    assert strongest(lifted, lin, TOLERANCE, Budget(Limits(2.5))) == ("none", None)
     assert given[0] == {}
     assert 2.0 < given[1]["time_limit"] <= 2.5
 

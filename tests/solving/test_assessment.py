@@ -18,7 +18,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
-from rmesh_nlp.solving import clock, driver
+from rmesh_nlp.solving import driver, outer
 from rmesh_nlp.solving.assessment import EXPLOITED, FAILURES, Assessment
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -239,4 +239,4 @@ def test_given_displacements_that_violate_a_gap_are_refused(law, dirichlet, obst
 
 
 def test_the_default_tolerance_is_what_docs_promise() -> None:
-    assert clock.TOLERANCE == 1e-6
+    assert outer.TOLERANCE == 1e-6

@@ -11,10 +11,10 @@ from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving import driver
-from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome

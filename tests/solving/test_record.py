@@ -9,9 +9,9 @@ import pytest
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem import Constraint, Motion
-from rmesh_nlp.solving.clock import Limits
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer

@@ -24,7 +24,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.solving import formulation
 from rmesh_nlp.solving.assess import assess
-from rmesh_nlp.solving.driver import solve, solve_by_options
+from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
@@ -118,7 +118,7 @@ class TestMultiStart:
 
     def test_starts_and_a_seed_are_refused(self, problem: ContactProblem) -> None:
         with pytest.raises(BadInputError, match="cannot be combined"):
-            solve_by_options(problem, "joint", {"starts": 2, "seed": 0})
+            solve(problem, "joint", starts=2, seed=0)
 
 
 def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: ContactProblem) -> None:
@@ -245,7 +245,7 @@ class TestRemeshed:
         self, given: ContactProblem, other: dict[str, Any]
     ) -> None:
         with pytest.raises(BadInputError, match=f"combined with {next(iter(other))}"):
-            solve_by_options(given, "nested", {"remesh": True, **other})
+            solve(given, "nested", remesh=True, **other)
 
     @pytest.mark.parametrize("nodes", [2, -1, 7.5, "many", False])
     def test_a_number_of_nodes_is_one(self, nodes: Any) -> None:

@@ -10,7 +10,6 @@ from typing import Any
 
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Formulation
-from rmesh_nlp.solving.options import request
 from rmesh_nlp.solving.solution import Solution
 from support.solved import solve_once
 
@@ -33,8 +32,8 @@ class Named:
     def solve(
         self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any
     ) -> Solution:
-        """Solve with the options of the command line."""
-        return solve_once(problem, **request(self.name, options), on_step=on_step, certify=certify)
+        """Solve with options by name."""
+        return solve_once(problem, self.name, **options, on_step=on_step, certify=certify)
 
     @property
     def __name__(self) -> str:

@@ -1,0 +1,236 @@
+"""Seconds and iterations that are left of a solve, and interruptions; nothing else looks at a clock."""
+
+from __future__ import annotations
+
+import math
+import signal
+import statistics
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+from typing import Literal, TypeVar
+
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import Limit, Seconds, Settings
+
+T = TypeVar("T")
+
+Phase = Literal["build", "solve", "audit"]
+
+TIMING_SECONDS = 0.01
+"""Time spent on measuring something short, which is repeated up to five times."""
+
+LEAST_SECONDS = 1e-3
+"""Given to a library that takes no limit of zero."""
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@dataclass(frozen=True)
+class Limits(Settings):
+    """Limits of one solve, after which its best valid mesh is the solution.
+
+    Attributes
+    ----------
+    seconds : float
+        Of building and solving together, looked at after each iteration.
+    iterations : int, optional
+        Over everything that a formulation runs.
+    """
+
+    seconds: Seconds = 600.0
+    iterations: Limit | None = None
+
+
+class StoppedError(Exception):
+    """Ends what runs: a limit is reached, or the user or a callback asked for it."""
+
+    def __init__(self, status: Status = Status.INTERRUPTED) -> None:
+        super().__init__(status.message)
+        self.status = status
+
+
+class Budget:
+    """Seconds since it was made, and iterations that are counted, against limits.
+
+    Time is split into phases of which exactly one runs at any moment. ``build``: models are built with their
+    derivatives. ``solve``: the solver runs. ``audit``: the assessment measures, for which there is no limit.
+
+    Parameters
+    ----------
+    limits : Limits, optional
+        None by default: then it is a stopwatch.
+    whole : Budget, optional
+        Of which this is a share: where that is over, so is this.
+
+    Attributes
+    ----------
+    iterations : int
+        Counted so far, by who spends them.
+    stopped : Status or None
+        INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once it is over.
+    """
+
+    def __init__(self, limits: Limits | None = None, whole: Budget | None = None) -> None:
+        self.limits, self._whole = limits or Limits(math.inf), whole
+        self.iterations = 0
+        self.stopped: Status | None = None
+        self._seconds: dict[Phase, float] = {"build": 0.0, "solve": 0.0, "audit": 0.0}
+        self._phase: Phase = "build"
+        self._since = time.perf_counter()
+
+    def share(self, iterations: int | None = None) -> Budget:
+        """A budget of what is left, of at most so many iterations, which counts its own."""
+        known = [most for most in (iterations, self.iterations_left) if most is not None]
+        return Budget(Limits(math.inf, min(known, default=None)), self)
+
+    def enter(self, phase: Phase) -> None:
+        """From now on time counts as spent on ``phase``."""
+        now = time.perf_counter()
+        self._seconds[self._phase] += now - self._since
+        self._phase, self._since = phase, now
+
+    @contextmanager
+    def during(self, phase: Phase) -> Iterator[None]:
+        """Time in this context counts as spent on ``phase``, then on what it was before."""
+        before = self._phase
+        self.enter(phase)
+        try:
+            yield
+        finally:
+            self.enter(before)
+
+    def seconds(self, phase: Phase) -> float:
+        """What ``phase`` has taken so far."""
+        self.enter(self._phase)
+        return self._seconds[phase]
+
+    @property
+    def elapsed(self) -> float:
+        """Build and solve so far."""
+        return self.seconds("build") + self._seconds["solve"]
+
+    @property
+    def remaining(self) -> float:
+        """Seconds that are left, not negative."""
+        own = max(0.0, self.limits.seconds - self.elapsed)
+        return own if self._whole is None else min(own, self._whole.remaining)
+
+    @property
+    def iterations_left(self) -> int | None:
+        """Up to the limit; None without one."""
+        most = self.limits.iterations
+        return None if most is None else max(most - self.iterations, 0)
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether there is any limit."""
+        return math.isfinite(self.remaining) or self.limits.iterations is not None
+
+    def is_over(self) -> bool:
+        """Whether it was stopped, or a limit is reached."""
+        if self.stopped is None and self._whole is not None and self._whole.is_over():
+            self.stopped = self._whole.stopped
+        if self.stopped is None and self.remaining == 0.0:
+            self.stopped = Status.TIME_LIMIT
+        if self.stopped is None and self.iterations_left == 0:
+            self.stopped = Status.ITERATION_LIMIT
+        return self.stopped is not None
+
+    def check(self) -> None:
+        """Raise a StoppedError if it is over."""
+        if self.is_over():
+            raise StoppedError(self.stopped or Status.INTERRUPTED)
+
+    def within(self, work: Callable[[], T]) -> T:
+        """What ``work`` returns, or a StoppedError when the time is over.
+
+        A sparse factorisation cannot be interrupted. It releases Python's lock, so it runs in a thread that
+        is left to itself then. (HiGHS does not bear that: its own threads abort the process.)
+        """
+        seconds = self.remaining
+        if not math.isfinite(seconds):
+            return work()
+        answers: list[T] = []
+        errors: list[BaseException] = []
+
+        def run() -> None:
+            try:
+                answers.append(work())
+            except BaseException as error:  # raised again by the caller
+                errors.append(error)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        thread.join(min(seconds, threading.TIMEOUT_MAX))
+        if errors:
+            raise errors[0]
+        if not answers:
+            self.stopped = Status.TIME_LIMIT
+            raise StoppedError(Status.TIME_LIMIT)
+        return answers[0]
+
+
+def timed(first: Callable[[], object], again: Callable[[], object]) -> float:
+    """Wall time of ``first``; where it is short, or known already, the median of a few of ``again``."""
+    seconds = [_elapsed(first)]
+    if seconds[0] >= TIMING_SECONDS:
+        return seconds[0]
+    seconds = [_elapsed(again)]
+    while len(seconds) < 5 and sum(seconds) < TIMING_SECONDS:
+        seconds.append(_elapsed(again))
+    return statistics.median(seconds)
+
+
+def _elapsed(work: Callable[[], object]) -> float:
+    watch = Budget()
+    work()
+    return watch.elapsed
+
+
+def processor_seconds() -> float:
+    """Of this process so far."""
+    return time.process_time()
+
+
+def pause(seconds: float) -> None:
+    """Wait."""
+    time.sleep(seconds)
+
+
+def end_like_interrupts() -> None:
+    """Let a request to terminate, SIGTERM, end what runs as Ctrl-C does: with all that was reached kept."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
+
+@contextmanager
+def signals_to(handle: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM to ``handle`` where they would raise a KeyboardInterrupt in the main thread."""
+    caught = []
+    if threading.current_thread() is threading.main_thread():  # only there may handlers be set
+        caught = [number for number in SIGNALS if signal.getsignal(number) is signal.default_int_handler]
+    for number in caught:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number in caught:
+            signal.signal(number, signal.default_int_handler)
+
+
+@contextmanager
+def deferred() -> Iterator[Callable[[], bool]]:
+    """Defer a first Ctrl-C: yields a function that says whether there was one; a second one raises."""
+    pressed = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal pressed
+        if pressed:
+            signal.default_int_handler(number, frame)
+        pressed = True
+
+    with signals_to(note):
+        yield lambda: pressed

@@ -1,0 +1,69 @@
+"""Where a solve starts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.solving.formulation import Formulation, available, composed
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.solution import Solution
+
+Start = str | Array | Solution | None
+"""Node positions (2, nodes), "given", the name of a formulation, a Solution; None for the usual start."""
+
+GIVEN = "given"
+
+
+@dataclass(frozen=True)
+class Beginning:
+    """Admissible outer variables ``q`` of an outer problem, told whether it is close to a minimiser.
+
+    The ``name`` for the record is "given", "random", "positions", that of a formulation, or "solution of" it.
+    """
+
+    outer: Outer
+    q: Array
+    name: str
+
+
+def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> Beginning:
+    """The outer variables to start from.
+
+    None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it first,
+    from where ``seed`` says; its time and contact solves count.
+    """
+    if start is None and seed is not None:
+        return Beginning(outer, outer.variables(seed=seed), "random")
+    if start is None or (isinstance(start, str) and start == GIVEN):
+        return Beginning(outer, outer.variables(), GIVEN)
+    if isinstance(start, str):
+        if start not in available():
+            raise unknown("start", start, [GIVEN, *sorted(available())])
+        first = composed(start, {})
+        if not isinstance(first, Formulation):
+            raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
+        first.accepts(outer.problem, outer.objective)
+        found = monitor.run(first, outer, outer.variables(seed=seed))
+        return Beginning(outer.near(), found.q, start)
+    if isinstance(start, Solution):
+        q = outer.variables(positions(outer, start.mesh.p), design=start.design)
+        return Beginning(outer.near(), q, f"solution of {start.formulation}")
+    return Beginning(outer, outer.variables(positions(outer, start)), "positions")
+
+
+def positions(outer: Outer, nodes: Any) -> Array:
+    """Node positions as an array, checked to be those of the problem's mesh."""
+    found, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
+    if found.ndim != 2 or found.shape[0] != 2:
+        raise BadInputError(f"start must hold positions (2, nodes), got an array of shape {found.shape}")
+    if found.shape != wanted:
+        raise BadInputError(f"the start has {found.shape[1]} nodes, the problem {wanted[1]}")
+    if (lost := np.argwhere(~np.isfinite(found))).size:
+        raise BadInputError(f"start: node {int(lost[0][1])} has no finite position")
+    return found
