@@ -27,8 +27,8 @@ SLOW = pytest.mark.slow
     [
         (joint, {}),
         pytest.param(mpcc, {}, marks=SLOW),
-        pytest.param(nested, {"outer": "newton", "max_iterations": 60}, marks=SLOW),
-        pytest.param(nested, {"outer": "ipopt", "max_iterations": 60}, marks=SLOW),
+        pytest.param(nested, {"outer": "newton", "iterations": 60}, marks=SLOW),
+        pytest.param(nested, {"outer": "ipopt", "iterations": 60}, marks=SLOW),
     ],
 )
 def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str, Any]) -> None:
