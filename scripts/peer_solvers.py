@@ -41,7 +41,7 @@ class Case:
         limits = rm.Limits(min(self.limit, 1e6))
         solution = rm.solve(self.problem, formulation, objective=self.objective, limits=limits, **settings)
         status = solution.status.value if solution.success else f"{solution.status.value}, no success"
-        value = None if self.objective == "energy" else float(solution.extra["objective_value"])
+        value = None if self.objective == "energy" else float(solution.record()["objective_value"])
         seconds = unassessed(time.process_time() - began, solution)
         return Finish(np.asarray(solution.mesh.p), status, seconds, solution.iterations, value)
 

@@ -39,4 +39,4 @@ rm.plot(comparison["fixed"], best, what="displacement")
 # All descents are local. Random starts show how much another minimum gains.
 
 several = rm.solve(problem, "joint", starts=4)
-print(several.extra["start_energies"], "spread", several.extra["start_spread"])
+print(several.record()["start_energies"], "spread", several.record()["start_spread"])

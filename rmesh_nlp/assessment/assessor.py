@@ -133,10 +133,6 @@ class Quantities:
     resultant: float  # size of the sum of all contact forces on the body, friction included, in N/m
     contact_length: float  # of the boundary at nodes that press, in m (an area for an interior obstacle)
 
-    def entries(self, suffix: str = "") -> dict[str, float]:
-        """Entries of a record."""
-        return {f"{name}{suffix}": value for name, value in vars(self).items()}
-
 
 def quantities(
     space: DisplacementSpace, nodes: Array, system: ContactSystem, state: Equilibrium

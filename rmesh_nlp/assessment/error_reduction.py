@@ -9,7 +9,6 @@ factor is ``1 + (J_0 - J_1) / e_1``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any
@@ -163,18 +162,15 @@ def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: Displacemen
     return ActiveSet(touching, sliding)
 
 
-def by_certificate(
-    found: Mapping[str, Any], before: float, after: float, guaranteed: bool
-) -> Mapping[str, Any]:
-    """The record of an error reduction with the bounds of a certificate in the place of what was estimated.
+def by_certificate(estimated: ErrorReduction, before: float, after: float) -> ErrorReduction:
+    """An error reduction with the guaranteed bounds of a certificate in the place of what was estimated.
 
     ``before`` and ``after`` are ``E_0 - lower`` and ``E_1 - lower``, which bound the errors of these energies
     from above. The true factor ``(E_0 - J) / (E_1 - J)``, with J the least energy, grows with J, so that
-    ``(E_0 - lower) / (E_1 - lower)`` bounds it from below. What is measured against an exact energy stays,
-    and so does everything where the bounds are not guaranteed.
+    ``(E_0 - lower) / (E_1 - lower)`` bounds it from below. What is measured against an exact energy stays.
     """
-    if found["source"] == "exact" or not guaranteed or not before >= after > 0:
-        return found
+    if estimated.source == "exact" or not before >= after > 0:
+        return estimated
     errors = (before - after, before), (0.0, after)
-    factors, spent = (before / after, float("inf")), (found["nodes"], found["contact_solves"])
-    return ErrorReduction(*errors, *factors, "certified", *spent).record()
+    factors = before / after, float("inf")
+    return ErrorReduction(*errors, *factors, "certified", estimated.nodes, estimated.contact_solves)

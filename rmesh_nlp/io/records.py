@@ -1,4 +1,4 @@
-"""Records: one pydantic model, written as strict lines of JSON and read back with every entry checked."""
+"""Records as strict lines of JSON, read back with every entry checked by its declaration."""
 
 from __future__ import annotations
 
@@ -10,22 +10,18 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import AfterValidator, ConfigDict, ValidationError, create_model
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.solving.entries import ENTRIES
+from rmesh_nlp.solving.entry import EVERY, Entry
 
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
 
 LONGEST_LINE = 10_000_000  # characters that a record may have
 LARGEST_WHOLE = 2**63  # whole numbers in records are smaller
-OLD_NAMES = {
-    "strategy": "variant",
-    "referee_equilibrium_residual": "assessed_equilibrium_residual",
-    "referee_complementarity_residual": "assessed_complementarity_residual",
-}
-"""Entries of records of 0.1 by the names that they have now."""
 
 
 def objective_of(record: Record) -> str:
@@ -48,139 +44,45 @@ class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 
 
-def _delta(value: Any) -> Any:
-    numbers = [value.get("relative")] if isinstance(value, dict) else value
-    known = value is None or isinstance(value, dict) or (isinstance(value, list) and len(value) == 2)
-    if not known or any(type(number) not in (int, float) for number in numbers or ()):
-        raise ValueError("expected two half-widths, {relative = number} or null")
-    return value
+def _field(entry: Entry) -> tuple[Any, Any]:
+    """Its type and, where it may be absent, its default."""
+    checked = Annotated[entry.type, AfterValidator(entry.check or (lambda value: value))]  # type: ignore[name-defined]
+    return checked, ... if entry.presence is EVERY else None
 
 
-def _file_name(value: Any) -> Any:
-    if isinstance(value, str) and value != safe_name(value):
-        raise ValueError("expected the name of a file")
-    return value
+FIELDS: dict[str, Any] = {name: _field(entry) for name, entry in ENTRIES.items()}
+RecordModel = create_model("RecordModel", __config__=ConfigDict(extra="allow", strict=True), **FIELDS)
+"""The entries of a record with their types; further ones may come."""
 
-
-def _rule(value: Any) -> Any:
-    if type(value) not in (str, int):
-        raise ValueError("expected 'midpoint' or a degree")
-    return value
-
-
-IN_A_SUCCESS = "a number in every row of a success"  # mark of an entry, which elsewhere may be null
-
-Number = float | None
-Seconds = Annotated[float | None, Field(ge=0)]
-Measured = Annotated[Number, IN_A_SUCCESS]
-MeasuredCount = Annotated[int | None, IN_A_SUCCESS]
-MeasuredSeconds = Annotated[Seconds, IN_A_SUCCESS]
-
-
-class RecordModel(BaseModel):
-    """The entries of a record: those without a default are in every one, further ones may come.
-
-    Energies are in the unit of the problem, times in seconds of wall time; ``None`` is what is not
-    known. A row of a success has all of ``MEASURED``.
-    """
-
-    model_config = ConfigDict(extra="allow", strict=True)
-
-    example: str
-    formulation: str
-    objective: str
-    n: str
-    delta: Annotated[Any, BeforeValidator(_delta)]
-    status: str
-    success: bool
-    energy_initial: Measured
-    energy: Measured
-    energy_audited: Measured
-    gain: Measured
-    u_min: Measured
-    u_max: Measured
-    min_area_ratio: Measured
-    iterations: MeasuredCount
-    contact_solves: MeasuredCount
-    wall_time_s: MeasuredSeconds
-    equilibrium_residual: Measured
-    complementarity_residual: Measured
-    stationarity: str | None
-    versions: Any
-    seed: int | None
-
-    key: Annotated[str, BeforeValidator(_file_name)] = ""
-    quadrature: Annotated[Any, BeforeValidator(_rule)] = "midpoint"
-    message: str | None = None
-    relaxation: str | None = None
-    start: str | None = None
-    contact_time_s: MeasuredSeconds = None
-    build_time_s: Seconds = None
-    solve_time_s: Seconds = None
-    audit_time_s: Seconds = None
-    stationarity_residual: Number = None
-    energy_initial_audited: Number = None
-    gain_audited: Number = None
-    penetration: Number = None
-    objective_initial: Number = None
-    objective_value: Number = None
-    gain_surviving: Number = None
-    design: dict[str, Number] | None = None
-    design_initial: dict[str, Number] | None = None
-    design_bounds: dict[str, list[Number]] | None = None
-    constraints: dict[str, dict[str, Number]] | None = None
-    coulomb_residual: Number = None
-    coulomb_residual_initial: Number = None
-    energy_lower_bound: Number = None
-    energy_upper_bound: Number = None
-    error_bound_initial: Number = None
-    error_bound: Number = None
-    guaranteed_lower: bool | None = None
-    guaranteed_upper: bool | None = None
-    guaranteed_initial: bool | None = None
-    relative_error_bound_initial: Number = None
-    relative_error_bound: Number = None
-    certificate_remark: str | None = None
-    order: int = 1
-    nodes: int | None = None
-    triangles: int | None = None
-    unknowns: int | None = None
-    biactive_nodes: list[Any] | None = None
-
-    @model_validator(mode="after")
-    def _success_is_measured(self) -> RecordModel:
-        for name in MEASURED if self.success else ():
-            if getattr(self, name) is None:
-                raise ValueError(f"{name!r} must be a number in a row of a success")
-        return self
-
-
-REQUIRED = tuple(name for name, field in RecordModel.model_fields.items() if field.is_required())
+REQUIRED = tuple(entry.name for entry in ENTRIES.values() if entry.presence is EVERY)
 """Entries that every record has."""
 
-MEASURED = tuple(name for name, field in RecordModel.model_fields.items() if IN_A_SUCCESS in field.metadata)
+MEASURED = tuple(entry.name for entry in ENTRIES.values() if entry.is_measured)
 """Entries that are numbers in every row of a success; elsewhere they may be null."""
 
 
 def read_record(text: str, where: str) -> Record:
-    """A record from JSON, old entries by their present names; errors name ``where`` it was read."""
+    """A record from JSON; errors name ``where`` it was read."""
     record = parse_json(text, where)
     if not isinstance(record, dict):
         raise BadInputError(f"{where} is not a record: it holds {type(record).__name__}")
-    record = {OLD_NAMES.get(name) or name: value for name, value in record.items()}
     try:
         RecordModel.model_validate(record)
     except ValidationError as error:
         raise BadInputError(f"{where} is not a record: {_first(error)}") from None
+    key = record.get("key")
+    if key is not None and key != safe_name(key):
+        raise BadInputError(f"{where} is not a record: 'key' = {key!r}: expected the name of a file")
+    unknown = [name for name in MEASURED if record["success"] and record.get(name) is None]
+    if unknown:
+        raise BadInputError(f"{where} is not a record: {unknown[0]!r} must be a number in a row of a success")
     return record
 
 
 def _first(error: ValidationError) -> str:
     """The first thing that is wrong: the entry's name, what was expected, its value."""
-    item: Any = error.errors(include_url=False)[0]
+    item = error.errors(include_url=False)[0]
     message = str(item["msg"]).removeprefix("Value error, ")
-    if not item["loc"]:
-        return message
     name = repr(item["loc"][0])
     if item["type"] == "missing":
         return f"it has no {name}"

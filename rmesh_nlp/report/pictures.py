@@ -116,7 +116,7 @@ def _title(solution: Drawable) -> str:
     if solution.designed is not None:
         return "first design"
     if isinstance(solution, Solution):
-        return "new mesh" if "remeshed_nodes" in solution.extra else GIVEN
+        return GIVEN if solution.assessment.is_same_mesh else "new mesh"
     return "new mesh" if solution.is_remeshed else GIVEN
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.error_reduction import by_certificate
+from rmesh_nlp.assessment.error_reduction import ErrorReduction, by_certificate
 from rmesh_nlp.display import bounds_in_words, figure
 from rmesh_nlp.evaluation import Array
 
@@ -243,21 +243,6 @@ class Certificate:
     field: Array = field(repr=False)
     residual: float
 
-    def record(self) -> dict[str, Any]:
-        """The entries of a record."""
-        return {
-            "energy_lower_bound": self.lower,
-            "energy_upper_bound": self.upper,
-            "error_bound_initial": self.error_bound_initial,
-            "error_bound": self.error_bound,
-            "relative_error_bound_initial": self.relative_initial,
-            "relative_error_bound": self.relative,
-            "guaranteed_lower": self.guaranteed_lower,
-            "guaranteed_upper": self.guaranteed_upper,
-            "guaranteed_initial": self.guaranteed_initial,
-            "certificate_remark": self.why,
-        }
-
     @property
     def is_disproved(self) -> bool:
         """Whether the energy lies below a proven bound: then the displacement is not admissible."""
@@ -268,10 +253,10 @@ class Certificate:
         """Whether all bounds are."""
         return self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
 
-    def of_reduction(self, found: Mapping[str, Any]) -> dict[str, Any]:
-        """The record of an error reduction with these bounds, where they are guaranteed."""
+    def of_reduction(self, estimated: ErrorReduction) -> ErrorReduction:
+        """An error reduction with these bounds, where they are guaranteed."""
         before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
-        return dict(by_certificate(found, before, after, self.is_guaranteed))
+        return by_certificate(estimated, before, after) if self.is_guaranteed else estimated
 
     @property
     def sentence(self) -> str:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,16 +11,14 @@ from rich.table import Table
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
-from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.display import Rows, html_table, plain_table, rich_table
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.mmg import is_available
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.assessment import Assessment
+from rmesh_nlp.solving.entries import written
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
@@ -230,8 +226,9 @@ class Solution:
 
     @property
     def error_reduction(self) -> ErrorReduction | None:
-        """By how much the error of the energy fell, where ``auto`` chose."""
-        return self.reduced_error.reduction
+        """By how much the error of the energy fell, where ``auto`` chose: as proved, else as estimated."""
+        estimated, certificate = self.reduced_error.reduction, self.certificate
+        return estimated if estimated is None or certificate is None else certificate.of_reduction(estimated)
 
     @property
     def contact_solves(self) -> int:
@@ -244,112 +241,16 @@ class Solution:
         return self.build_time_s + self.solve_time_s + self.audit_time_s
 
     @property
-    def extra(self) -> dict[str, Any]:
-        """The entries of the record that not every solution has."""
-        extra = entries(*self.details, self.reduced_error.attained)
-        extra |= self._measured_record()
-        extra |= entries(self.assessment.first_order.label, self.choices, self.work)
-        if changed := self.limits.changed():
-            extra["limits"] = changed
-        if self.certificate is not None:
-            extra |= self.certificate.record()
-        elif self.certificate_remark is not None:
-            extra["certificate_remark"] = self.certificate_remark
-        if self.error_reduction is not None:
-            estimated, proved = self.error_reduction.record(), self.certificate
-            extra["error_reduction"] = estimated if proved is None else proved.of_reduction(estimated)
-        return extra
-
-    def _measured_record(self) -> dict[str, Any]:
-        """What was measured beside the energies; nothing of a mesh with inverted elements."""
-        assessment, given, final = self.assessment, self.assessment.given, self.assessment.final
-        if final.point is None:
-            return {}
-        always = {
-            "tolerance": assessment.tolerance,
-            "own_equilibrium_residual": assessment.own_residuals.equilibrium,
-            "own_complementarity_residual": assessment.own_residuals.complementarity,
-            "assessed_equilibrium_residual": final.residuals.equilibrium,
-            "assessed_complementarity_residual": final.residuals.complementarity,
-            "exploits": assessment.costliest if assessment.is_exploited else None,
-            "warnings": list(self.warnings),
-            "objective_value": final.objective,
-        }
-        optional = {
-            "sticking_nodes": final.sticking_nodes,
-            "sliding_nodes": final.sliding_nodes,
-            "objective_initial": given.objective if assessment.is_same_mesh else None,
-            "domain_area_change": assessment.domain_area_change,
-            "gain_surviving": None if self.surviving_gain is None else self.surviving_gain.share,
-            "coulomb_residual": final.coulomb_residual,
-            "coulomb_residual_initial": given.coulomb_residual,
-        }
-        record = always | {name: value for name, value in optional.items() if value is not None}
-        if given.quantities is not None and final.quantities is not None:
-            record |= given.quantities.entries("_initial") | final.quantities.entries()
-            if self.reduced_error.quantities is not None:
-                record |= self.reduced_error.quantities.entries("_refined")
-        return record
-
-    @property
     def warnings(self) -> tuple[str, ...]:
         """What is suspicious about the problem, the mesh, or the gain."""
         surviving = () if self.surviving_gain is None else self.surviving_gain.warnings
         return (*self.assessment.warnings, *self.reduced_error.warnings, *surviving)
 
     def record(self) -> dict[str, Any]:
-        """Everything a table needs, as plain JSON values. NaN becomes None."""
-        problem, assessment, final = self.problem, self.assessment, self.assessment.final
-        row = {
-            "example": problem.name,
-            **self._own("formulation", "objective"),
-            "n": problem.size,
-            "delta": problem.motion.delta_record(),
-            "status": self.status.value,
-            **self._own("success", "valid"),
-            "improved": assessment.improved,
-            "message": self.message,
-            "solver_status": assessment.solver_status.value,
-            **self._own("energy_initial", "energy", "energy_initial_audited", "energy_audited"),
-            **self._own("gain", "gain_audited"),
-            "u_min": float(self.displacement.min()),
-            "u_max": float(self.displacement.max()),
-            "min_area_ratio": final.min_area_ratio,
-            **self._own("iterations", "contact_solves", "wall_time_s", "build_time_s", "solve_time_s"),
-            **self._own("audit_time_s", "contact_time_s"),
-            "equilibrium_residual": final.residuals.equilibrium,
-            "complementarity_residual": final.residuals.complementarity,
-            "penetration": final.penetration,
-            **self._own("stationarity", "stationarity_residual"),
-            "order": problem.order,
-            "nodes": int(self.mesh.p.shape[1]),
-            "triangles": int(self.mesh.t.shape[1]),
-            "unknowns": int(np.sum(~DisplacementSpace.of(problem).given()[0])),
-            "quadrature": problem.rule,
-            "units": asdict(problem.units),
-            "versions": versions(),
-            **self._own("start", "settings", "seed"),
-            **self._design_record(),
-            **self.extra,
-        }
-        return {key: plain(value) for key, value in row.items()}
-
-    def _design_record(self) -> dict[str, Any]:
-        """Design variables at the end and at the start, their bounds, and what is constrained."""
-        record: dict[str, Any] = {}
-        if self.designed is not None:
-            own = [variable for variable in self.designed.design if variable.name in self.design]
-            record["design"] = dict(self.design)
-            record["design_initial"] = {variable.name: variable.start for variable in own}
-            record["design_bounds"] = {variable.name: list(variable.bounds) for variable in own}
-        if self.constraints:
-            record["constraints"] = {
-                text: constrained.record() for text, constrained in self.constraints.items()
-            }
-        return record
-
-    def _own(self, *names: str) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in names}
+        """The entries of :mod:`rmesh_nlp.solving.entries` as plain JSON values. NaN becomes None."""
+        parts = (*self.details, self.reduced_error.attained, self.assessment.first_order.label)
+        row = written(self) | entries(*parts, self.choices, self.work)
+        return {name: plain(value) for name, value in row.items()}
 
     def plot(self, what: str = "mesh", axes: Axes | None = None, **style: Any) -> Axes:
         """Draw a field of the solution on the relocated mesh.
@@ -381,13 +282,3 @@ class Solution:
 
     def _repr_html_(self) -> str:
         return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide the figures."""
-    packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
-    if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
-        packages = (*packages, "scikit-sparse")
-    if is_available():
-        packages = (*packages, "mmgpy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

@@ -19,7 +19,6 @@ def summary(solution: Any) -> Rows:
         solution.assessment.final,
         np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0),
     )
-    extra = solution.extra
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
@@ -34,16 +33,16 @@ def summary(solution: Any) -> Rows:
         ("iterations, contact solves", f"{solution.iterations}, {solution.contact_solves}"),
         ("seconds", f"{solution.wall_time_s:.3g}"),
     ]
-    if "coulomb_residual" in extra:
-        before, after = (extra[f"coulomb_residual{suffix}"] for suffix in ("_initial", ""))
+    if final.coulomb_residual is not None:
+        before, after = solution.assessment.given.coulomb_residual, final.coulomb_residual
         rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
-    if "remeshed_nodes" in extra:
+    if not solution.assessment.is_same_mesh:
         rows.insert(2, ("mesh", f"{solution.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
-    if "error_reduction" in extra:
-        rows.append(("error reduction", extra["error_reduction"]["text"]))
-    if "share_of_attainable" in extra:
-        best, share = extra["attainable_factor"], extra["share_of_attainable"]
-        said = f"{best:.2g} times less error: {share:.0%} of that is reached"
+    if solution.error_reduction is not None:
+        rows.append(("error reduction", solution.error_reduction.text()))
+    if (attained := solution.reduced_error.attained) is not None:
+        said = f"{attained.attainable_factor:.2g} times less error: {attained.share_of_attainable:.0%} of "
+        said += "that is reached"
         rows.append(("best mesh of as many triangles", said))
     if solution.multipliers is not None and not solution.problem.motion.is_fixed:
         pulls = solution.multipliers

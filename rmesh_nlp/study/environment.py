@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.solving.solution import versions
+from rmesh_nlp.solving.entries import versions
 
 
 def environment() -> dict[str, Any]:

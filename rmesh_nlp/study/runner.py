@@ -15,9 +15,10 @@ from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving import driver
+from rmesh_nlp.solving.entries import versions
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.solving.parts import DESIGN
-from rmesh_nlp.solving.solution import Solution, versions
+from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.verification import error_terms
 from rmesh_nlp.study.plan import PlannedSolve, build
 

@@ -74,7 +74,7 @@ def main(n: int = 6) -> dict[str, rm.Solution]:
 def across(solution: rm.Solution, points: int = 41) -> Across:
     """Contact solutions as the first biactive node of an end is moved, all others held."""
     outer = Outer.of(solution.problem, OBJECTIVE)
-    (node, *_), positions = solution.extra["biactive_nodes"], outer.relocation.mesh_map.positions
+    (node, *_), positions = solution.record()["biactive_nodes"], outer.relocation.mesh_map.positions
     row, q = positions.index[0, node], outer.variables(np.asarray(solution.mesh.p))
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     x, rows = [], []
@@ -125,7 +125,7 @@ def _contact(axis: plt.Axes, end: rm.Solution) -> None:
     state, nodes = point.equilibrium, outer.contact.contact_nodes
     x, order = np.asarray(end.mesh.p)[0, nodes], np.argsort(np.asarray(end.mesh.p)[0, nodes])
     bound, friction = point.system.bound(state.normal_force), np.abs(state.tangential_force)
-    biactive = np.isin(nodes, end.extra["biactive_nodes"])
+    biactive = np.isin(nodes, end.record()["biactive_nodes"])
     touches, slides = state.active.touching, state.active.sliding != 0
     axis.plot(x[order], bound[order], color="0.6", label=r"bound $F p$")
     for which, mark, color, label in (

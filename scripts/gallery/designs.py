@@ -50,7 +50,7 @@ class Starts:
     def best(self) -> rm.Solution:
         """The successful end with the least objective."""
         ends = [end for end in self.solutions.values() if end.success]
-        return min(ends, key=lambda end: float(end.extra["objective_value"]))
+        return min(ends, key=lambda end: float(end.record()["objective_value"]))
 
     @property
     def table(self) -> str:
@@ -61,7 +61,7 @@ class Starts:
             "|---|---|---|---|---|---|---|---|---|",
         ]
         for (formulation, seed), end in self.solutions.items():
-            extra = end.extra
+            extra = end.record()
             cells = [
                 f"`{formulation}`",
                 "given" if seed is None else f"drawn {seed}",
@@ -80,7 +80,7 @@ class Starts:
 def _proved(end: rm.Solution) -> str:
     """Labels that the assessment proved."""
     labels = [end.stationarity] if end.stationarity else []
-    return ", ".join([*labels, *(["B"] if end.extra.get("b_stationary") else [])]) or "none"
+    return ", ".join([*labels, *(["B"] if end.record().get("b_stationary") else [])]) or "none"
 
 
 def five_starts(
@@ -136,9 +136,9 @@ class Designed:
         print("design:", ", ".join(f"{name} = {value:.5f}" for name, value in best.design.items()))
         for factor, ends in zip(FINER, self.finer, strict=True):
             for name, end in zip(names, ends, strict=True):
-                shown = (f"{text} {end.extra[key]:.5g}" for key, text in figures.items())
+                shown = (f"{text} {end.record()[key]:.5g}" for key, text in figures.items())
                 print(f"h/{factor}, {name}: {', '.join(shown)}")
-        print(f"gain_surviving {best.extra['gain_surviving']:.4f}, on h/4 {self.surviving:.4f}")
+        print(f"gain_surviving {best.record()['gain_surviving']:.4f}, on h/4 {self.surviving:.4f}")
 
     def draw_pressures(self, axis: Axes, names: tuple[str, str]) -> None:
         """The contact pressures of both along ``bottom``, on the mesh of the design and on that of h/4."""
@@ -171,7 +171,7 @@ def along(end: rm.Solution, boundary: str = "bottom") -> NDArray[np.int64]:
 
 def surviving(pairs: Sequence[tuple[rm.Solution, rm.Solution]]) -> float:
     """The gain on the last mesh in parts of that on the first one."""
-    gains = [float(a.extra["objective_value"] - b.extra["objective_value"]) for a, b in pairs]
+    gains = [float(a.record()["objective_value"] - b.record()["objective_value"]) for a, b in pairs]
     return gains[-1] / gains[0]
 
 

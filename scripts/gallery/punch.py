@@ -47,7 +47,7 @@ def main(n: int = 8) -> dict[str, rm.Solution]:
     print(f"gradient: order {rm.verify_gradient(punch, objective).order:.2f}")
     solutions = {name: rm.solve(punch, name, objective=objective) for name in ("fixed", "nested", "mpcc")}
     for name, solution in solutions.items():
-        value = solution.extra.get("objective_value", float("nan"))
+        value = solution.record().get("objective_value", float("nan"))
         peak = REFERENCE * value ** (1 / EXPONENT)  # its distortion neglected
         largest = f"largest nodal pressure {solution.pressure.max():.4g}"
         print(f"{name}: {solution.status.value}, smoothed peak {peak:.4g}, {largest}")

@@ -140,10 +140,10 @@ def state(solution: rm.Solution) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 def line(name: str, solution: rm.Solution) -> str:
     """One line about a solve."""
-    text = f"{name}: {solution.status.value}, objective {solution.extra['objective_value']:.7f}"
+    text = f"{name}: {solution.status.value}, objective {solution.record()['objective_value']:.7f}"
     text += f", {solution.iterations} iterations"
-    if "label" in solution.extra:
-        pairs, b = solution.extra["biactive"], solution.extra["b_stationary"]
+    if "label" in solution.record():
+        pairs, b = solution.record()["biactive"], solution.record()["b_stationary"]
         text += f", {solution.stationarity}-stationary, B-stationary {b}, {pairs} biactive pairs"
     return text
 

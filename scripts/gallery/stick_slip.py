@@ -108,7 +108,7 @@ def errors(ends: Sequence[rm.Solution], objective: str, levels: int = 2) -> list
     found = []
     for _ in range(levels + 1):
         solved = [rm.solve(mesh, "fixed", objective=objective) for mesh in meshes]
-        found.append(tuple(float(one.extra["objective_value"]) for one in solved))
+        found.append(tuple(float(one.record()["objective_value"]) for one in solved))
         meshes = [refined(mesh) for mesh in meshes]
     return found
 
@@ -119,14 +119,14 @@ def main(n: int = 6, objective: str = OBJECTIVE, seeds: Sequence[int | None] = S
     given = rm.solve(block, "fixed", objective=objective)
     starts = five_starts(block, objective, seeds)
     pairs = errors((given, starts.best), objective)
-    print(f"{objective}, as given: {given.extra['objective_value']:.6g}")
+    print(f"{objective}, as given: {given.record()['objective_value']:.6g}")
     print(starts.table)
     for level, (before, after) in enumerate(pairs):
         print(f"h/{2**level}: {objective} {before:.5g} -> {after:.5g}, gain {1 - after / before:.1%} of it")
     for which in (OBJECTIVE, OTHER):
         before, after = errors((given, starts.best), which, 0)[0]
         print(f"{which}: {before:.5g} -> {after:.5g}")
-    counts = [(end.extra["sticking_nodes"], end.extra["sliding_nodes"]) for end in (given, starts.best)]
+    counts = [(end.record()["sticking_nodes"], end.record()["sliding_nodes"]) for end in (given, starts.best)]
     print(f"nodes that stick, and that slip or are open: {counts}")
     return Relocated(given, starts, pairs)
 

@@ -183,9 +183,9 @@ def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named
         Motion(0.05),
         (Traction("right", (5.0, 0.0)),),
     )
-    assert formulation.solve(problem).extra["biactive_nodes"] == problem.contact_nodes.tolist()
+    assert formulation.solve(problem).record()["biactive_nodes"] == problem.contact_nodes.tolist()
     pressed = replace(problem, tractions=(Traction("top", (0.0, -5.0)),))
-    assert formulation.solve(pressed).extra["biactive_nodes"] == []
+    assert formulation.solve(pressed).record()["biactive_nodes"] == []
 
 
 @pytest.mark.parametrize("limit", [1, 3, 6, 10])

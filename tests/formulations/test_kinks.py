@@ -74,7 +74,7 @@ def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.Mon
     solution = rm.solve(seal(), "nested", objective=LEAK)
     assert solution.success
     assert solution.status is not Status.CONVERGED
-    assert EXACT_FINISH not in solution.extra["outer_method"]
+    assert EXACT_FINISH not in solution.record()["outer_method"]
 
 
 def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,20 +35,6 @@ def test_json_is_strict_and_plain():
     assert json.loads(to_json(fixed_61(), indent=2)) == fixed_61()
 
 
-def test_old_names_of_entries_are_read():
-    old = fixed_61(
-        strategy="fast",
-        referee_equilibrium_residual=1e-9,
-        referee_complementarity_residual=2e-9,
-        mine={"a": [1]},
-    )
-    new = read_record(to_json(old), "here")
-    assert (new["variant"], new["mine"]) == ("fast", {"a": [1]})
-    assert new["assessed_equilibrium_residual"] == 1e-9
-    assert new["assessed_complementarity_residual"] == 2e-9
-    assert not [name for name in new if "referee" in name or name == "strategy"]
-
-
 @pytest.mark.parametrize("name", REQUIRED)
 def test_every_required_entry_is_asked_for(name):
     record = fixed_61()

@@ -52,7 +52,7 @@ def test_the_shaped_punch_has_a_lower_peak_by_both_formulations(load: Callable[[
     before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
     assert nested.success
     assert mpcc.success
-    assert nested.extra["objective_value"] == pytest.approx(mpcc.extra["objective_value"], rel=1e-4)
+    assert nested.record()["objective_value"] == pytest.approx(mpcc.record()["objective_value"], rel=1e-4)
     # the load, and with it the mean, is given: what the middle is spared the rest must carry
     assert nested.pressure.max() < 0.9 * before.pressure.max()
 
@@ -65,7 +65,7 @@ def test_a_slab_ends_where_a_node_is_about_to_slide(
     solutions = module.main(6)
     module.draw(solutions, tmp_path / "slab.png")
     assert all(solution.success for solution in solutions.values())
-    assert solutions["nested"].extra["biactive"] >= 1
+    assert solutions["nested"].record()["biactive"] >= 1
     found = module.across(solutions["nested"])
     middle, tiny = len(found.x) // 2, 1e-6
     # sticks on one side and slides on the other: neither slip nor reserve is there on both
@@ -84,9 +84,9 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
     module.draw(solutions, tmp_path / "seal.png")
     best = solutions["mpcc"]
     assert best.success
-    assert best.extra["b_stationary"]
-    assert len(best.extra["biactive_nodes"]) == len(module.seal_nodes(best.problem)) == 3
-    early = [stage for stage in best.extra["stages"] if stage["phase"] == "relaxed"]
+    assert best.record()["b_stationary"]
+    assert len(best.record()["biactive_nodes"]) == len(module.seal_nodes(best.problem)) == 3
+    early = [stage for stage in best.record()["stages"] if stage["phase"] == "relaxed"]
     assert len(early) >= 2
     for stage in early:  # the relaxation acts: without it the pairs would open further
         assert stage["product"] >= stage["t"] / 2
@@ -100,11 +100,11 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
         assert kink.down > 2 * kink.up
     nested = solutions["nested, newton"]
     assert (nested.status.value, nested.stationarity) == ("converged", "S")
-    assert nested.extra["biactive_nodes"] == best.extra["biactive_nodes"]
-    assert nested.extra["objective_value"] == pytest.approx(best.extra["objective_value"], rel=1e-8)
-    assert "exact finish" in nested.extra["outer_method"]
+    assert nested.record()["biactive_nodes"] == best.record()["biactive_nodes"]
+    assert nested.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-8)
+    assert "exact finish" in nested.record()["outer_method"]
     again = solutions["mpcc from the end of nested, newton"]
-    assert again.extra["objective_value"] == pytest.approx(best.extra["objective_value"], rel=1e-6)
+    assert again.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-6)
     assert (tmp_path / "seal.png").stat().st_size > 10_000
 
 

@@ -15,19 +15,19 @@ def check_ends(starts) -> None:
     """Each end is a success whose label is proved."""
     for (formulation, seed), end in starts.solutions.items():
         assert end.success, f"{formulation} from {seed}: {end.status.message}"
-        assert end.extra["b_stationary"], f"{formulation} from {seed}"
+        assert end.record()["b_stationary"], f"{formulation} from {seed}"
 
 
 def values(starts, formulation: str) -> list[float]:
     return [
-        end.extra["objective_value"] for (name, _), end in starts.solutions.items() if name == formulation
+        end.record()["objective_value"] for (name, _), end in starts.solutions.items() if name == formulation
     ]
 
 
 def is_same_at_start(file: str, problem: rm.ContactProblem, objective) -> bool:
     """Whether a problem file is the problem of its script, by the objective at the first design."""
     one, two = (
-        rm.solve(each.at_design(), "fixed", objective=objective).extra["objective_value"]
+        rm.solve(each.at_design(), "fixed", objective=objective).record()["objective_value"]
         for each in (load_problem(FOLDER / file), problem)
     )
     return one == pytest.approx(two, rel=1e-9)
@@ -58,7 +58,7 @@ def test_modulus_friction_and_gap_are_identified(load, tmp_path: Path) -> None:
     best = found.starts.best.design
     for name, value in module.TRUTH.items():
         assert best[name] == pytest.approx(value, rel=0.05)
-    first, last = (end.extra["objective_value"] for end in found.finer[0])
+    first, last = (end.record()["objective_value"] for end in found.finer[0])
     assert last < 0.01 * first
     assert module.surviving(found.finer) > 0.95
     module.draw(found, tmp_path / "it.png")
@@ -78,7 +78,7 @@ def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
     assert values(seal.starts, "nested") == pytest.approx(values(seal.starts, "mpcc"), rel=1e-5)
     for first, best in seal.finer:
         assert best.pressure.max() < 0.75 * first.pressure.max()
-        assert best.extra["resultant"] == pytest.approx(module.FORCE, rel=5e-3)
+        assert best.record()["resultant"] == pytest.approx(module.FORCE, rel=5e-3)
     design = seal.starts.best.design
     assert design["lip"] > 9 * design["core"]  # a stiff lip on a soft core
     assert seal.surviving > 0.95
@@ -93,8 +93,8 @@ def test_relocation_under_coulomb_friction_lowers_the_error(load, tmp_path: Path
     found = module.main(3, seeds=(None, 1))
     check_ends(found.starts)
     for end in found.starts.solutions.values():
-        assert end.extra["objective_value"] < 0.8 * found.given.extra["objective_value"]
-    assert found.given.extra["sticking_nodes"] == 2  # of those at x = 0, 1/3, ..., the one at 0 is given
+        assert end.record()["objective_value"] < 0.8 * found.given.record()["objective_value"]
+    assert found.given.record()["sticking_nodes"] == 2  # of those at x = 0, 1/3, ..., the one at 0 is given
     gains = [1 - after / before for before, after in found.errors]
     assert gains[-1] > 0.5 * gains[0]
     rate = found.errors[0][0] / found.errors[-1][0]

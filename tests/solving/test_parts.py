@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.solving.parts import (
     Certificate,
     Choices,
@@ -65,24 +66,13 @@ KNOWN = ("guaranteed_lower", "guaranteed_upper", "guaranteed_initial")
 @pytest.mark.parametrize("lacks", [None, *KNOWN])
 def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | None) -> None:
     found = CERTIFIED if lacks is None else replace(CERTIFIED, **{lacks: False})
-    assert found.record() == {
-        "energy_lower_bound": -3.0,
-        "energy_upper_bound": -2.0,
-        "error_bound_initial": 2.0,
-        "error_bound": 1.0,
-        "relative_error_bound_initial": 0.5,
-        "relative_error_bound": 0.125,
-        "certificate_remark": "because",
-        **{name: name != lacks for name in KNOWN},
-    }
     word = "at most" if lacks is None else "estimated at"
     assert found.sentence == f"error in the energy norm {word} 50 % before, 12.5 % after"
-    claim = {"source": "refinement", "error_initial": (1, 2), "error": (1, 2), "factor": 1, "factor_upper": 2,
-             "nodes": 9, "contact_solves": 3, "text": ""}  # fmt: skip
+    claim = ErrorReduction((1, 2), (1, 2), 1, 2, "refinement", 9, 3)
     proved = found.of_reduction(claim)
     if lacks is None:  # half the squares of 2 and 1
-        assert (proved["source"], proved["factor"]) == ("certified", 4.0)
-        assert (tuple(proved["error_initial"]), tuple(proved["error"])) == ((1.5, 2.0), (0.0, 0.5))
+        assert (proved.source, proved.factor) == ("certified", 4.0)
+        assert (proved.error_initial, proved.error) == ((1.5, 2.0), (0.0, 0.5))
     else:
         assert proved == claim
 

@@ -113,7 +113,7 @@ class TestMultiStart:
         solution = solve_once(problem, MultiStart(script.formulation, 5))
         assert len(script.begun) == 2
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-        assert solution.extra["start_seeds"] == (None, 1)
+        assert solution.record()["start_seeds"] == (None, 1)
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
     def test_starts_and_a_seed_are_refused(self, problem: ContactProblem) -> None:
@@ -129,7 +129,7 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     assert not np.any(script.begun[0][1])
     for before, (_, q) in zip(script.ends, script.begun[1:], strict=False):
         np.testing.assert_array_equal(q, before.q)
-    gain, texts = solution.extra["gain_estimate"], [outer.objective.text for outer, _ in script.begun]
+    gain, texts = solution.record()["gain_estimate"], [outer.objective.text for outer, _ in script.begun]
     wanted = [regularised(gain, weight, "shape-size").text for weight in (1.0, 0.1, 0.0)]
     assert texts == wanted
     assert wanted[-1] == solution.objective == "energy"

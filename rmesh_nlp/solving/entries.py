@@ -1,0 +1,376 @@
+"""The entries of a record, one declaration of each.
+
+:mod:`rmesh_nlp.io.records` checks what it reads by their types, tables take headings and digits, and
+docs/records.md is made of the meanings. What a formulation adds of its own are the fields of a
+:class:`rmesh_nlp.solving.parts.Part`; their declarations have no value of a Solution.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable
+from dataclasses import asdict
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.meshes.mmg import is_available
+from rmesh_nlp.solving.entry import (
+    EVERY,
+    KNOWN,
+    SOLVED,
+    Count,
+    Entry,
+    Named,
+    Number,
+    Text,
+    of_energies,
+    of_seconds,
+)
+
+if TYPE_CHECKING:
+    from rmesh_nlp.assessment.assessor import Quantities
+    from rmesh_nlp.solving.solution import Solution
+
+
+def _widths(value: Any) -> object:
+    numbers = [value.get("relative")] if isinstance(value, dict) else value
+    is_kind = value is None or isinstance(value, dict) or (isinstance(value, list) and len(value) == 2)
+    if not is_kind or any(type(number) not in (int, float) for number in numbers or ()):
+        raise ValueError("expected two half-widths, {relative = number} or null")
+    return value
+
+
+def _seconds(name: str, meaning: str, of: Callable[[Solution], float] | None, **options: Any) -> Entry:
+    def check(value: float | None) -> float | None:
+        if value is not None and value < 0:
+            raise ValueError("expected seconds, at least 0")
+        return value
+
+    return Entry(name, Number, meaning, of, **{"presence": SOLVED, "unit": "s", "check": check, **options})
+
+
+def _units(solution: Solution) -> dict[str, str]:
+    return asdict(solution.problem.units)
+
+
+def _unknowns(solution: Solution) -> int:
+    return int(np.sum(~DisplacementSpace.of(solution.problem).given()[0]))
+
+
+def _own_design(solution: Solution, of: Callable[[Any], object]) -> dict[str, object] | None:
+    """Of each design variable that the solve had."""
+    if solution.designed is None:
+        return None
+    return {one.name: of(one) for one in solution.designed.design if one.name in solution.design}
+
+
+def _constraints(solution: Solution) -> dict[str, dict[str, float | None]] | None:
+    return {text: one.record() for text, one in solution.constraints.items()} or None
+
+
+def _error_reduction(solution: Solution) -> object:
+    return solution.error_reduction and solution.error_reduction.record()
+
+
+def _exploits(solution: Solution) -> str | None:
+    return solution.assessment.costliest if solution.assessment.is_exploited else None
+
+
+def _objective_initial(solution: Solution) -> float | None:
+    assessment = solution.assessment
+    is_known = assessment.final.point is not None and assessment.is_same_mesh
+    return assessment.given.objective if is_known else None
+
+
+def _remark(solution: Solution) -> str | None:
+    return solution.certificate_remark if solution.certificate is None else solution.certificate.why
+
+
+# fmt: off
+def _contact(suffix: str, where: str, of: Callable[[Solution], Quantities | None]) -> tuple[Entry, ...]:
+    """Quantities of the contact on one of the meshes."""
+
+    def on(value: Callable[[Quantities], float]) -> Callable[[Solution], float | None]:
+        return lambda s: None if (quantities := of(s)) is None else value(quantities)
+
+    return (
+        Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
+              on(lambda its: its.peak_pressure), unit="force/length^2"),
+        Entry(f"resultant{suffix}", Number,
+              f"Size of the sum of all contact forces on {where}, friction included.",
+              on(lambda its: its.resultant), unit="force/length"),
+        Entry(f"contact_length{suffix}", Number,
+              f"Length of the boundary that presses on {where}; of an interior obstacle an area.",
+              on(lambda its: its.contact_length), unit="length"),
+    )
+
+
+SECTIONS: dict[str, tuple[Entry, ...]] = {
+    "What was solved": (
+        Entry("key", str, "Name of the solve, and of its files in `solutions/`."),
+        Entry("example", str, "Name of the problem.", lambda s: s.problem.name, EVERY),
+        Entry("formulation", str, "That solved it.", lambda s: s.formulation, EVERY),
+        Entry("objective", str, "What was minimised.", lambda s: s.objective, EVERY),
+        Entry("n", str, "Size of the mesh, as the problem gives it.", lambda s: s.problem.size, EVERY),
+        Entry("delta", Any, "Move limits along x and y, a part of the shortest edge, or null for none.",
+              lambda s: s.problem.motion.delta_record(), EVERY, unit="length", check=_widths),
+        Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
+              lambda s: s.problem.order, SOLVED, heading="order"),
+        Entry("nodes", Count, "Vertices of the mesh.", lambda s: int(s.mesh.p.shape[1]), SOLVED),
+        Entry("triangles", Count, "Of the mesh.", lambda s: int(s.mesh.t.shape[1]), SOLVED),
+        Entry("unknowns", Count, "Of the displacement.", _unknowns, SOLVED, heading="unknowns"),
+        Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
+              lambda s: s.problem.rule, SOLVED),
+        Entry("units", Named | dict[str, str], "Of the problem, if it names any.", _units, SOLVED),
+        Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "
+              "whose solution it was.", lambda s: s.start, SOLVED, heading="start"),
+        Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", lambda s: s.seed,
+              EVERY, heading="seed"),
+        Entry("settings", dict[str, Any], "That differ from the defaults.", lambda s: dict(s.settings),
+              SOLVED),
+        Entry("limits", dict[str, Any], "Of time and iterations.", lambda s: s.limits.changed() or None),
+        Entry("tolerance", Number, "Of the first-order residual.", lambda s: s.assessment.tolerance, SOLVED),
+        Entry("chosen_by", Text, "`auto`, where it chose the formulation."),
+        Entry("chosen", Text, "Why it chose that."),
+        Entry("safe", Text, "What followed an exploited end, see [the assessment](assessment.md)."),
+        Entry("versions", Any, "Of Python and of the packages that decide the figures.", lambda s: versions(),
+              EVERY),
+    ),
+    "How it ended": (
+        Entry("status", str, "That of the assessment; `refused` and `failed` are solves that raised.",
+              lambda s: s.status.value, EVERY, heading="status"),
+        Entry("success", bool, "Valid and improved.", lambda s: s.success, EVERY),
+        Entry("valid", bool, "Whether the contact problem is solved on the final mesh, see [the "
+              "assessment](assessment.md).", lambda s: s.valid, SOLVED),
+        Entry("improved", bool, "Whether the minimised objective is not above its value on the given mesh.",
+              lambda s: s.assessment.improved, SOLVED),
+        Entry("message", Text, "The status in words.", lambda s: s.message, SOLVED),
+        Entry("solver_status", Text, "How the solver says that it ended.",
+              lambda s: s.assessment.solver_status.value, SOLVED),
+        Entry("exploits", Text, "Kind of the discretisation error that the optimiser found: `quadrature`, "
+              "`penetration`, `friction` or `geometry`.", _exploits, SOLVED),
+        Entry("warnings", list[str], "Signs of a wrong set-up, and of gains that are discretisation errors.",
+              lambda s: list(s.warnings), SOLVED),
+    ),
+    "Energies and objectives": (
+        Entry("energy_initial", Number, "J on the given mesh with the problem's own quadrature.",
+              lambda s: s.energy_initial, EVERY, "energy", is_measured=True, heading="J given,|own rule",
+              digits=of_energies),
+        Entry("energy", Number, "The same on the final mesh.", lambda s: s.energy, EVERY, "energy",
+              is_measured=True, heading="J relocated,|own rule", digits=of_energies),
+        Entry("energy_initial_audited", Number, "Least continuous energy of an admissible displacement on "
+              "the given mesh.", lambda s: s.energy_initial_audited, SOLVED, "energy", heading="J|given",
+              digits=of_energies),
+        Entry("energy_audited", Number, "The same on the final mesh.", lambda s: s.energy_audited, EVERY,
+              "energy", is_measured=True, heading="J|relocated", digits=of_energies),
+        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", lambda s: s.gain, EVERY, "energy",
+              is_measured=True),
+        Entry("gain_audited", Number, "Fall of the audited energy.", lambda s: s.gain_audited, SOLVED,
+              "energy"),
+        Entry("objective_initial", Number, "The minimised objective on the given mesh; absent where a new "
+              "mesh was made.", _objective_initial, heading="initial", digits=".6e"),
+        Entry("objective_value", Number, "The same on the final mesh.",
+              lambda s: s.assessment.final.objective, SOLVED, heading="final", digits=".6e"),
+        Entry("gain_surviving", Number, "Gain in a quantity of the displacement on uniform refinements of "
+              "the two meshes, over the gain found; a small share means that a discretisation error was "
+              "minimised.", lambda s: s.surviving_gain and s.surviving_gain.share),
+        Entry("error_reduction", dict[str, Any], "Bounds of the error of the energy before and after and of "
+              "their ratio, what they rest on (`source`: `exact`, `refinement` or `certified`), and the "
+              "contact solves that the relocation took.", _error_reduction),
+        Entry("attainable_factor", Number, "By how much less the error of the best mesh of as many triangles "
+              "is than that of the given mesh, estimated."),
+        Entry("share_of_attainable", Number, "That least error over the one of the final mesh."),
+        Entry("I1", Number, "Error of the energy, a term of Theorem 4.1, where the exact solution is known.",
+              unit="energy", heading="I1", digits=".6f", tex="$I_1$"),
+        Entry("I2", Number, "The same of the contact.", unit="energy", heading="I2", digits=".2e",
+              tex="$I_2$"),
+        Entry("I3", Number, "The same of the friction.", unit="energy", heading="I3", digits=".2e",
+              tex="$I_3$"),
+        Entry("energy_above_exact", Number, "What the terms sum to.", unit="energy",
+              heading="J audited - J exact", digits=".6f", tex="$J-J(u)$,|audited"),
+    ),
+    "Displacement and mesh": (
+        Entry("u_min", Number, "Least displacement component.", lambda s: float(s.displacement.min()), EVERY,
+              "length", is_measured=True, heading="u min", digits=".4g", tex=r"$u_{\min}$"),
+        Entry("u_max", Number, "Largest displacement component.", lambda s: float(s.displacement.max()),
+              EVERY, "length", is_measured=True, heading="u max", digits=".4g", tex=r"$u_{\max}$"),
+        Entry("min_area_ratio", Number, "Least element area over its initial value.",
+              lambda s: s.assessment.final.min_area_ratio, EVERY, is_measured=True,
+              heading="least|area ratio", digits=".3f"),
+        Entry("domain_area_change", Number, "Relative, where nodes slide along curves.",
+              lambda s: s.assessment.domain_area_change),
+        Entry("penetration", Number, "Deepest penetration between contact nodes.",
+              lambda s: s.assessment.final.penetration, SOLVED, "length"),
+    ),
+    "Contact": (
+        *_contact("_initial", "the given mesh", lambda s: s.assessment.given.quantities),
+        *_contact("", "the final mesh", lambda s: s.assessment.final.quantities),
+        *_contact("_refined", "its refinement", lambda s: s.reduced_error.quantities),
+        Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
+              lambda s: s.assessment.final.sticking_nodes),
+        Entry("sliding_nodes", Count, "The same that slide.", lambda s: s.assessment.final.sliding_nodes),
+        Entry("coulomb_residual_initial", Number, "How far Coulomb's law is from holding along whole contact "
+              "edges of the given mesh, as a part of the contact force "
+              "([theory](theory.md#coulomb-friction)).", lambda s: s.assessment.given.coulomb_residual),
+        Entry("coulomb_residual", Number, "The same on the final mesh.",
+              lambda s: s.assessment.final.coulomb_residual),
+    ),
+    "Designs": (
+        Entry("design", Named, "Of a [design](own_problems.md#designs): its variables at the end. Energies "
+              "of different designs do not compare.",
+              lambda s: None if s.designed is None else dict(s.design)),
+        Entry("design_initial", Named, "The same at the start.",
+              lambda s: _own_design(s, lambda one: one.start)),
+        Entry("design_bounds", dict[str, list[Number]], "Their bounds.",
+              lambda s: _own_design(s, lambda one: list(one.bounds))),
+        Entry("constraints", dict[str, dict[str, Number]], "What is constrained, by its text: `value` at the "
+              "end, `lower`, `upper` (null: none). Of `max-pressure(NAME)` the largest pressure at a node.",
+              _constraints),
+    ),
+    "Work": (
+        Entry("iterations", Count, "Of the solver.", lambda s: s.iterations, EVERY, is_measured=True,
+              heading="iterations"),
+        Entry("contact_solves", Count, "Of the formulation.", lambda s: s.contact_solves, EVERY,
+              is_measured=True, heading="contact|solves"),
+        Entry("cold_contact_solves", Count, "Those without an active set to start from."),
+        Entry("contact_factorisations", Count, "Of the stiffness."),
+        Entry("kkt_factorisations", Count, "Of KKT matrices; Ipopt's iterations, each of which takes one at "
+              "least.", heading="KKT|factorisations"),
+        _seconds("wall_time_s", "Build, solve and audit.", lambda s: s.wall_time_s, presence=EVERY,
+                 is_measured=True, heading="time|[s]", digits=of_seconds),
+        _seconds("build_time_s", "Making models and derivatives.", lambda s: s.build_time_s),
+        _seconds("solve_time_s", "The formulation.", lambda s: s.solve_time_s),
+        _seconds("audit_time_s", "The assessment.", lambda s: s.audit_time_s),
+        _seconds("contact_time_s", "One contact solve on the given mesh, the unit of cost.",
+                 lambda s: s.contact_time_s, is_measured=True),
+    ),
+    "Residuals and stationarity": (
+        Entry("equilibrium_residual", Number, "Of the final displacement, over the largest force.",
+              lambda s: s.assessment.final.residuals.equilibrium, EVERY, is_measured=True),
+        Entry("complementarity_residual", Number, "Violation of the laws of contact and friction, "
+              "dimensionless.", lambda s: s.assessment.final.residuals.complementarity, EVERY,
+              is_measured=True),
+        Entry("own_equilibrium_residual", Number, "Of the formulation's own displacement and forces.",
+              lambda s: s.assessment.own_residuals.equilibrium, SOLVED, heading="equilibrium,|own",
+              digits=".1e", tex="equil.,|own"),
+        Entry("own_complementarity_residual", Number, "The same for complementarity.",
+              lambda s: s.assessment.own_residuals.complementarity, SOLVED, heading="complementarity,|own",
+              digits=".1e", tex="compl.,|own"),
+        Entry("assessed_equilibrium_residual", Number, "Of an independent contact solve on the final mesh.",
+              lambda s: s.assessment.final.residuals.equilibrium, SOLVED, heading="equilibrium,|assessed",
+              digits=".1e", tex="equil.,|assessed"),
+        Entry("assessed_complementarity_residual", Number, "The same for complementarity.",
+              lambda s: s.assessment.final.residuals.complementarity, SOLVED,
+              heading="complementarity,|assessed", digits=".1e", tex="compl.,|assessed"),
+        Entry("stationarity", Text, "The kind that was computed: KKT, or W, C, M, S, B of an MPCC.",
+              lambda s: s.stationarity, EVERY),
+        Entry("stationarity_residual", Number, "First-order residual of the outer problem, over that on the "
+              "given mesh.", lambda s: s.stationarity_residual, SOLVED, heading="first-order residual",
+              digits=".1e", tex="first-|order"),
+        Entry("label", Text, "With another objective than the energy: the kind in words."),
+        Entry("b_stationary", bool | None, "Whether no branch of the contact descends; null: not decided."),
+        Entry("biactive", Count, "Pairs whose members both vanish."),
+        Entry("biactive_nodes", list[Any] | None, "The nodes that they belong to."),
+        Entry("descent_rate", Number, "Steepest descent over the branches, relative to the gradient on the "
+              "given mesh: 0 if there is none."),
+    ),
+    "Certificate": (
+        Entry("energy_lower_bound", Number, "Of the least energy, see [the certificate](certificate.md).",
+              lambda s: s.certificate and s.certificate.lower, unit="energy", heading="lower|bound",
+              digits=of_energies),
+        Entry("energy_upper_bound", Number, "Of the least energy.",
+              lambda s: s.certificate and s.certificate.upper, unit="energy", heading="upper|bound",
+              digits=of_energies),
+        Entry("error_bound_initial", Number, "Of the error on the given mesh in the energy norm.",
+              lambda s: s.certificate and s.certificate.error_bound_initial, unit="energy^(1/2)"),
+        Entry("error_bound", Number, "The same on the final mesh.",
+              lambda s: s.certificate and s.certificate.error_bound, unit="energy^(1/2)"),
+        Entry("relative_error_bound_initial", Number, "The first over the norm of the solution.",
+              lambda s: s.certificate and s.certificate.relative_initial),
+        Entry("relative_error_bound", Number, "The second over it.",
+              lambda s: s.certificate and s.certificate.relative),
+        Entry("guaranteed_lower", bool | None, "Whether the lower bound is one, not an estimate.",
+              lambda s: s.certificate and s.certificate.guaranteed_lower),
+        Entry("guaranteed_upper", bool | None, "The same of the upper one.",
+              lambda s: s.certificate and s.certificate.guaranteed_upper),
+        Entry("guaranteed_initial", bool | None, "The same of the error on the given mesh.",
+              lambda s: s.certificate and s.certificate.guaranteed_initial),
+        Entry("certificate_remark", Text, "Why they are not.", _remark),
+    ),
+    "What formulations add": (
+        Entry("relaxation", Text, "Of the complementarity in `mpcc`."),
+        Entry("stages", list[dict[str, Any]], "Of `mpcc`: its NLPs in turn."),
+        Entry("equilibrium_multiplier", Number, "Of `mpcc`: the largest multiplier of the equilibrium."),
+        Entry("constraint_violation", Number, "Of `mpcc`: the largest at its end, in its own units."),
+        Entry("complementarity", Number, "Of `mpcc`: the largest product of a pair at its end, in its own "
+              "units."),
+        Entry("nlp_solves", Count, "Of `mpcc`: NLPs solved."),
+        Entry("rescues", Count, "Of `mpcc`: those after a stage had failed."),
+        Entry("newton_steps", Count, "Of `joint`: steps on the reduced energy after Ipopt had stopped near a "
+              "stationary point; absent if none."),
+        Entry("outer", Text, "The outer solver of `nested`, or what `auto` ran."),
+        Entry("outer_method", Text, "The method that it used, where its name leaves that open."),
+        Entry("regularisation", float | list[float], "[Without move "
+              "limits](without_move_limits.md#how-it-works): weight of the distortion."),
+        Entry("distortion", Text, "Its kind."),
+        Entry("regularisation_weight", Number, "The last weight in units of the energy.", unit="energy"),
+        Entry("gain_estimate", Number, "Estimated error of the energy on the given mesh.", unit="energy"),
+        Entry("stationary_for", Text, "What the end is stationary for."),
+        Entry("cascade", list[dict[str, Any]] | None, "What was done on each mesh; `taken` is the part of "
+              "the prolonged map that was taken."),
+        Entry("finish", dict[str, float], "Work of getting from the cascade to a stationary point."),
+        Entry("rules", list[str | int], "Quadrature degrees that `auto` took in turn."),
+        Entry("start_seeds", list[Count], "With `--starts`: the seed of each; null for the given mesh."),
+        Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),
+        Entry("start_values", list[Number] | None, "Value that each one reached, of another objective."),
+        Entry("start_spread", Number, "The largest less the least."),
+        Entry("remeshed_nodes", list[int], "With `--remesh`: nodes of the meshes that Mmg made in turn."),
+        Entry("remeshed_energies", list[Number], "Energies on them before any node moved.", unit="energy"),
+    ),
+    "What comparisons and studies add": (
+        Entry("variant", Text, "In a study the name of its table, `[formulations.NAME]`; in a comparison of "
+              "objects the formulation with its settings."),
+        Entry("family", Text, "In a study, what the problem is one of."),
+        Entry("asked", dict[str, Any], "What was asked for where something else was solved: `auto` chose, or "
+              "the quadrature was raised."),
+        Entry("repeat", Count, "In a study the number of the repetition, from 0."),
+        Entry("repeats", Count, "With `--repeats`: how many; the times are medians."),
+        *(Entry(f"{part}_time_range_s", list[float], f"The least and the largest `{part}_time_s`.", unit="s")
+          for part in ("build", "solve", "audit", "wall", "contact")),
+        _seconds("first_cost_s", "Build and solve of the first repetition, whose history is kept.", None,
+                 presence=KNOWN),
+        _seconds("task_time_s", "In a study, wall time of the whole row.", None, presence=KNOWN),
+        _seconds("cpu_time_s", "In a study, processor time of the whole row.", None, presence=KNOWN),
+        Entry("shared", bool, "In a study, whether the solve shared its core with something."),
+        Entry("worker", Text, "In a study, the process that solved it."),
+    ),
+}
+# fmt: on
+"""All entries, by the sections of docs/records.md."""
+
+ENTRIES = {entry.name: entry for section in SECTIONS.values() for entry in section}
+"""All entries by their names."""
+
+
+def written(solution: Solution) -> dict[str, object]:
+    """The entries that a solution has a value of."""
+    values = {entry.name: entry.of(solution) for entry in ENTRIES.values() if entry.of is not None}
+    return {
+        name: value
+        for name, value in values.items()
+        if value is not None or ENTRIES[name].presence is not KNOWN
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide the figures."""
+    packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
+        packages = (*packages, "scikit-sparse")
+    if is_available():
+        packages = (*packages, "mmgpy")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}

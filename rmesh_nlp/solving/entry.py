@@ -1,0 +1,83 @@
+"""What an entry of a record is: its name and type, what it means, and its column in tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rmesh_nlp.solving.solution import Solution
+
+Digits = str | Callable[[float], str]
+"""A format of numbers, or what chooses one for a number."""
+
+
+def of_energies(value: float) -> str:
+    """Six decimals, or seven digits where an energy is very large or very small."""
+    return ".6f" if value == 0 or 1e-3 <= abs(value) < 1e3 else ".7g"
+
+
+def of_seconds(value: float) -> str:
+    """Two digits, and all of them before the point."""
+    return ".2g" if value < 10 else ".0f"
+
+
+class Presence(Enum):
+    """In which records an entry stands.
+
+    EVERY: in each one; what is not known is null.
+    SOLVED: in each one of a solve that ended, also as null.
+    KNOWN: where there is something to say.
+    """
+
+    EVERY = "every"
+    SOLVED = "solved"
+    KNOWN = "known"
+
+
+EVERY, SOLVED, KNOWN = Presence
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One entry.
+
+    Attributes
+    ----------
+    name : str
+    type : type
+        What pydantic checks, strictly; null may stand for everything but texts and flags of ``EVERY`` record.
+    meaning : str
+        In Markdown.
+    of : callable, optional
+        Its value for a Solution; without one, formulations, comparisons or studies write it.
+    presence : Presence
+    unit : str
+        "energy" and "length" are those of the problem; empty where there is none.
+    check : callable, optional
+        Raises a ValueError where the type alone does not tell a wrong value.
+    is_measured : bool
+        Whether it is a number in every record of a success.
+    heading, digits, tex : str
+        Of its column; lines of a heading are separated by a bar, ``tex`` is a shorter one for LaTeX.
+    """
+
+    name: str
+    type: object
+    meaning: str
+    of: Callable[[Solution], object] | None = None
+    presence: Presence = KNOWN
+    unit: str = ""
+    check: Callable[[Any], object] | None = None
+    is_measured: bool = False
+    heading: str = ""
+    digits: Digits = "d"
+    tex: str = ""
+
+
+Number = float | None
+Count = int | None
+Text = str | None
+Named = dict[str, Number] | None
