@@ -27,7 +27,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.report.markup import markdown_table
+from rmesh_nlp.report import table
 
 Table = tuple[list[str], Iterator[list[str]]]
 
@@ -317,7 +317,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("tables", nargs="*", metavar="TABLE", help="all by default")
     for name in parser.parse_args(arguments).tables or TABLES:
         head, rows = TABLES[name]()
-        print(markdown_table(head, list(rows)))
+        print(table.Table(head, [("", list(rows))]).markdown())
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Write the entries of records into docs/records.md, by their declarations: ``python scripts/records_page.py``."""
+"""Write the entries of records into docs/records.md by their declarations."""
 
 from __future__ import annotations
 

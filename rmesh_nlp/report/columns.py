@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.report.blocks import Block, contact_units, gain_in_per_cent, label
-from rmesh_nlp.report.markup import MISSING, latex_heading
-
-Form = str | Callable[[float], str]
-
-
-def energy(value: float) -> str:
-    """Six decimals, or seven digits where an energy is very large or very small."""
-    return ".6f" if value == 0 or 1e-3 <= abs(value) < 1e3 else ".7g"
+from rmesh_nlp.report.table import MISSING, Groups, Table, latex_heading
+from rmesh_nlp.solving.entries import ENTRIES
+from rmesh_nlp.solving.entry import Digits
 
 
 def cost(value: float) -> str:
@@ -22,40 +18,36 @@ def cost(value: float) -> str:
     return ".3g" if value < 100 else ".0f"
 
 
-def shown(value: float | None, form: Form) -> str:
+def shown(value: float | None, digits: Digits) -> str:
     """A number in a format, or one that it chooses; or what stands for a number that is not known."""
     if value is None:
         return MISSING
-    form = form if isinstance(form, str) else form(value)
+    form = digits if isinstance(digits, str) else digits(value)
     return "0" if value == 0 and form.endswith("e") else format(value, form)
 
 
 @dataclass(frozen=True)
 class Column:
-    """One column: lines of its heading separated by a bar, the entry of a record or what is made of it.
+    """One column: its heading, and the entry of a record that it shows or what it makes of the record.
 
-    Numbers are shown in a ``form``; ``short`` is the heading in LaTeX where it is another.
+    Lines of the heading are separated by a bar; ``tex`` is a shorter one for LaTeX.
     """
 
     heading: str
     of: str | Callable[[Record], str | float | None]
-    form: Form = "d"
-    short: str = ""
+    digits: Digits = "d"
+    tex: str = ""
 
     def cell(self, record: Record) -> str:
         """The cell of a record."""
         value = record.get(self.of) if isinstance(self.of, str) else self.of(record)
-        return value or MISSING if isinstance(value, str) else shown(value, self.form)
+        return value or MISSING if isinstance(value, str) else shown(value, self.digits)
 
-    @property
-    def head(self) -> str:
-        """The heading in plain text."""
-        return self.heading.replace("|", " ")
 
-    @property
-    def tex(self) -> str:
-        """The heading in LaTeX."""
-        return latex_heading(self.short or self.heading)
+def of(*names: str) -> tuple[Column, ...]:
+    """The columns of entries, as they are declared."""
+    entries = (ENTRIES[name] for name in names)
+    return tuple(Column(entry.heading, entry.name, entry.digits, entry.tex) for entry in entries)
 
 
 def _seconds(part: str) -> Callable[[Record], str]:
@@ -108,34 +100,23 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
     return cell
 
 
-FORMULATION, STATUS = Column("formulation", label), Column("status", "status")
-TIME = Column("time|[s]", "wall_time_s", lambda seconds: ".2g" if seconds < 10 else ".0f")
+FORMULATION = Column("formulation", label)
 BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
+GAIN = Column("gain|[%]", gain_in_per_cent, lambda gain: ".2f" if abs(gain) < 1000 else ".3g")
 
 # what a first reader wants to know: audited energies, work and how each solve ended
 MAIN = (
     FORMULATION,
-    Column("J|given", "energy_initial_audited", energy),
-    Column("J|relocated", "energy_audited", energy),
-    Column("gain|[%]", gain_in_per_cent, lambda gain: ".2f" if abs(gain) < 1000 else ".3g"),
-    Column("iterations", "iterations"),
-    Column("contact|solves", "contact_solves"),
-    TIME,
-    STATUS,
+    *of("energy_initial_audited", "energy_audited"),
+    GAIN,
+    *of("iterations", "contact_solves", "wall_time_s", "status"),
 )
 # by the rule of the problem
-ENERGIES = (
-    FORMULATION,
-    Column("J given,|own rule", "energy_initial", energy),
-    Column("J relocated,|own rule", "energy", energy),
-    Column("u min", "u_min", ".4g", r"$u_{\min}$"),
-    Column("u max", "u_max", ".4g", r"$u_{\max}$"),
-    Column("least|area ratio", "min_area_ratio", ".3f"),
-)
+ENERGIES = (FORMULATION, *of("energy_initial", "energy", "u_min", "u_max", "min_area_ratio"))
 # work by one clock, the audit apart
 COSTS = (
     FORMULATION,
-    Column("start", "start"),
+    *of("start"),
     Column("contact solves,|cold + warm", _solves),
     Column("factorisations,|contact; KKT", _factorisations),
     Column("build|[s]", _seconds("build")),
@@ -146,11 +127,8 @@ COSTS = (
 # of the formulation's own state and of the assessment's contact solve
 RESIDUALS = (
     FORMULATION,
-    Column("equilibrium,|own", "own_equilibrium_residual", ".1e", "equil.,|own"),
-    Column("equilibrium,|assessed", "assessed_equilibrium_residual", ".1e", "equil.,|assessed"),
-    Column("complementarity,|own", "own_complementarity_residual", ".1e", "compl.,|own"),
-    Column("complementarity,|assessed", "assessed_complementarity_residual", ".1e", "compl.,|assessed"),
-    Column("first-order residual", "stationarity_residual", ".1e", "first-|order"),
+    *of("own_equilibrium_residual", "assessed_equilibrium_residual"),
+    *of("own_complementarity_residual", "assessed_complementarity_residual", "stationarity_residual"),
     BIACTIVE,
     LABEL,
 )
@@ -164,34 +142,27 @@ COMMON = (
     Column("cost to|the end", contact_units, cost),
 )
 # Theorem 4.1: the three errors, and the difference of the energies that their sum is
-ERRORS = (
-    FORMULATION,
-    Column("I1", "I1", ".6f", "$I_1$"),
-    Column("I2", "I2", ".2e", "$I_2$"),
-    Column("I3", "I3", ".2e", "$I_3$"),
-    Column("sum", _sum_of_errors, ".6f"),
-    Column("J audited - J exact", "energy_above_exact", ".6f", "$J-J(u)$,|audited"),
-)
+ERRORS = (FORMULATION, *of("I1", "I2", "I3"), Column("sum", _sum_of_errors, ".6f"), *of("energy_above_exact"))
 # other than the energy
-OBJECTIVES = (
-    FORMULATION,
-    Column("initial", "objective_initial", ".6e"),
-    Column("final", "objective_value", ".6e"),
-    BIACTIVE,
-    LABEL,
-    STATUS,
-)
+OBJECTIVES = (FORMULATION, *of("objective_initial", "objective_value"), BIACTIVE, LABEL, *of("status"))
 # bounds of the least energy, and of the error in the energy norm
 CERTIFICATES = (
     FORMULATION,
-    Column("lower|bound", "energy_lower_bound", energy),
-    Column("upper|bound", "energy_upper_bound", energy),
+    *of("energy_lower_bound", "energy_upper_bound"),
     Column("error before|[%]", _bound("relative_error_bound_initial", "initial")),
     Column("error after|[%]", _bound("relative_error_bound", "upper")),
 )
 
 
-def body(columns: tuple[Column, ...], block: Block) -> list[list[str]]:
+def table_of(
+    columns: Sequence[Column], groups: Groups, caption: str = "", notes: Sequence[str] = (), **options: Any
+) -> Table:
+    """A table of rows that :func:`body` made."""
+    tex = [latex_heading(column.tex or column.heading) for column in columns]
+    return Table([column.heading for column in columns], groups, caption, notes, tex, **options)
+
+
+def body(columns: Sequence[Column], block: Block) -> list[list[str]]:
     """The rows of a block, those of the paper first where its settings were used."""
     common = {} if block.unit is None else {"contact_time_s": block.unit}
     records = [{**record, **common} if record.get("contact_time_s") else record for record in block.records]

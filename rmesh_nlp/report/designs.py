@@ -7,14 +7,14 @@ constrained quantities by name, beside their bounds and the first design.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.display import bounds_in_words
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.report.blocks import Block, label, objective_gain
-from rmesh_nlp.report.columns import BIACTIVE, LABEL, STATUS, TIME, Column, shown
-from rmesh_nlp.report.markup import MISSING, latex_text
+from rmesh_nlp.report.columns import BIACTIVE, LABEL, Column, of, shown, table_of
+from rmesh_nlp.report.notes import stopped_early, units_notes
+from rmesh_nlp.report.table import MISSING, Rows, Table, latex_text
 
 FEW = 6
 """Names that have a column each; of more each has a row, and so many solves have a column."""
@@ -62,56 +62,48 @@ OUTCOME = (
     Column("left on refined|meshes [%]", _left, ".3g"),
     VIOLATION,
     LABEL,
-    STATUS,
+    *of("status"),
 )
 WORK = (
     FORMULATION,
-    Column("iterations", "iterations"),
-    Column("contact|solves", "contact_solves"),
-    Column("KKT|factorisations", "kkt_factorisations"),
-    TIME,
+    *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s"),
     Column("first-order|residual", "stationarity_residual", ".1e"),
     BIACTIVE,
 )
 
 
-@dataclass(frozen=True)
-class Sheet:
-    """One table: headings in plain text and in LaTeX, rows of cells, and a caption in plain text."""
-
-    head: Sequence[str]
-    tex: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    caption: str
-    is_long: bool = False
-
-
-def sheets(block: Block) -> Iterator[tuple[str, list[Sheet]]]:
+def design_tables(block: Block) -> Iterator[tuple[str, list[Table]]]:
     """The tables of a block, by its title with the objective."""
+    title, notes = block.title, (*units_notes(block.records), *stopped_early(block.records))
+
+    def of_solves(columns: Sequence[Column], caption: str) -> Table:
+        rows = [[column.cell(record) for column in columns] for record in records]
+        return table_of(columns, [(title, rows)], latex_text(caption), notes)
+
     for objective, records in block.objectives.items():
         outcome: tuple[Column, ...] = OUTCOME
         if not any(record.get("constraints") for record in records):
             outcome = tuple(column for column in OUTCOME if column is not VIOLATION)
-        found = [
-            _sheet(outcome, records, OUTCOME_CAPTION + objective),
-            _sheet(WORK, records, WORK_CAPTION + objective),
-            *_found("design", "Design variables. Objective: " + objective, records),
-            *_found("constraints", "Constrained quantities. Objective: " + objective, records),
+        named = (("design", "Design variables"), ("constraints", "Constrained quantities"))
+        tables = [
+            of_solves(outcome, f"{OUTCOME_CAPTION}{objective}."),
+            of_solves(WORK, f"{WORK_CAPTION}{objective}."),
+            *(
+                Table(
+                    head, [(title, rows)], latex_text(f"{said}. Objective: {objective}."), notes, is_long=long
+                )
+                for entry, said in named
+                for head, rows, long in _by_name(entry, records)
+            ),
         ]
-        yield f"{block.title}: {objective}", found
+        yield f"{title}: {objective}", tables
 
 
-def _sheet(columns: Sequence[Column], records: Sequence[Record], caption: str) -> Sheet:
-    rows = [[column.cell(record) for column in columns] for record in records]
-    return Sheet([one.head for one in columns], [one.tex for one in columns], rows, f"{caption}.")
+def _by_name(entry: str, records: Sequence[Record]) -> Iterator[tuple[Sequence[str], Rows, bool]]:
+    """Design variables or constrained quantities: bounds, the first design, and where each solve ended.
 
-
-def _named(head: Sequence[str], rows: Sequence[Sequence[str]], caption: str, is_long: bool) -> Sheet:
-    return Sheet(head, [latex_text(name) for name in head], rows, f"{caption}.", is_long)
-
-
-def _found(entry: str, caption: str, records: Sequence[Record]) -> Iterator[Sheet]:
-    """Design variables or constrained quantities: bounds, the first design, and where each solve ended."""
+    A head, its rows, and whether each name has a row.
+    """
     known = [record for record in records if record.get(entry)]
     names = list(dict.fromkeys(name for record in known for name in record[entry]))
     if not names:
@@ -127,12 +119,12 @@ def _found(entry: str, caption: str, records: Sequence[Record]) -> Iterator[Shee
         if record["formulation"] != "fixed" or entry == "constraints"
     ]
     if len(names) <= FEW:
-        yield _named(["formulation", *names], [*rows, *solves], caption, is_long=False)
+        yield ["formulation", *names], [*rows, *solves], False
         return
     for first in range(0, max(len(solves), 1), FEW):
         some = [["name", *names], *rows, *solves[first : first + FEW]]
         head, *body = (list(row) for row in zip(*some, strict=True))
-        yield _named(head, body, caption, is_long=True)
+        yield head, body, True
 
 
 Cells = tuple[Callable[[str], str], Callable[[Record, str], str]]

@@ -11,7 +11,7 @@ import json
 import platform
 import re
 from collections.abc import Sequence, Set
-from dataclasses import dataclass
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -41,14 +41,14 @@ from rmesh_nlp.report.blocks import (
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, MAIN, RESIDUALS, STATUS, Column
+from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, GAIN, MAIN, RESIDUALS, Column, of
 from rmesh_nlp.report.designs import FEW, OUTCOME
 from rmesh_nlp.report.figures import convergence_figure, figure_of_designs, profile_figure
 from rmesh_nlp.report.histories import curve
-from rmesh_nlp.report.markup import MISSING, markdown_table
 from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
-from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_rows
+from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import SETTINGS
+from rmesh_nlp.report.table import MISSING, Table
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
@@ -62,15 +62,18 @@ WHICH = (
     Column("formulation", variant),
     Column("problem", "example"),
     Column("size", lambda record: str(record["n"])),
-    Column("seed", "seed"),
+    *of("seed"),
 )
-COUNTED = (
-    Column("order", order_of),
-    Column("unknowns", "unknowns"),
-)  # where not all displacements are linear
+COUNTED = (Column("order", order_of), *of("unknowns"))  # where not all displacements are linear
 MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
-GAIN = Column("gain|[%]", gain_of_objective, MAIN[3].form)
-SOLVED = (STATUS, *MAIN[1:3], *OUTCOME[1:3], GAIN, *OUTCOME[4:6], *MAIN[4:-1])
+SOLVED = (
+    *of("status"),
+    *MAIN[1:3],
+    *OUTCOME[1:3],
+    replace(GAIN, of=gain_of_objective),
+    *OUTCOME[4:6],
+    *MAIN[4:-1],
+)
 OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
 COST = (
@@ -87,16 +90,6 @@ TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells of a table; the first ``texts`` columns are texts, rows in ``failed`` are marked."""
-
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
-    texts: int
-    failed: Set[int] = frozenset()
 
 
 def write_report(folder: Path, results: Sequence[Result], question: str = "", title: str = "") -> Path:
@@ -143,7 +136,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         question=question,
         sections=sections,
         setup=_setup(records, len(failed)),
-        summary=Table(*summary_rows(records), texts=2),
+        summary=summary_table(records),
         profiles=profiles,
         convergence=convergence,
         not_drawn=not_drawn,
@@ -151,7 +144,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         meshes_left=meshes_left,
         solves=_solves(comparable, SOLVED, failed),
         more=_solves(comparable, MORE, failed),
-        failures=Table(head, failures, texts=5),
+        failures=Table(head, [("", failures)], texts=5),
         remarks=[*legends(records), COST, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),
         shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
@@ -231,9 +224,10 @@ def _design_columns(records: Sequence[Record]) -> tuple[Column, ...]:
 def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[int]) -> Table:
     which = WHICH if all(order_of(record) == 1 for record in records) else (*WHICH, *COUNTED)
     shown = (*which, *columns, *(_design_columns(records) if columns is SOLVED else ()))
-    cells = {column.head: [column.cell(record) for record in records] for column in shown}
+    cells = {column.heading: [column.cell(record) for record in records] for column in shown}
     known = {head: own for head, own in cells.items() if set(own) != {MISSING}}
-    return Table(list(known), list(zip(*known.values(), strict=True)), texts=2, failed=failed)
+    rows = list(zip(*known.values(), strict=True))
+    return Table(list(known), [("", rows)], texts=2, failed=failed)
 
 
 def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
@@ -316,10 +310,10 @@ def write_reproduction(folder: Path, statements: Sequence[Statement], quick: boo
         *(["The quick variant takes one random start; the full one takes 40."] if quick else []),
     ]
     items = "".join(f"- {line}\n" for line in remarks)
-    table = Table(HEAD, rows, texts=len(HEAD))
+    table = Table(HEAD, [("", rows)], texts=len(HEAD))
     words = {"title": TITLE, "introduction": INTRODUCTION, "statements": table, "remarks": remarks}
     texts = (
-        "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", markdown_table(HEAD, rows), items]),
+        "\n".join([f"# {TITLE}\n", f"{INTRODUCTION}\n", table.markdown(), items]),
         _render("reproduction.html", **words),
     )
     paths = [folder / name for name in REPRODUCTION]

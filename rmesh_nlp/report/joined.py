@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from statistics import median
 
 from rmesh_nlp.io.records import Record, has_energy, objective_of
@@ -18,7 +17,7 @@ from rmesh_nlp.report.blocks import (
     with_order,
 )
 from rmesh_nlp.report.columns import shown
-from rmesh_nlp.report.markup import Groups
+from rmesh_nlp.report.table import Table
 
 STARTS = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
 MESHES = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")
@@ -32,25 +31,14 @@ MESHES_CAPTION = (
 )
 
 
-@dataclass(frozen=True)
-class Joined:
-    """One table: its title, head and groups of rows, a caption in LaTeX, and sentences about it."""
-
-    title: str
-    head: Sequence[str]
-    groups: Groups
-    caption: str
-    notes: Sequence[str] = ()
-
-
-def joined_tables(records: Sequence[Record]) -> list[Joined]:
-    """Those of the two that have rows."""
+def joined_tables(records: Sequence[Record]) -> dict[str, Table]:
+    """Those of the two that have rows, by their titles."""
     finer = refinement_rows(records), MESHES_CAPTION, refinement_notes(records)
-    tables = (
-        Joined("Several starts", STARTS, multistart_rows(records), STARTS_CAPTION),
-        Joined("Relocation against uniform refinement", MESHES, *finer),
-    )
-    return [table for table in tables if table.groups]
+    tables = {
+        "Several starts": Table(STARTS, multistart_rows(records), STARTS_CAPTION),
+        "Relocation against uniform refinement": Table(MESHES, *finer),
+    }
+    return {title: table for title, table in tables.items() if table.groups}
 
 
 def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:

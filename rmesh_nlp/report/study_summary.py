@@ -31,7 +31,7 @@ from rmesh_nlp.report.blocks import (
     with_order,
 )
 from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
-from rmesh_nlp.report.markup import MISSING
+from rmesh_nlp.report.table import MISSING, Table
 
 HEAD = (
     *("family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"),
@@ -101,8 +101,8 @@ def instance(record: Record) -> Instance:
     return with_order(str(record["example"]), record), str(record["n"]), objective_of(record)
 
 
-def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the table by family and variant; repetitions are joined by medians."""
+def summary_table(records: Sequence[Record]) -> Table:
+    """By family and variant; repetitions are joined by medians."""
     best: dict[Instance, float] = {}
     for record in records:
         gain = _gain(record)
@@ -126,13 +126,13 @@ def summary_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]
         converged = sum(record["status"] == "converged" for record in good)
         figures = [_range([value(record) for record in good], form) for form, value in columns]
         rows.append([name, method, str(len(group)), str(len(good)), str(converged), *figures])
-    return list(HEAD), rows
+    return Table(HEAD, [("", rows)], texts=2)
 
 
-def median_rows(records: Sequence[Record]) -> tuple[list[str], list[list[str]]]:
-    """Head and rows of the columns of :func:`summary_rows` that a first reader needs, without ranges."""
-    head, rows = summary_rows(records)
-    return [head[i] for i in SHORT], [[row[i].split(" [")[0] for i in SHORT] for row in rows]
+def median_table(records: Sequence[Record]) -> Table:
+    """The columns of :func:`summary_table` that a first reader needs, without ranges."""
+    rows = [[row[i].split(" [")[0] for i in SHORT] for row in summary_table(records).rows]
+    return Table([HEAD[i] for i in SHORT], [("", rows)])
 
 
 def _start(record: Record) -> float | None:

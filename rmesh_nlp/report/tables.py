@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -25,17 +26,19 @@ from rmesh_nlp.report.columns import (
     COSTS,
     ENERGIES,
     ERRORS,
+    FORMULATION,
     MAIN,
     OBJECTIVES,
     RESIDUALS,
     Column,
     body,
+    table_of,
 )
-from rmesh_nlp.report.designs import sheets
+from rmesh_nlp.report.designs import design_tables
 from rmesh_nlp.report.joined import joined_tables
-from rmesh_nlp.report.markup import Groups, latex_table, latex_text, markdown_table
 from rmesh_nlp.report.notes import ENERGY, detailed_notes, main_notes, stopped_early, units_notes
-from rmesh_nlp.report.study_summary import RANGES, is_study, median_rows, study_notes, summary_rows
+from rmesh_nlp.report.study_summary import RANGES, is_study, median_table, study_notes, summary_table
+from rmesh_nlp.report.table import Groups, Table
 from rmesh_nlp.solving.parts import DESIGN
 
 DETAILS = "## Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
@@ -66,70 +69,63 @@ WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
 }
 
 
-def _having(columns: tuple[Column, ...], records: Sequence[Record]) -> list[Block]:
-    """The blocks with a record that asks for these columns."""
-    wanted = WANTED.get(columns, lambda _: True)
-    return [block for block in blocks(records) if any(wanted(record) for record in block.records)]
+def _is_wanted(columns: tuple[Column, ...], block: Block) -> bool:
+    """Whether a record of the block asks for these columns."""
+    return any(map(WANTED.get(columns, lambda _: True), block.records))
+
+
+def _of(columns: tuple[Column, ...], block: Block) -> str:
+    return table_of(columns, [(block.title, body(columns, block))]).markdown()
 
 
 def markdown(records: Sequence[Record]) -> str:
     """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
     parts = [short_markdown(records), f"{DETAILS}\n"]
     if is_study(records):
-        return for_markdown("\n".join([*parts, f"{markdown_table(*summary_rows(records))}- {RANGES}\n"]))
+        return for_markdown("\n".join([*parts, f"{summary_table(records).markdown()}- {RANGES}\n"]))
     parts += _designs(records, is_long=True)
     for block in blocks(records):
-        parts.append(f"### {block.title}\n")
-        every = (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS)
-        for columns in every if block.has_energy else (COSTS, RESIDUALS):
-            parts += [_block_table(columns, one) for one in _having(columns, block.records)]
+        every = (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS) if block.has_energy else (COSTS, RESIDUALS)
+        tables = (_of(columns, block) for columns in every if _is_wanted(columns, block))
+        parts += [f"### {block.title}\n", *tables]
     parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
     return for_markdown("\n".join(parts))
 
 
-def _of_energy(records: Sequence[Record], wanted: bool = True) -> list[Record]:
-    """The records of the blocks whose energies compare, or of all others."""
-    return [record for block in blocks(records) if block.has_energy is wanted for record in block.records]
-
-
 def _designs(records: Sequence[Record], *, is_long: bool) -> Iterator[str]:
-    """The tables of the others below their titles: the long ones, or all but those."""
-    for block in blocks(_of_energy(records, wanted=False)):
-        for title, found in sheets(block):
-            tables = [markdown_table(one.head, one.rows) for one in found if one.is_long is is_long]
-            yield from [f"### {title}\n", *tables] if tables else []
+    """The tables of blocks whose energies do not compare, by titles: the long ones, or all others."""
+    for block in blocks(records):
+        for title, tables in () if block.has_energy else design_tables(block):
+            shown = [table.markdown() for table in tables if table.is_long is is_long]
+            yield from [f"### {title}\n", *shown] if shown else []
 
 
 def short_markdown(records: Sequence[Record]) -> str:
     """One row per solve, what else was asked for, and what is needed to read it."""
     if is_study(records):
-        table = markdown_table(*median_rows(records))
-        return for_markdown(f"# Study\n\n{table}\n{_items(study_notes(records))}")
-    parts, of_energy = ["# Comparison of formulations\n"], _of_energy(records)
+        return for_markdown(f"# Study\n\n{median_table(records).markdown()}\n{_items(study_notes(records))}")
+    parts, of_energy = ["# Comparison of formulations\n"], [b for b in blocks(records) if b.has_energy]
     if of_energy or not records:
-        parts.append(main_table(of_energy) if records else "No solve has ended yet.\n")
+        parts.append(_main(of_energy) if records else "No solve has ended yet.\n")
     for columns in (OBJECTIVES, CERTIFICATES):
-        for block in _having(columns, of_energy):
-            parts += [f"### {block.title}\n", _block_table(columns, block)]
+        wanted = (block for block in of_energy if _is_wanted(columns, block))
+        parts += [f"### {block.title}\n\n{_of(columns, block)}" for block in wanted]
     parts += _designs(records, is_long=False)
     notes: list[str] = []
-    for joined in joined_tables(records):
-        notes += joined.notes
-        for name, rows in joined.groups:
-            parts.append(f"## {joined.title}: {name}\n\n{markdown_table(joined.head, rows)}")
+    for title, table in joined_tables(records).items():
+        notes += table.notes
+        for name, rows in table.groups:
+            parts.append(f"## {title}: {name}\n\n{replace(table, groups=[(name, rows)]).markdown()}")
     parts.append(_items([*notes, *main_notes(records)]))
     return for_markdown("\n".join(parts))
 
 
-def main_table(records: Sequence[Record]) -> str:
+def _main(groups: Sequence[Block]) -> str:
     """Audited energies, work and status, one row per solve."""
-    solved = [row for block in blocks(records) for row in body(MAIN, block)]
-    named = [[name, *row[1:]] for name, row in zip(names_of_solves(records), solved, strict=True)]
-    return markdown_table(["solve", *(column.head for column in MAIN[1:])], named)
-
-
-def _block_table(columns: tuple[Column, ...], block: Block) -> str:
-    return markdown_table([column.head for column in columns], body(columns, block))
+    records = [record for block in groups for record in block.records]
+    rows = [row for block in groups for row in body(MAIN, block)]
+    named = [[name, *row[1:]] for name, row in zip(names_of_solves(records), rows, strict=True)]
+    return table_of((replace(FORMULATION, heading="solve"), *MAIN[1:]), [("", named)]).markdown()
 
 
 def _items(notes: Sequence[str]) -> str:
@@ -138,31 +134,29 @@ def _items(notes: Sequence[str]) -> str:
 
 def latex(records: Sequence[Record]) -> str:
     r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``."""
-    tables = (latex_table(*table) for table in _latex_tables(records))
+    tables = (table.latex() for table in _latex_tables(records))
     return "\n".join(["% made by rmesh table; needs \\usepackage{booktabs}\n", *tables])
 
 
-def _latex_tables(records: Sequence[Record]) -> Iterator[tuple[list[str], Groups, str, Sequence[str]]]:
-    """Heads, groups of rows, caption and notes of each."""
+def _latex_tables(records: Sequence[Record]) -> Iterator[Table]:
     if is_study(records):
-        head, rows = median_rows(records)
-        families = grouped(rows, lambda row: row[0])
-        groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
-        yield [latex_text(cell) for cell in head[1:]], groups, "Results of the study.", study_notes(records)
+        medians = median_table(records)
+        families = grouped(medians.rows, lambda row: row[0])
+        groups: Groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
+        yield Table(medians.head[1:], groups, "Results of the study.", study_notes(records))
         return
-    units, of_energy = units_notes(records), _of_energy(records)
-    printed = ["The paper truncates its digits."] if any(block.paper for block in blocks(records)) else []
+    units, every = units_notes(records), blocks(records)
+    printed = ["The paper truncates its digits."] if any(block.paper for block in every) else []
     below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
     for columns, caption in CAPTIONS.items():
-        own = [(block.title, body(columns, block)) for block in _having(columns, of_energy)]
-        if own:
-            yield [column.tex for column in columns], own, caption, below.get(columns, ())
-    for block in blocks(_of_energy(records, wanted=False)):
-        notes = (*units_notes(block.records), *stopped_early(block.records))
-        for one in (one for _, found in sheets(block) for one in found):
-            yield list(one.tex), [(block.title, one.rows)], latex_text(one.caption), notes
-    for table in joined_tables(records):
-        yield [latex_text(cell) for cell in table.head], table.groups, table.caption, table.notes
+        wanted = (block for block in every if block.has_energy and _is_wanted(columns, block))
+        examples = [(block.title, body(columns, block)) for block in wanted]
+        if examples:
+            yield table_of(columns, examples, caption, below.get(columns, ()))
+    for block in every:
+        for _, tables in () if block.has_energy else design_tables(block):
+            yield from tables
+    yield from joined_tables(records).values()
 
 
 def frame(records: Sequence[Record]) -> pd.DataFrame:

@@ -148,11 +148,13 @@ def main(n: int = 4, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Ide
         found = rm.solve(slab, "mpcc", objective=measured(exact, noise).objective)
         off = ", ".join(f"{name} {value / TRUTH[name] - 1:+.1%}" for name, value in found.design.items())
         print(
-            f"noise {noise:.1%}: {found.status.value}, objective {found.assessment.final.objective:.3g}, {off}"
+            f"noise {noise:.1%}: {found.status.value}, "
+            f"objective {found.assessment.final.objective:.3g}, {off}"
         )
     for factor, (first, last) in zip(FINER, finer, strict=True):
         print(
-            f"h/{factor}: misfit {first.assessment.final.objective:.5g} -> {last.assessment.final.objective:.5g}"
+            f"h/{factor}: misfit {first.assessment.final.objective:.5g} -> "
+            f"{last.assessment.final.objective:.5g}"
         )
     print(f"gain_surviving {starts.best.record()['gain_surviving']:.4f}, on h/4 {surviving(finer):.4f}")
     return Identified(starts, finer, data)

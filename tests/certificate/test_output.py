@@ -65,7 +65,7 @@ def test_tables_and_figures_show_it(certified):
     results = read_results(certified)
     records = [result.record for result in results]
     text = markdown(records)
-    assert CERTIFICATES[-1].head in text
+    assert CERTIFICATES[-1].heading.replace("|", " ") in text
     assert "at most" in text
     figures = dict(block_figures(blocks(records)[0], results))
     (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]
@@ -104,4 +104,6 @@ def test_a_problem_file_may_ask_for_it_and_what_was_found_is_printed(
 
 def test_comparison_without_certificates_has_no_such_table(tmp_path):
     assert run(["solve", "6.2", "--n", "4x2", "--formulation", "fixed", "--out", str(tmp_path)]) == 0
-    assert CERTIFICATES[-1].head not in markdown([r.record for r in read_results(tmp_path)])
+    assert CERTIFICATES[-1].heading.replace("|", " ") not in markdown(
+        [r.record for r in read_results(tmp_path)]
+    )

@@ -16,7 +16,7 @@ REACHED, BOTH = "cost to that J", ("guaranteed_lower", "guaranteed_upper")
 
 
 def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
-    (column,) = [column for column in table if column.head == head]
+    (column,) = [column for column in table if column.heading.replace("|", " ") == head]
     return column.cell(record)
 
 

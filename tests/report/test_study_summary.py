@@ -15,7 +15,7 @@ from rmesh_nlp.report.study_summary import (
     data_profiles,
     performance_profiles,
     quality_profiles,
-    summary_rows,
+    summary_table,
 )
 from support.reporting import designed, failed, fixed_61, joint_61
 
@@ -64,7 +64,8 @@ def drawn(rows: list[Record]) -> dict[str, dict]:
 
 def columns(rows: list[Record], *names: str) -> list[list[str]]:
     """Columns of the table of a study."""
-    head, table = summary_rows(rows)
+    summary = summary_table(rows)
+    head, table = summary.headings, summary.rows
     return [[row[head.index(name)] for row in table] for name in names]
 
 
@@ -117,14 +118,15 @@ def test_orders_are_families_and_instances_of_their_own() -> None:
         joint_61(variant="joint", family="f", order=order, energy_initial_audited=-1.0, energy_audited=end)
         for order, end in ((1, -1.1), (2, -1.4))
     ]
-    _, table = summary_rows(rows)
+    table = summary_table(rows).rows
     assert [row[0] for row in table] == ["f", "f, order 2"]
     assert [row[6] for row in table] == ["100", "100"]  # each is the best of its order
 
 
 def test_gains_in_another_objective_are_of_that_objective() -> None:
     rows = [designed(family="f", variant="a"), designed(family="f", variant="b", objective_value=2.0)]
-    head, found = summary_rows(rows)
+    summary = summary_table(rows)
+    head, found = summary.headings, summary.rows
     assert [[row[head.index(name)] for name in ("gain [%]", "of best [%]")] for row in found] == [
         ["100", "100"],
         ["20", "20.01"],

@@ -14,8 +14,8 @@ import pytest
 from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.report.designs import FEW
 from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
-from rmesh_nlp.report.markup import LINES, latex_cell, latex_table, latex_text, markdown_table
-from rmesh_nlp.report.study_summary import RANGES, summary_rows
+from rmesh_nlp.report.study_summary import RANGES, summary_table
+from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
 from support.reporting import ROWS, designed, failed, joint_61, joint_62
@@ -177,9 +177,10 @@ def test_coulomb_friction_with_another_objective_has_no_energies() -> None:
 def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
     rows = [joint_62(family="f", variant="a", iterations=count) for count in (4, 6, 11)]
     details = markdown(rows).partition(DETAILS)[2]
-    head, (row,) = summary_rows(rows)
-    assert row[head.index("iterations")] == "6 [4, 11]"
-    assert markdown_table(head, [row]) in details
+    table = summary_table(rows)
+    (row,) = table.rows
+    assert row[table.headings.index("iterations")] == "6 [4, 11]"
+    assert table.markdown() in details
     assert f"- {RANGES}" in details
 
 
@@ -209,14 +210,14 @@ def test_latex_is_well_formed_and_tables_have_eight_columns_and_fit_a_page() -> 
 
 def test_latex_continues_a_long_table_and_wraps_a_long_label() -> None:
     rows = [[f"seed {k}", "1"] for k in range(LINES)]
-    text = latex_table(["start", "J"], [("all", rows)], "Starts.", ["a -1 note"])
+    text = Table(["start", "J"], [("all", rows)], "Starts.", ["a -1 note"]).latex()
     assert text.count(r"\begin{table}") == text.count("a $-$1 note") == 2
     assert r"\addtocounter{table}{-1}\caption{Starts. (continued)}" in text
     assert text.count("seed ") == LINES
     full = [("first", rows[: LINES - 4]), ("second", rows[:1])]  # a title without rows is not begun
-    first, second = latex_table(["start", "J"], full, "").split(r"\end{table}")[:2]
+    first, second = Table(["start", "J"], full).latex().split(r"\end{table}")[:2]
     assert ("second" in first, "second" in second) == (False, True)
-    wide = latex_table(["solve", *"abcdefg"], [("all", [["a long label " * 4, *["-1.234567"] * 7]])], "")
+    wide = Table(["solve", *"abcdefg"], [("all", [["a long label " * 4, *["-1.234567"] * 7]])]).latex()
     assert r"\begin{table*}" in wide
     assert r"\parbox[t]{60pt}{\raggedright a long label" in wide
 
@@ -321,7 +322,10 @@ def test_markup_escapes() -> None:
     assert latex_text(r"a_b & 5% \x") == r"a\_b \& 5\% \textbackslash{}x"
     assert latex_cell("1.5e-06") == r"$1.5\cdot 10^{-6}$"
     assert latex_cell("12x6") == "12x6"
-    assert markdown_table(["a", "b"], [["x|y", "1"]]) == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
+    assert (
+        Table(["a", "b"], [("", [["x|y", "1"]])]).markdown()
+        == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
+    )
 
 
 @pytest.mark.parametrize("name", ["=cmd|'/c calc'!A1", "+1", "-2+3", "@SUM(A1)", "\t=1"])

@@ -1,9 +1,10 @@
-"""Cells to Markdown and to LaTeX."""
+"""One table: headings, rows of cells in groups, and what Markdown, LaTeX and HTML make of them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
+from dataclasses import dataclass
 
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
@@ -22,48 +23,90 @@ _ESCAPED = str.maketrans(_SPECIAL | {character: "\\" + character for character i
 _TWO_LINES = r"\begin{tabular}[b]{@{}r@{}}", r"\end{tabular}"
 
 
-def markdown_table(head: Sequence[str], rows: Rows) -> str:
-    """A Markdown table with its columns padded, the first to the left, the others to the right."""
-    cells = [[cell.replace("|", "\\|") for cell in row] for row in (head, *rows)]
-    widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(head))]
-    lines = []
-    for row in cells:
-        first, *others = (f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
-        lines.append(f"| {' | '.join([f'{row[0]:<{len(first)}}', *others])} |\n")
-    marks = [":" + "-" * (widths[0] + 1), *("-" * (width + 1) + ":" for width in widths[1:])]
-    return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
+@dataclass(frozen=True)
+class Table:
+    """A table of plain text.
 
-
-def latex_table(head: Sequence[str], groups: Groups, caption: str, notes: Sequence[str] = ()) -> str:
-    r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as wide as the text.
-
-    A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
-    the two are the same. A table of more than ``LINES`` lines is continued in a second one. Head and caption
-    are LaTeX; cells, notes and the titles over groups of rows are plain text.
+    Attributes
+    ----------
+    head : sequence of str
+        Headings, whose lines are separated by a bar.
+    groups : sequence of (title, rows)
+        Rows of cells, one for each heading.
+    caption : str
+        In LaTeX.
+    notes : sequence of str
+        What stands below.
+    tex : sequence of str
+        Headings in LaTeX, where they are not those in plain text.
+    is_long : bool
+        Whether it has a row for each of many names.
+    texts : int
+        How many columns from the first on are texts, in HTML.
+    failed : set of int
+        Numbers of the rows that HTML marks.
     """
-    rows = [row for _, rows in groups for row in rows]
-    widths = [max(map(_width, (*_lines(head[i]), *(row[i] for row in rows)))) for i in range(len(head))]
-    room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
-    first = max(LABEL, room)
-    whole = min(widths[0], first) + PAGE - room
-    place = "table" if whole <= COLUMN else "table*"
-    size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
-    # a hyphen before a number is a minus sign
-    said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in notes))
-    tables = []
-    for number, part in enumerate(_parts(groups)):
-        again = (r"\addtocounter{table}{-1}", " (continued)") if number else ("", "")
-        lines = [
-            rf"\begin{{{place}}}[tbp]",
-            r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
-            rf"{again[0]}\caption{{{caption}{again[1]}}}",
-            rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
-            *_tabular(head, part, first if widths[0] > first else None),
-        ]
-        if notes:
-            lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
-        tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
-    return "\n".join(tables)
+
+    head: Sequence[str]
+    groups: Groups
+    caption: str = ""
+    notes: Sequence[str] = ()
+    tex: Sequence[str] = ()
+    is_long: bool = False
+    texts: int = 1
+    failed: Set[int] = frozenset()
+
+    @property
+    def rows(self) -> Rows:
+        """Those of all groups."""
+        return [row for _, rows in self.groups for row in rows]
+
+    @property
+    def headings(self) -> list[str]:
+        """Each on one line."""
+        return [text.replace("|", " ") for text in self.head]
+
+    def markdown(self) -> str:
+        """All rows below each other, columns padded, the first to the left, the others to the right."""
+        cells = [[cell.replace("|", "\\|") for cell in row] for row in (self.headings, *self.rows)]
+        widths = [max(3, *(len(row[i]) for row in cells)) for i in range(len(self.head))]
+        lines = []
+        for row in cells:
+            first, *others = (f"{cell:>{width}}" for cell, width in zip(row, widths, strict=True))
+            lines.append(f"| {' | '.join([f'{row[0]:<{len(first)}}', *others])} |\n")
+        marks = [":" + "-" * (widths[0] + 1), *("-" * (width + 1) + ":" for width in widths[1:])]
+        return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
+
+    def latex(self) -> str:
+        r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as the text.
+
+        A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
+        the two are the same. A table of more than ``LINES`` lines is continued in a second one.
+        """
+        head = self.tex or [latex_text(text) for text in self.headings]
+        columns = range(len(head))
+        widths = [max(map(_width, (*_lines(head[i]), *(row[i] for row in self.rows)))) for i in columns]
+        room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
+        first = max(LABEL, room)
+        whole = min(widths[0], first) + PAGE - room
+        place = "table" if whole <= COLUMN else "table*"
+        size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
+        # a hyphen before a number is a minus sign
+        said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in self.notes))
+        tables = []
+        for number, part in enumerate(_parts(self.groups)):
+            again = (r"\addtocounter{table}{-1}", " (continued)") if number else ("", "")
+            lines = [
+                rf"\begin{{{place}}}[tbp]",
+                r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
+                rf"{again[0]}\caption{{{self.caption}{again[1]}}}",
+                rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
+                *_tabular(head, part, first if widths[0] > first else None),
+            ]
+            if self.notes:
+                lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
+            tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
+        return "\n".join(tables)
 
 
 def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
