@@ -10,11 +10,11 @@ from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities
 from rmesh_nlp.io import problem_file
 from rmesh_nlp.io.export import write_solution as write_solution
-from rmesh_nlp.meshes import read_mesh as read_mesh
 from rmesh_nlp.meshes import shapes as shapes
 from rmesh_nlp.meshes.curves import Circle as Circle
 from rmesh_nlp.meshes.curves import Parametrised as Parametrised
 from rmesh_nlp.meshes.curves import Spline as Spline
+from rmesh_nlp.meshes.reading import read_mesh as read_mesh
 from rmesh_nlp.mpcc import MPCC as MPCC
 from rmesh_nlp.optimize.budget import Limits as Limits
 from rmesh_nlp.optimize.status import Status as Status

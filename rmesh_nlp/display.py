@@ -5,16 +5,19 @@ from __future__ import annotations
 import math
 from html import escape
 from numbers import Real
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from rich.table import Table
-from rich.text import Text
+if TYPE_CHECKING:
+    from rich.table import Table
 
 Rows = list[tuple[str, str]]
 
 
 def rich_table(title: str, rows: Rows) -> Table:
     """A two-column table for rich."""
+    from rich.table import Table  # these and meshio would take a quarter of the time to import the package
+    from rich.text import Text
+
     table = Table(title=Text(title), show_header=False, title_justify="left")
     for label, value in rows:
         table.add_row(Text(label), Text(value))  # what stands in brackets is no markup

@@ -30,7 +30,8 @@ from rmesh_nlp.io.problem_messages import nearest, one_line
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes import MeshRepairWarning, read_mesh
+from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.problem_picture import draw_problem

@@ -29,8 +29,9 @@ from rmesh_nlp.io.problem_schema import (
     Table,
 )
 from rmesh_nlp.io.problem_values import SYMMETRY
-from rmesh_nlp.meshes import named, read_mesh, shapes
+from rmesh_nlp.meshes import named, shapes
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
     Constraint,
     ContactProblem,

@@ -1,6 +1,5 @@
-"""Meshes in: arrays, files, and simple shapes, with named boundaries and subdomains."""
+"""Meshes in: arrays and simple shapes, with named boundaries and subdomains; files in ``reading``."""
 
 from rmesh_nlp.meshes.arrays import MeshRepairWarning, from_arrays, named
-from rmesh_nlp.meshes.reading import read_mesh
 
-__all__ = ["MeshRepairWarning", "from_arrays", "named", "read_mesh"]
+__all__ = ["MeshRepairWarning", "from_arrays", "named"]

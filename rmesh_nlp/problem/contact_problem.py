@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
@@ -27,6 +26,9 @@ from rmesh_nlp.problem.lines import harmonic_motions, onto_curves
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "dirichlet": ((str, Dirichlet), "names of boundaries or Dirichlet"),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from rich.table import Table
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
@@ -34,6 +33,7 @@ from rmesh_nlp.solving.summary import summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from rich.table import Table
 
 
 @dataclass(frozen=True, kw_only=True)

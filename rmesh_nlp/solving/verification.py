@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from rich.table import Table
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, html_table, rich_table
@@ -18,6 +18,9 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import ACCURATE
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""

@@ -16,8 +16,8 @@ import pytest
 from skfem import MeshQuad
 
 from rmesh_nlp.io.export import write_mesh
-from rmesh_nlp.meshes import MeshRepairWarning, named, read_mesh
-from rmesh_nlp.meshes.reading import read_file
+from rmesh_nlp.meshes import MeshRepairWarning, named
+from rmesh_nlp.meshes.reading import read_file, read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
 from support.formulations import joint
