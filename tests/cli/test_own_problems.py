@@ -16,7 +16,7 @@ from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.kept_problem import read_kept
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table
-from rmesh_nlp.meshes import read_mesh
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.assessment import Assessment
