@@ -13,6 +13,12 @@ edge, of areas over the initial ones, of angles in radians."""
 
 Array = NDArray[np.float64]
 
+Expression = ca.SX | ca.MX
+"""What formulas are of: a symbolic expression, or what computes like one, a number or an array of values."""
+
+Kind = type[ca.SX] | type[ca.MX]
+"""Whether the expressions of a function are scalar or of matrices."""
+
 
 class Evaluator:
     """A CasADi Function called on numpy arrays through its buffer interface.

@@ -10,11 +10,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Literal
 
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -97,7 +98,7 @@ def truncated(value: float) -> int:
     return math.trunc(value * 10**PRINTED_DIGITS + math.copysign(1e-6, value))
 
 
-def exact_displacement_61(x: Any, y: Any) -> Any:
+def exact_displacement_61(x: Expression, y: Expression) -> Expression:
     """The exact solution (6.2); 2 x_2^3 - 2 x_2^2 + x_2 / 2 is written as 2 x_2 (1/2 - x_2)^2."""
     quartic = ((0.5 - y) ** 2) ** 2  # squares are products to CasADi, fourth powers call pow
     lower = 200 * y * quartic * ca.sin(2 * np.pi * x)

@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -19,6 +20,7 @@ from rmesh_nlp.problem import (
     Obstacle,
     PlaneStrain,
     PlaneStress,
+    PositionFunction,
     Relative,
     Traction,
 )
@@ -31,19 +33,25 @@ class Frame:
     turn: np.ndarray
     shift: np.ndarray
 
-    def scalar(self, f: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def scalar(self, f: PositionFunction) -> PositionFunction:
         """The same function of the material point."""
         return lambda x, y: f(*self._back(x, y))
 
-    def vector(self, f: Callable[[Any, Any], tuple[Any, Any]]) -> tuple[Any, Any]:
+    def vector(self, f: Callable[..., tuple[Expression, Expression]]) -> tuple[Expression, Expression]:
         """A turned vector field, component by component."""
         return (lambda x, y: self._turned(f, 0, x, y)), (lambda x, y: self._turned(f, 1, x, y))
 
-    def _turned(self, f: Callable[[Any, Any], tuple[Any, Any]], i: int, x: Any, y: Any) -> Any:
+    def _turned(
+        self,
+        f: Callable[..., tuple[Expression, Expression]],
+        i: int,
+        x: Expression,
+        y: Expression,
+    ) -> Expression:
         values = f(*self._back(x, y))
         return sum(self.turn[i, j] * values[j] for j in range(2))
 
-    def _back(self, x: Any, y: Any) -> tuple[Any, Any]:
+    def _back(self, x: Expression, y: Expression) -> tuple[Expression, Expression]:
         a, b = x - self.shift[0], y - self.shift[1]
         return (
             self.turn[0, 0] * a + self.turn[1, 0] * b,

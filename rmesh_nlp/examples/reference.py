@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.examples.paper import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 
@@ -70,7 +70,7 @@ def reference_solution(fine: ContactProblem) -> ExactSolution:
         values[place] = component
         splines.append(ca.interpolant("reference", "bspline", [x, y], values.ravel(order="F")))
 
-    def value(at_x: Any, at_y: Any) -> Any:
+    def value(at_x: Expression, at_y: Expression) -> Expression:
         point = ca.vertcat(at_x, at_y)
         return ca.vertcat(*[spline(point) for spline in splines])
 

@@ -13,12 +13,10 @@ and ``x_s / r`` are bounded, so that the gradient of u solves ``grad u x_r = u_r
 
 from __future__ import annotations
 
-from typing import Any
-
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression, Kind
 from rmesh_nlp.fem.bernstein import functions, size, slopes
 from rmesh_nlp.fem.element import line_rule, vector
 from rmesh_nlp.meshes.curves import Curve
@@ -32,7 +30,7 @@ DEGREE = 7
 class Arc:
     """An arc between the parameters ``t`` (2,) of a curve; its symbols are MX if that is a spline."""
 
-    def __init__(self, curve: Curve, t: Any = None, kind: Any = None) -> None:
+    def __init__(self, curve: Curve, t: Expression = None, kind: Kind | None = None) -> None:
         self._curve = curve
         self.kind = kind or kind_of(curve)
         self.t = self.kind.sym("t", 2) if t is None else t
@@ -41,21 +39,23 @@ class Arc:
             period = curve.interval[1] - curve.interval[0]
             self._way -= period * ca.floor(self._way / period + 0.5)
 
-    def point(self, s: Any) -> Any:
+    def point(self, s: Expression) -> Expression:
         """A point (2,) of the arc at ``s`` from 0 to 1."""
         return ca.vertcat(*[function(self.t[0] + s * self._way) for function in self._curve.functions])
 
-    def velocity(self, s: float) -> Any:
+    def velocity(self, s: float) -> Expression:
         """Its derivative (2,) by ``s``."""
         along = self.kind.sym("s")
         slope = ca.jacobian(self.point(along), along)
         return ca.substitute([slope], [along], [self.kind(s)])[0]
 
-    def length_per_s(self, s: float) -> Any:
+    def length_per_s(self, s: float) -> Expression:
         """Length of the arc per unit of ``s``."""
         return ca.norm_2(self.velocity(s))
 
-    def blended(self, apex: Any, r: float, s: float, order: int) -> tuple[Any, Any, Any, Any]:
+    def blended(
+        self, apex: Expression, r: float, s: float, order: int
+    ) -> tuple[Expression, Expression, Expression, Expression]:
         """A point x of the triangle to the apex, x_r, x_s / r, and the determinant of these two."""
         arc, along, part = self.point(s), self.velocity(s), r ** (order - 1)
         if order == 1:
@@ -69,7 +69,7 @@ class Arc:
         return x, across, along, across[0] * along[1] - across[1] * along[0]
 
 
-def kind_of(curve: Curve) -> Any:
+def kind_of(curve: Curve) -> Expression:
     """Kind of CasADi's symbols that the functions of a curve take."""
     return ca.SX if all(function.is_a("SXFunction") for function in curve.functions) else ca.MX
 

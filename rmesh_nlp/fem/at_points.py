@@ -8,17 +8,15 @@ mesh are evaluated once for all element functions.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import combinations_with_replacement
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.evaluation import Array, Expression, Kind
+from rmesh_nlp.problem.coefficients import OPEN, PositionFunction
 from rmesh_nlp.vectorised import USUAL, Columns, columnwise
 
 
@@ -45,7 +43,12 @@ class PointValues:
     kept: list[tuple[Array, list[Array]]] = field(default_factory=list, repr=False)
 
     @classmethod
-    def of(cls, value: Callable[[Any, Any], Any], shares: Array, weights: Array | None = None) -> PointValues:
+    def of(
+        cls,
+        value: PositionFunction,
+        shares: Array,
+        weights: Array | None = None,
+    ) -> PointValues:
         """Those of ``value(x, y)``, a scalar or a column."""
         x, y = ca.SX.sym("x"), ca.SX.sym("y")
         function = ca.Function("value", [x, y], [ca.densify(ca.SX(value(x, y)))], OPEN)
@@ -86,16 +89,16 @@ class PointValues:
         first, second, third = ((sums[:, None] * factor).reshape(-1, sums.shape[1]) for factor in factors)
         return first, second, third
 
-    def values(self, columns: list[Any]) -> Any:
+    def values(self, columns: list[Expression]) -> Expression:
         """The argument of an element function, from its other ones."""
         # by the function itself, which may have free symbols
         found = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in self._points(columns)))
         return ca.vec(found if self.weights is None else found @ ca.DM(self.weights.T))
 
-    def _points(self, columns: list[Any]) -> list[Any]:
+    def _points(self, columns: list[Expression]) -> list[Expression]:
         return list(ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares)))
 
-    def expressions(self, columns: list[Any], order: int) -> list[Any]:
+    def expressions(self, columns: list[Expression], order: int) -> list[Expression]:
         """What :meth:`evaluated` returns, from the other arguments of an element function."""
         derivatives = _derivatives(self.function.serialize(), order)
         found = [derivatives.call(ca.vertsplit(point)) for point in self._points(columns)]
@@ -128,12 +131,12 @@ class PointValues:
                 result[..., part] = found if self.weights is None else matrix @ found
         return [result.reshape(-1, n) for result in results]
 
-    def symbols(self, kind: Any) -> list[Any]:
+    def symbols(self, kind: Kind) -> list[Expression]:
         """Symbols for what :meth:`evaluated` returns for order 2."""
         rows = [self.shares.shape[1]] * 3 if self.weights is None else map(len, self._matrices)
         return [kind.sym(f"d{k}", n * (k + 1) * self.length) for k, n in enumerate(rows)]
 
-    def chain(self, symbols: list[Any]) -> Chain:
+    def chain(self, symbols: list[Expression]) -> Chain:
         """How the values change with X, from :meth:`symbols`."""
         parts = [ca.reshape(one, -1, (k + 1) * self.length) for k, one in enumerate(symbols)]
         if self.weights is None:
@@ -156,7 +159,12 @@ class Chain:
     """
 
     def __init__(
-        self, values: Any, first: Any, second: Any, length: int, pairs: list[tuple[int, int]]
+        self,
+        values: Expression,
+        first: Expression,
+        second: Expression,
+        length: int,
+        pairs: list[tuple[int, int]],
     ) -> None:
         self.values, self._length, self._pairs, self._second = ca.vec(values.T), length, pairs, second
         n, vertices = values.shape[0], 1 + pairs[-1][1]
@@ -168,7 +176,7 @@ class Chain:
         ]
         self.slope = ca.horzcat(*columns)
 
-    def curvature(self, weights: Any) -> Any:
+    def curvature(self, weights: Expression) -> Expression:
         """Second derivative of ``weights . values``, the weights held."""
         weights, n = ca.reshape(weights, self._length, -1), 2 + 2 * self._pairs[-1][1]
         total, columns = type(weights)(n, n), ca.horzsplit(self._second)

@@ -20,28 +20,27 @@ discretisation.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.fem.element import NO_ROWS, affine, corners
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
 from rmesh_nlp.problem import ContactProblem
 
-Density = Callable[[Any, Any], Any]
+Density = Callable[[Expression, Expression], Expression]
 
 
-def _shape(s: Any, det: Any) -> Any:
+def _shape(s: Expression, det: Expression) -> Expression:
     return s / (2 * det) - 1
 
 
-def _shape_and_size(s: Any, det: Any) -> Any:
+def _shape_and_size(s: Expression, det: Expression) -> Expression:
     return _shape(s, det) + (det + 1 / det - 2) / 2
 
 
-def _elastic(s: Any, det: Any) -> Any:
+def _elastic(s: Expression, det: Expression) -> Expression:
     return s * (1 + 1 / det**2) / 4 - 1
 
 

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression, Kind
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
@@ -39,7 +38,7 @@ def with_design(function: ca.Function, at_points: PointValues | None) -> tuple[c
     return ca.Function(function.name(), [symbols, *columns], whole(*columns)), names
 
 
-def local_symbols(function: ca.Function) -> list[Any]:
+def local_symbols(function: ca.Function) -> list[Expression]:
     """Symbols for the arguments of a local function, of the kind that it is made of."""
     kind = ca.SX if function.is_a("SXFunction") else ca.MX
     return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
@@ -53,13 +52,13 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.values(columns))), OPEN)
 
 
-def corners(n: int, components: int, kind: Any = ca.SX, order: int = 1) -> tuple[Any, Any]:
+def corners(n: int, components: int, kind: Kind = ca.SX, order: int = 1) -> tuple[Expression, Expression]:
     """Symbols for the positions (2, n) of vertices and the displacements (components, nodes) of a cell."""
     X, u = kind.sym("X", 2 * n), kind.sym("u", components * size(order, n))
     return ca.reshape(X, 2, n), ca.reshape(u, components, size(order, n))
 
 
-def affine(X: Any, u: Any) -> tuple[Any, Any]:
+def affine(X: Expression, u: Expression) -> tuple[Expression, Expression]:
     """``(det, det * grad u)`` on the triangle X (2, 3): twice its area, and u (components, 3) linear there.
 
     At a point the gradient of a u of any order is that of the linear one ``u @ bernstein.slopes``. A
@@ -71,7 +70,7 @@ def affine(X: Any, u: Any) -> tuple[Any, Any]:
     return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate
 
 
-def vector(components: tuple[Coefficient, ...], point: Any) -> Any:
+def vector(components: tuple[Coefficient, ...], point: Expression) -> Expression:
     """Values of coefficients at a point (2,), one below the other."""
     return ca.vertcat(*[at(component, *ca.vertsplit(point)) for component in components])
 

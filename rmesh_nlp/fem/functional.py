@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import Array, Evaluator, Expression
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.element import NO_ROWS, local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
@@ -36,7 +35,7 @@ class Functional:
 
     groups: Groups
     sums: tuple[Groups, ...] = ()
-    combine: Callable[[Any], Any] = lambda _: 0.0
+    combine: Callable[[Expression], Expression] = lambda _: 0.0
 
     def scaled(self, weight: float) -> Functional:
         """``weight`` times it."""
@@ -51,7 +50,7 @@ class Functional:
             lambda s: self.combine(s[:n]) + other.combine(s[n:]),
         )
 
-    def then(self, function: Callable[[Any], Any]) -> Functional:
+    def then(self, function: Callable[[Expression], Expression]) -> Functional:
         """A smooth function of its value."""
         return Functional([], (self.groups, *self.sums), lambda s: function(s[0] + self.combine(s[1:])))
 

@@ -20,12 +20,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from math import comb
-from typing import Any
 
 import numpy as np
 from skfem.quadrature import get_quadrature_tri
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.problem.laws import Elastic, Law
 
 EQUILATERAL = np.array([[1.0, -0.5, -0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]]) / (27 / 16) ** 0.25
@@ -42,7 +41,7 @@ STEPS, HALVINGS = (0.4, 0.35, np.pi / 9), 7
 """First steps of stretch, angle and turn in the search for the best shapes, and how often they are halved."""
 
 
-def errors(law: Law, triangles: Any, derivatives: Any) -> Any:
+def errors(law: Law, triangles: Expression, derivatives: Expression) -> Expression:
     """(n,) errors in the energy on triangles (2, 3, n), counter-clockwise.
 
     ``derivatives`` of each component of the displacement, constant on a triangle: (components, 3, n) xx, xy
@@ -52,7 +51,7 @@ def errors(law: Law, triangles: Any, derivatives: Any) -> Any:
     return (_of_linear if len(derivatives[0]) == 3 else _of_quadratic)(law, triangles, derivatives)
 
 
-def _of_linear(law: Law, triangles: Any, second: Any) -> Any:
+def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expression:
     (x, y), total = triangles, 0.0
     edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]
     area = (edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]) / 2
@@ -67,7 +66,7 @@ def _of_linear(law: Law, triangles: Any, second: Any) -> Any:
     return total / (96 * area)  # area / 3 * 1/4 * 1/2 / (2 area)^2
 
 
-def _of_quadratic(law: Law, triangles: Any, third: Any) -> Any:
+def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Expression:
     x, y = triangles
     edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]  # from vertex i + 1 to i + 2
     double = edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]
@@ -99,7 +98,7 @@ def _of_quadratic(law: Law, triangles: Any, third: Any) -> Any:
     return total / (4 * double)  # area * 1/2 / (2 area)^2
 
 
-def _third(D: Any, a: Any, b: Any, c: Any) -> Any:
+def _third(D: Expression, a: Expression, b: Expression, c: Expression) -> Expression:
     """The third derivative xxx, xxy, xyy, yyy in three directions."""
     (p, q), (r, s), (t, u) = a, b, c
     mixed = D[1] * (p * r * u + p * s * t + q * r * t) + D[2] * (p * s * u + q * r * u + q * s * t)

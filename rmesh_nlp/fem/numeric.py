@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.element import FEW, RESULTS, differentiated
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, LocalField, Values
@@ -224,7 +224,7 @@ def _joined(one: ElementGroup, other: ElementGroup) -> ElementGroup:
     kind = ca.SX if one.function.is_a("SXFunction") else ca.MX
     columns = [kind.sym(f"a{i}", argument.shape[0]) for i, argument in enumerate(arguments)]
     at_points = one.at_points or other.at_points
-    values: list[Any] = [] if at_points is None else [kind.sym("values", at_points.size)]
+    values: list[Expression] = [] if at_points is None else [kind.sym("values", at_points.size)]
     first = one.function(*columns[: len(one.arguments)], *(values if one.at_points else ()))
     second = other.function(*(columns[k] for k in places), *(values if other.at_points else ()))
     results = [first[0] + second[0], ca.vertcat(first[1], second[1])]

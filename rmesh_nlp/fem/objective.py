@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Expression, Kind
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.element import affine, corners, line_rule
 from rmesh_nlp.fem.energy import triangle_rule
@@ -18,7 +19,7 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import OPEN
 
-Density = Callable[[Any, Any, Any, Any], Any]
+Density = Callable[[Expression, Expression, Expression, Expression], Expression]
 """``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
 edges the outward unit normal (2,)."""
 
@@ -53,7 +54,9 @@ class Fields(NamedTuple):
         """That of the displacement."""
         return self.displacement.space or DisplacementSpace.of(self.problem)
 
-    def group(self, name: str, X: Any, u: Any, value: Any, vertices: Index, nodes: Index) -> ElementGroup:
+    def group(
+        self, name: str, X: Expression, u: Expression, value: Expression, vertices: Index, nodes: Index
+    ) -> ElementGroup:
         """The sum over cells of a value of X (2, k) and u (components, m), by their vertices and nodes.
 
         ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u the coefficients there.
@@ -69,7 +72,7 @@ class Fields(NamedTuple):
         degree: int,
         density: Density,
         *,
-        kind: Any = ca.SX,
+        kind: Kind = ca.SX,
         factor: float = 1.0,
     ) -> ElementGroup:
         """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""

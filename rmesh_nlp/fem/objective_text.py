@@ -29,12 +29,12 @@ import re
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.expressions import FUNCTIONS, value_of
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
@@ -102,19 +102,19 @@ def _term(text: str, whole: str) -> Objective:
     raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(known)}")
 
 
-def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) -> Callable[..., Any]:
+def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) -> Callable[..., Expression]:
     """An expression as a function of x, y, u and the values of ``more`` names, by the components of u.
 
     It is read once with every name that it may have, whatever the problem.
     """
 
-    def read(names: dict[str, Any]) -> Any:
+    def read(names: dict[str, Expression]) -> Expression:
         try:
             return value_of(expression, names)
         except ValueError as error:
             raise ValueError(f"{text}: {error}") from error
 
-    def density(x: Any, y: Any, u: Any, extra: Any = None) -> Any:
+    def density(x: Expression, y: Expression, u: Expression, extra: Expression = None) -> Expression:
         n = int(u.shape[0])
         values = [x, y, *ca.vertsplit(u), *([] if extra is None else ca.vertsplit(ca.vec(extra.T)))]
         return read(dict(zip(("x", "y", *DISPLACEMENTS[n], *more.get(n, ())), values, strict=True)))

@@ -20,6 +20,7 @@ from typing import Any
 
 import casadi as ca
 
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.contact_terms import friction_terms
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.element import NO_ROWS
@@ -119,7 +120,7 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
     energy = energy_density(on.problem.laws[0], gradient)
     stress = ca.Function("stress", [gradient], [ca.gradient(energy, gradient)], OPEN)
 
-    def density(x: Any, y: Any, u: Any, n: Any) -> Any:
+    def density(x: Expression, y: Expression, u: Expression, n: Expression) -> Expression:
         direction = obstacle.tangential(x, y) if along else obstacle.direction(x, y)
         way = ca.dot(direction, u) + (0 if along else obstacle.distance(x, y))
         return ca.dot(direction, stress(solution(x, y)[1]) @ n) * way

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from functools import reduce
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, element_group
@@ -141,7 +141,7 @@ def peak_pressure(
     def quantity(on: Fields) -> list[ElementGroup]:
         length = _length(on.problem, contact_on(on.space, boundary).obstacle)
 
-        def value(share: Any, force: Any) -> Any:
+        def value(share: Expression, force: Expression) -> Expression:
             return share / length * (force / (share * reference)) ** exponent
 
         return _groups(on, boundary, value)
@@ -149,11 +149,13 @@ def peak_pressure(
     return Objective(((1.0, Term(name, quantity)),))
 
 
-def _sum(name: str, boundary: str, value: Callable[[Any, Any], Any]) -> Objective:
+def _sum(name: str, boundary: str, value: Callable[[Expression, Expression], Expression]) -> Objective:
     return Objective(((1.0, Term(name, lambda on: _groups(on, boundary, value))),))
 
 
-def _groups(on: Fields, boundary: str, value: Callable[[Any, Any], Any]) -> list[ElementGroup]:
+def _groups(
+    on: Fields, boundary: str, value: Callable[[Expression, Expression], Expression]
+) -> list[ElementGroup]:
     """The sum of ``value(omega_i, lambda_i)`` over the nodes of a contact boundary."""
     part, groups = contact_on(on.space, boundary), []
     normal = _forces_on(on, boundary).normal.component(part.number)

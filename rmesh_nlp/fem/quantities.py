@@ -14,11 +14,11 @@ integrals are taken with rules of high degree.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.element import NO_ROWS, corners
 from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group
 from rmesh_nlp.fem.fit import fit, fit_file
@@ -65,14 +65,14 @@ def _quantity(name: str) -> Callable[[Groups], Objective]:
 def _integral(
     on: Fields, name: str, cells: Index, degree: int, density: Density, factor: float = 1.0
 ) -> list[ElementGroup]:
-    def scalar(*arguments: Any) -> Any:
+    def scalar(*arguments: Expression) -> Expression:
         return _scalar(density(*arguments), name)
 
     return [on.integral("quantity", cells, degree, scalar, factor=factor)]
 
 
 def body_integral(
-    density: Callable[[Any, Any, Any, Any], Any],
+    density: Callable[[Expression, Expression, Expression, Expression], Expression],
     *,
     name: str = "body integral",
     subdomain: str | None = None,
@@ -103,7 +103,7 @@ def body_integral(
 
 def boundary_integral(
     boundary: str,
-    density: Callable[[Any, Any, Any, Any], Any],
+    density: Callable[[Expression, Expression, Expression, Expression], Expression],
     *,
     name: str = "boundary integral",
     mean: bool = False,
@@ -135,7 +135,10 @@ def boundary_integral(
 
 
 def nodal(
-    nodes: Sequence[int], function: Callable[[Any, Any], Any], *, name: str = "nodal quantity"
+    nodes: Sequence[int],
+    function: Callable[[Expression, Expression], Expression],
+    *,
+    name: str = "nodal quantity",
 ) -> Objective:
     """A function of the positions and displacements of some vertices, at once.
 
@@ -164,7 +167,7 @@ def nodal(
 
 def at_point(
     point: tuple[float, float],
-    function: Callable[[Any, Any, Any], Any],
+    function: Callable[[Expression, Expression, Expression], Expression],
     *,
     name: str = "value at a point",
     tolerance: float = 1e-6,
@@ -262,7 +265,7 @@ def _named(problem: ContactProblem, kind: str, name: str) -> Index:
     return np.asarray(known[name])
 
 
-def _scalar(value: Any, name: str) -> Any:
+def _scalar(value: Expression, name: str) -> Expression:
     value = ca.SX(value)
     if value.shape != (1, 1):
         raise ValueError(f"{name}: the function must return one value, got one of shape {value.shape}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Expression, Kind
 from rmesh_nlp.fem.element import local_symbols, plain
 from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, LocalField, constant_field
 from rmesh_nlp.fem.space import Index
@@ -68,7 +68,7 @@ def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     function = _alone(group).function
     bends = [one.functions if one else () for one in (field.bends for field in group.arguments)]
     used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
-    kind: Any = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
+    kind: Kind = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
     columns = [kind.sym(f"a{i}", field.shape[0]) for i, field in enumerate(group.arguments)]
     bent = [
         column if np.all(row == STRAIGHT) else _bent(column, row, functions)
@@ -82,6 +82,6 @@ def _alone(group: ElementGroup) -> ElementGroup:
     return replace(group, function=plain(group.function, group.at_points), at_points=None)
 
 
-def _bent(column: Any, row: Index, functions: tuple[ca.Function, ...]) -> Any:
+def _bent(column: Expression, row: Index, functions: tuple[ca.Function, ...]) -> Expression:
     parts = zip(ca.vertsplit(column), row, strict=True)
     return ca.vertcat(*[part if k == STRAIGHT else functions[k](part) for part, k in parts])

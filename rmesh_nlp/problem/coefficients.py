@@ -10,16 +10,16 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, wraps
-from typing import Any, TypeAlias, TypeGuard, TypeVar
+from typing import TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.vectorised import columnwise
 
-PositionFunction = Callable[[Any, Any], Any]
+PositionFunction = Callable[[Expression, Expression], Expression]
 Coefficient: TypeAlias = float | ca.SX | PositionFunction
 """A number, an expression of design variables, or a function of position (x, y), which may depend on them."""
 
@@ -57,7 +57,7 @@ NOT_SYMBOLIC = (
 )
 
 
-def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
+def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
     """Value of a coefficient at a point; a ValueError says what to use instead of branches and ``math``."""
     if not callable(coefficient):
         return coefficient
@@ -75,7 +75,7 @@ def at(coefficient: Coefficient, x: Any, y: Any) -> Any:
     return value
 
 
-def where(condition: Any, a: Any, b: Any) -> Any:
+def where(condition: Expression, a: Expression, b: Expression) -> Expression:
     """``a`` where the condition holds, else ``b``: what ``if`` cannot say in a function of position."""
     return ca.if_else(condition, a, b)
 
@@ -138,7 +138,7 @@ class PiecewiseLinear:
         change = np.diff(np.diff(self.y) / np.diff(self.x))
         return tuple(x for x, jump in zip(self.x[1:-1], change, strict=True) if jump != 0)
 
-    def __call__(self, x: Any, y: Any = None) -> Any:
+    def __call__(self, x: Expression, y: Expression = None) -> Expression:
         """Value at x_1 = ``x``; ``y`` is ignored, so that it serves as a function of position."""
         slopes = np.diff(self.y) / np.diff(self.x)
         value = self.y[0] + slopes[0] * (x - self.x[0])

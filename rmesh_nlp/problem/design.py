@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.expressions import FUNCTIONS
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, on_points, once
 
@@ -146,7 +146,7 @@ class AtDesign:
         value = substituted(ca.SX(at(self.coefficient, x, y)), dict(self.values))
         return ca.Function("coefficient", [x, y], [value])
 
-    def __call__(self, x: Any, y: Any) -> Any:
+    def __call__(self, x: Expression, y: Expression) -> Expression:
         """Value at a point: CasADi symbols or numbers."""
         return self._function(x, y)
 

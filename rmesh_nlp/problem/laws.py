@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeVar
 
 import casadi as ca
 import numpy as np
 from skfem.models.elasticity import lame_parameters
 
 from rmesh_nlp.display import describe
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
 
 
@@ -112,7 +113,7 @@ class Elastic(ABC):
         """Factor of ``trace(strain) I`` in the in-plane stress."""
 
     @abstractmethod
-    def out_of_plane_stress(self, trace: Any) -> Any:
+    def out_of_plane_stress(self, trace: Expression) -> Expression:
         """sigma_zz for the trace of the in-plane strain."""
 
 
@@ -125,7 +126,7 @@ class PlaneStrain(Elastic):
         """Lambda itself."""
         return self.lame_lambda
 
-    def out_of_plane_stress(self, trace: Any) -> Any:
+    def out_of_plane_stress(self, trace: Expression) -> Expression:
         """Lambda times the trace."""
         return self.lame_lambda * trace
 
@@ -142,7 +143,7 @@ class PlaneStress(Elastic):
         """2 lambda mu / (lambda + 2 mu)."""
         return 2 * self.lame_lambda * self.lame_mu / (self.lame_lambda + 2 * self.lame_mu)
 
-    def out_of_plane_stress(self, trace: Any) -> Any:
+    def out_of_plane_stress(self, trace: Expression) -> Expression:
         """Zero."""
         return 0 * trace
 
@@ -150,7 +151,7 @@ class PlaneStress(Elastic):
 Law = Laplace | Elastic
 
 
-def energy_density(law: Law, gradient: Any) -> Any:
+def energy_density(law: Law, gradient: Expression) -> Expression:
     """Energy per area as a function of the displacement gradient (components, 2)."""
     if isinstance(law, Laplace):
         return 0.5 * law.conductivity * ca.sumsqr(gradient)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.display import describe, figure
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.problem.coefficients import (
     OPEN,
     Coefficient,
@@ -128,7 +127,7 @@ class Obstacle:
             raise ValueError(f"the normal of the rigid line must be a non-zero vector, got {normal}")
         n = (normal[0] / length, normal[1] / length)
 
-        def distance(x: Any, y: Any) -> Any:
+        def distance(x: Expression, y: Expression) -> Expression:
             return n[0] * (x - point[0]) + n[1] * (y - point[1])
 
         return cls(boundary, n, distance, friction=friction, coulomb=coulomb, fixed_in_space=True)
@@ -144,7 +143,7 @@ class Obstacle:
         """
         kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
 
-        def distance(x: Any, y: Any) -> Any:
+        def distance(x: Expression, y: Expression) -> Expression:
             return y - at(height, x, y)
 
         return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True, coulomb=coulomb)
@@ -186,7 +185,7 @@ class Obstacle:
             raise ValueError(f"the centre of the circle must be finite, got {centre}")
         sign = -1.0 if inside else 1.0
 
-        def distance(x: Any, y: Any) -> Any:
+        def distance(x: Expression, y: Expression) -> Expression:
             return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
 
         return cls.curve(boundary, distance, friction, coulomb)
@@ -224,19 +223,19 @@ class Obstacle:
         friction = " and ".join(bounds) or "no friction"
         return f"{where}, {normal}, {friction}"
 
-    def direction(self, x: Any, y: Any) -> Any:
+    def direction(self, x: Expression, y: Expression) -> Expression:
         """Unit normal at a point as a CasADi column."""
         if self.level is None:
             return ca.DM(self.normal)
         slope = ca.vertcat(*_gradient(self.level)(x, y))
         return slope / ca.norm_2(slope)
 
-    def tangential(self, x: Any, y: Any) -> Any:
+    def tangential(self, x: Expression, y: Expression) -> Expression:
         """Unit tangent at a point as a CasADi column, the normal turned by -90 degrees."""
         normal = self.direction(x, y)
         return ca.vertcat(normal[1], -normal[0])
 
-    def distance(self, x: Any, y: Any) -> Any:
+    def distance(self, x: Expression, y: Expression) -> Expression:
         """The gap without displacement at a point."""
         if self.level is None:
             return at(self.offset, x, y)
