@@ -50,9 +50,8 @@ class Nested(NestedSettings, Formulation):
     ----------
     outer : str
         "newton" (projected trust-region Newton-CG where move limits alone keep the elements valid, else an
-        interior-point Newton method), "newton-cg" (the former along element areas too, and the latter only
-        where it stalls: cheaper, often to another minimum) or "ipopt" (with exact second derivatives; with
-        limited memory for many outer variables and another objective than the energy).
+        interior-point Newton method) or "ipopt" (with exact second derivatives; with limited memory for many
+        outer variables and another objective than the energy).
     """
 
     outer: str = "newton"

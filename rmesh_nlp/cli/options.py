@@ -115,7 +115,7 @@ Outer = Annotated[
     Option(
         "--outer",
         metavar="NAME",
-        help="Outer solver of nested: newton (default), newton-cg or ipopt.",
+        help="Outer solver of nested: newton (default) or ipopt.",
     ),
 ]
 TimeLimit = Annotated[

@@ -6,7 +6,7 @@ They take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,6 @@ from rmesh_nlp.settings import Count, Positive, Settings
 
 EXACT = "interior point with exact Hessians"
 LIMITED_MEMORY = "interior point with limited memory"
-CONJUGATE_GRADIENTS = "projected Newton-CG"
 
 RISE = 1e-12
 """Part of its value by which an objective may be above that at the start: the error of a contact solve."""
@@ -34,9 +33,6 @@ RISE = 1e-12
 LARGEST_DENSE = 1500
 """Number of outer variables up to which an interior point has the Hessian of an objective other than the
 energy, a dense matrix. That of the energy is sparse in outer variables and displacements, for any number."""
-
-ALONG_AREAS = 40
-"""Iterations after which newton-cg hands over to an interior point where element areas are constraints."""
 
 TIGHT = 1e-4
 """newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
@@ -213,22 +209,6 @@ def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Neste
     return OuterResult(found.x, found.status, found.iterations)
 
 
-def _newton_cg(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Projected Newton-CG, along element areas too; an interior point from where it stalls.
-
-    The cheapest descent to a stationary point, but not to the lowest: see docs/assessment.md.
-    """
-    if not problem.nlp.n_g or problem.constraints is not None:
-        return _newton(problem, start, monitor, settings)
-    found = _descend(problem, start, monitor, replace(settings, iterations=ALONG_AREAS))
-    if found.status in (Status.CONVERGED, Status.INTERRUPTED):
-        return OuterResult(found.x, found.status, found.iterations, CONJUGATE_GRADIENTS)
-    near = replace(problem, warm=found.status is Status.STALLED and not found.crowded)
-    end = interior(near, found.x, _counted_on(monitor, found.iterations), settings)
-    method = f"{CONJUGATE_GRADIENTS}, then {end.method}"
-    return replace(end, iterations=found.iterations + end.iterations, method=method)
-
-
 def _counted_on(monitor: Monitor, before: int) -> Monitor:
     """A monitor of the solver that goes on after so many iterations."""
     return lambda iteration, q, value: monitor(before + iteration, q, value)
@@ -281,4 +261,4 @@ def _timed(model: Model, budget: Budget) -> Operator:
     return Operator(product, model.diagonal)
 
 
-OUTER_SOLVERS: dict[str, OuterSolver] = {"ipopt": _ipopt, "newton": _newton, "newton-cg": _newton_cg}
+OUTER_SOLVERS: dict[str, OuterSolver] = {"ipopt": _ipopt, "newton": _newton}

@@ -124,14 +124,13 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """Where the method stopped; STALLED and ``crowded`` where too many constraints were active in a step."""
+    """Where the method stopped; STALLED where too many constraints were active in a step."""
 
     x: Array
     value: float
     status: Status
     iterations: int
     products: int
-    crowded: bool = False
 
 
 @dataclass(frozen=True)
@@ -220,7 +219,7 @@ def minimise(
             creeps = isinstance(step, ConstrainedStep) and tolerance < residual > CREEPING * before
             creeps = creeps and predicted <= NEGLIGIBLE * gained
             if crowded or creeps or nothing or radius < domain.least_radius:
-                return NewtonResult(x, here.value, Status.STALLED, iteration, products, crowded)
+                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
             part, predicted = domain.cut(y, predicted)
             products += part < 1
             landed = domain.land(part, y, step)

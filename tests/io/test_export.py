@@ -16,9 +16,9 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, cell_data, element_table, gaps, node_table, write_mesh, write_solution
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Relative, Traction
 from rmesh_nlp.solving.outer import Outer

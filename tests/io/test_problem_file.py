@@ -13,8 +13,8 @@ from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
 from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative, Traction
 from support.formulations import fixed, joint

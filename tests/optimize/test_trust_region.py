@@ -249,7 +249,7 @@ def test_a_constraint_that_is_not_met_changes_nothing() -> None:
 def test_too_many_active_constraints_end_it(crowded: int, status: Status, end: float) -> None:
     settings, b = NewtonSettings(crowded=crowded, close=1.0, first_radius=9.0), np.array([3.0, 4.0])
     found = descent(lambda x: quadratic(np.eye(2), b, x), far=9.0, settings=settings, constraints=Halves(0.5))
-    assert (found.status, found.crowded) == (status, crowded == 1)
+    assert found.status is status
     np.testing.assert_allclose(found.x, end, atol=1e-7)
 
 
