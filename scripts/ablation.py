@@ -1,0 +1,227 @@
+"""Which special rules earn their place: each is switched off, one at a time, on problems that chose none of them.
+
+``python scripts/ablation.py ROWS.jsonl`` solves the problems as they are and then without each rule, adds a row
+for each solve (a run that was stopped goes on), and prints a table: change of the gain, failures, and cost. The
+problems are random ones of seeds that no other script has, meshes of gmsh and random designs. A rule is a number
+or a table of options in a module, beside the plain value that takes its place.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from random_designs import random_design
+
+import rmesh_nlp as rm
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
+from rmesh_nlp.problem import Relative
+
+SEEDS, DESIGN_SEEDS = range(91_000, 91_012), range(92_000, 92_008)
+SECONDS = 60.0
+"""Of each solve."""
+
+SAME = 0.02
+"""Change of a median that counts as none."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What is switched off: ``module:NAME`` with the plain value, or settings of the formulation."""
+
+    name: str
+    formulations: tuple[str, ...]
+    kinds: tuple[str, ...]
+    values: Mapping[str, Any] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+def limited(delta: float) -> Callable[[rm.ContactProblem], rm.ContactProblem]:
+    return lambda problem: replace(problem, motion=replace(problem.motion, delta=Relative(delta)))
+
+
+def unlimited(problem: rm.ContactProblem) -> rm.ContactProblem:
+    return replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
+
+
+def shaped() -> Iterator[tuple[str, rm.ContactProblem]]:
+    """Meshes of gmsh: a corner, a hole in a plate on a foundation, a wedge."""
+    yield "corner", rm.ContactProblem(l_shape(0.3), rm.Laplace(1.0), ("corner", "outer"))
+    law, down = rm.PlaneStress.from_young(1.0, 0.3), (rm.Traction("top", (0.0, lambda x, y: -0.02 - 0.006 * x)),)
+    plate, block = plate_with_hole(1.8), wedge_block(0.4)
+    yield "hole", rm.ContactProblem(plate, law, ("left",), tractions=down, obstacle=rm.Obstacle("bottom"))
+    yield "wedge", rm.ContactProblem(block, law, ("left",), tractions=down)
+
+
+def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
+    """Kind, problem and objective by name; of a design its own objective."""
+    cases: dict[str, tuple[str, rm.ContactProblem, str]] = {}
+    for seed in SEEDS:
+        order = 1 + (seed % 4 == 3)
+        problem = random_problem(seed, order=order)
+        cases[f"limits {seed}"] = "limits", limited(0.3 + 0.5 * (seed % 2))(problem), "energy"
+        cases[f"free {seed}"] = "free", unlimited(problem), "energy"
+        cases[f"error {seed}"] = "other", limited(0.3)(random_problem(seed)), "compliance"
+    for name, problem in shaped():
+        cases[f"limits {name}"] = "limits", limited(0.5)(problem), "energy"
+        cases[f"free {name}"] = "free", unlimited(problem), "energy"
+    for n in (40,):
+        cases[f"fine {n}"] = "fine", rm.EXAMPLES["6.1"](n), "energy"
+    for seed in DESIGN_SEEDS:
+        drawn = random_design(seed)
+        cases[f"design {seed}"] = "design", drawn.problem, drawn.objective
+    return cases
+
+
+LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
+RULES = (
+    Rule("joint: barrier 2 in units of the pull", ("joint",), LIMITED, {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none"}}),
+    Rule("joint: shifts of the Hessian by small factors", ("joint",), LIMITED,
+         {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none", "mu_init": 2.0, "bound_mult_init_method": "mu-based"}}),
+    Rule("joint, mpcc: alternating start on fine meshes", ("joint", "mpcc"), ("fine",),
+         {"formulations.joint:FINE": 10**9, "formulations.mpcc:FINE": 10**9}),
+    Rule("joint: Newton steps from near an end", ("joint",), (*LIMITED, *FREE), {"formulations.joint:NEAR": 0.0}),
+    Rule("joint: units of displacements far from one", ("joint",), (*LIMITED, *FREE), {"formulations.joint:ORDINARY": (0.0, np.inf)}),
+    Rule("joint, mpcc: again where the end is above the start", ("joint", "mpcc"), (*LIMITED, *FREE),
+         {"formulations.joint:is_above": lambda *_: False}),
+    Rule("joint: tolerance by areas", ("joint",), LIMITED, settings={"tol_areas": 1e-10}),
+    Rule("mpcc: barrier falls slowly", ("mpcc",), LIMITED, {"formulations.mpcc:SLOWLY": {}}),
+    Rule("mpcc: first barrier of the energy", ("mpcc",), LIMITED, {"formulations.mpcc:BARRIER_ENERGY": 0.1}),
+    Rule("mpcc: first barrier without limits", ("mpcc",), FREE, {"formulations.mpcc:BARRIER_WITHOUT_LIMITS": 0.1}),
+    Rule("mpcc: t falls by 0.01 for other objectives", ("mpcc",), OTHERS, {"formulations.mpcc:FACTOR_OTHERS": 0.1}),
+    Rule("mpcc: tolerance 1e-12 for other objectives", ("mpcc",), OTHERS,
+         {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10}),
+    Rule("mpcc: second path of designs", ("mpcc",), ("design",), settings={"twice": False}),
+    Rule("nested: exact finish at kinks", ("nested",), OTHERS, {"formulations.nested:ROUNDS": 1}),
+    Rule("nested: barrier of the finish at kinks", ("nested",), OTHERS, {"formulations.kinks:BARRIER": 0.1}),
+    Rule("nested: warm barrier", ("nested",), (*LIMITED, *OTHERS),
+         {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}),
+    Rule("nested: ends where little is left, 1e-4", ("nested",), LIMITED, {"rmesh_nlp.models.outer_solvers:TIGHT": 0.0}),
+    Rule("Newton: last round worthwhile", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0}),
+    Rule("Newton: overshoot of two widths", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:OVERSHOOT": 1.0}),
+    Rule("Newton: Cauchy steps fall by 0.25", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:SHORTEN_CAUCHY": 0.5}),
+    Rule("Newton: a first radius of half the gradient step", ("nested",), LIMITED, settings={"newton": {"first_radius": 1.0}}),
+    Rule("Newton: hidden decreases", ("auto",), FREE, {"rmesh_nlp.optimize.trust_region:HIDDEN": 1.0}),
+    Rule("Newton: all products at once up to 200 variables", ("nested", "auto"), (*LIMITED, *FREE),
+         {"rmesh_nlp.models.second_derivatives:DENSE": 0}),
+    Rule("cascade: derivatives by rule 3 on the way", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:MODEL_RULE": 20}),
+    Rule("cascade: factorised second derivatives near the end", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:NEAR": 0.0}),
+    Rule("cascade: polish by factorisations", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:POLISH": 0}),
+    Rule("cascade: several schedules where they are cheap", ("auto",), FREE, {"rmesh_nlp.models.cascade:CHEAP": 1e9}),
+    Rule("cascade: brief descents at order 2", ("auto",), FREE, {"rmesh_nlp.models.cascade:ENOUGH": {1: 1.0, 2: 1.0}}),
+    Rule("cascade: final weight by order", ("auto",), FREE, {"rmesh_nlp.models.cascade:FINAL": {1: 3e-3, 2: 3e-3}}),
+    Rule("cascade: parts of a prolonged map", ("auto",), FREE, {"rmesh_nlp.models.levels:HALVINGS": 1}),
+    Rule("contact: patience with blocks", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:PATIENCE": 10**6}),
+    Rule("contact: guess by the dual", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:FEW": 10**6}),
+    Rule("contact: refinement of linear solves", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:EXACT": 1.0}),
+)  # fmt: skip
+
+
+@contextmanager
+def without(rule: Rule) -> Iterator[None]:
+    """The plain values in every module that has the rule's."""
+    changed: list[tuple[Any, str, Any]] = []
+    for place, plain in rule.values.items():
+        module, name = place.split(":")
+        value = getattr(importlib.import_module(module), name)
+        for other in list(sys.modules.values()):
+            if other.__name__.startswith(("rmesh_nlp", "formulations")) and vars(other).get(name) is value:
+                changed.append((other, name, value))
+                setattr(other, name, plain)
+    try:
+        yield
+    finally:
+        for other, name, value in changed:
+            setattr(other, name, value)
+
+
+PLAIN = Rule("as it is", ("fixed", "joint", "mpcc", "nested", "auto"), (*LIMITED, *FREE, *OTHERS))
+NOT_FOR = {("joint", "other"), ("joint", "design"), ("auto", "limits"), ("auto", "fine"), ("fixed", "free")}
+
+
+def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: str) -> dict[str, Any]:
+    """Gain in what is minimised, success and cost in contact solves and factorisations."""
+    with without(rule), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            record = rm.solve(
+                problem, formulation, objective=objective, limits=rm.Limits(SECONDS), **rule.settings
+            ).record()
+        except Exception as error:
+            return {"success": False, "status": f"{type(error).__name__}: {error}", "gain": 0.0, "cost": 0}
+    before, after = record["energy_initial_audited"], record["energy_audited"]
+    if objective != "energy":
+        before, after = record.get("objective_initial"), record["objective_value"]
+    gain = (before - after) if None not in (before, after) else 0.0
+    cost = record["contact_solves"] + record.get("kkt_factorisations", 0)
+    return {"success": record["success"], "status": record["status"], "gain": gain, "cost": cost}
+
+
+def missing(rows: Mapping[tuple[str, str, str], Any]) -> Iterator[tuple[Rule, str, str]]:
+    """Solves that no row has yet: as it is first."""
+    for rule in (PLAIN, *RULES):
+        for name, (kind, _, _) in CASES.items():
+            for formulation in rule.formulations if kind in rule.kinds else ():
+                if (formulation, kind) not in NOT_FOR and (rule.name, formulation, name) not in rows:
+                    yield rule, formulation, name
+
+
+def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
+    """Per rule: cases, median and least gain over that with the rule, failures more and less, and cost."""
+    lines = [
+        "| rule | solves | median gain without it | least | failures more, less | cost without it |",
+        "|---|--:|--:|--:|--:|--:|",
+    ]
+    for rule in RULES:
+        pairs = [
+            (rows["as it is", formulation, case], row)
+            for (name, formulation, case), row in rows.items()
+            if name == rule.name and ("as it is", formulation, case) in rows
+        ]
+        if not pairs:
+            continue
+        both = [(old, new) for old, new in pairs if old["success"] and new["success"] and old["gain"] > 0]
+        ratios = [new["gain"] / old["gain"] for old, new in both] or [np.nan]
+        cost = sum(new["cost"] for _, new in both) / max(sum(old["cost"] for old, _ in both), 1)
+        worse = sum(old["success"] and not new["success"] for old, new in pairs)
+        better = sum(new["success"] and not old["success"] for old, new in pairs)
+        figures = f"{median(ratios):.4f} | {min(ratios):.3f} | {worse}, {better} | {cost:.2f}"
+        lines.append(f"| {rule.name} | {len(pairs)} | {figures} |")
+    return "\n".join(lines)
+
+
+CASES: dict[str, tuple[str, rm.ContactProblem, str]] = {}
+
+
+def main() -> None:
+    """Solve what is missing and print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("rows", type=Path)
+    parser.add_argument("--table", action="store_true", help="of the rows that are there, without solving")
+    given = parser.parse_args()
+    CASES.update(problems())
+    lines = given.rows.read_text().splitlines() if given.rows.exists() else []
+    rows = {tuple(row.pop("key")): row for row in map(json.loads, lines)}
+    for rule, formulation, name in () if given.table else missing(dict(rows)):
+        _, problem, objective = CASES[name]
+        row = solved(rule, formulation, problem, objective)
+        rows[rule.name, formulation, name] = row
+        with given.rows.open("a") as file:
+            file.write(json.dumps({"key": [rule.name, formulation, name], **row}) + "\n")
+        print(f"{rule.name}; {formulation}; {name}: {row['status']}, {row['gain']:.4g}", file=sys.stderr)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    main()
