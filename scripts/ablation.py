@@ -1,9 +1,9 @@
-"""Which special rules earn their place: each is switched off, one at a time, on problems that chose none of them.
+"""Which special rules earn their place: each is switched off in turn, on problems that chose none of them.
 
-``python scripts/ablation.py ROWS.jsonl`` solves the problems as they are and then without each rule, adds a row
-for each solve (a run that was stopped goes on), and prints a table: change of the gain, failures, and cost. The
-problems are random ones of seeds that no other script has, meshes of gmsh and random designs. A rule is a number
-or a table of options in a module, beside the plain value that takes its place.
+``python scripts/ablation.py ROWS.jsonl`` solves the problems as they are and then without each rule, adds a
+row for each solve (a run that was stopped goes on), and prints a table: change of the gain, failures, and
+cost. The problems are random ones of seeds that no other script has, meshes of gmsh and random designs. A
+rule is a number or a table of options in a module, beside the plain value that takes its place.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from random_designs import random_design
 
 import rmesh_nlp as rm
+from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
 from rmesh_nlp.problem import Relative
@@ -48,17 +48,22 @@ class Rule:
 
 
 def limited(delta: float) -> Callable[[rm.ContactProblem], rm.ContactProblem]:
+    """Move limits, in parts of the shortest edge."""
     return lambda problem: replace(problem, motion=replace(problem.motion, delta=Relative(delta)))
 
 
 def unlimited(problem: rm.ContactProblem) -> rm.ContactProblem:
+    """No move limits, and a rule that they do not exploit."""
     return replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
 
 
 def shaped() -> Iterator[tuple[str, rm.ContactProblem]]:
     """Meshes of gmsh: a corner, a hole in a plate on a foundation, a wedge."""
     yield "corner", rm.ContactProblem(l_shape(0.3), rm.Laplace(1.0), ("corner", "outer"))
-    law, down = rm.PlaneStress.from_young(1.0, 0.3), (rm.Traction("top", (0.0, lambda x, y: -0.02 - 0.006 * x)),)
+    law, down = (
+        rm.PlaneStress.from_young(1.0, 0.3),
+        (rm.Traction("top", (0.0, lambda x, y: -0.02 - 0.006 * x)),),
+    )
     plate, block = plate_with_hole(1.8), wedge_block(0.4)
     yield "hole", rm.ContactProblem(plate, law, ("left",), tractions=down, obstacle=rm.Obstacle("bottom"))
     yield "wedge", rm.ContactProblem(block, law, ("left",), tractions=down)
@@ -86,46 +91,174 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
 
 LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
 RULES = (
-    Rule("joint: barrier 2 in units of the pull", ("joint",), LIMITED, {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none"}}),
-    Rule("joint: shifts of the Hessian by small factors", ("joint",), LIMITED,
-         {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none", "mu_init": 2.0, "bound_mult_init_method": "mu-based"}}),
-    Rule("joint, mpcc: alternating start on fine meshes", ("joint", "mpcc"), ("fine",),
-         {"formulations.joint:FINE": 10**9, "formulations.mpcc:FINE": 10**9}),
-    Rule("joint: Newton steps from near an end", ("joint",), (*LIMITED, *FREE), {"formulations.joint:NEAR": 0.0}),
-    Rule("joint: units of displacements far from one", ("joint",), (*LIMITED, *FREE), {"formulations.joint:ORDINARY": (0.0, np.inf)}),
-    Rule("joint, mpcc: again where the end is above the start", ("joint", "mpcc"), (*LIMITED, *FREE),
-         {"formulations.joint:is_above": lambda *_: False}),
+    Rule(
+        "joint: barrier 2 in units of the pull",
+        ("joint",),
+        LIMITED,
+        {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none"}},
+    ),
+    Rule(
+        "joint: shifts of the Hessian by small factors",
+        ("joint",),
+        LIMITED,
+        {
+            "formulations.joint:_BARRIER": {
+                "nlp_scaling_method": "none",
+                "mu_init": 2.0,
+                "bound_mult_init_method": "mu-based",
+            }
+        },
+    ),
+    Rule(
+        "joint, mpcc: alternating start on fine meshes",
+        ("joint", "mpcc"),
+        ("fine",),
+        {"formulations.joint:FINE": 10**9, "formulations.mpcc:FINE": 10**9},
+    ),
+    Rule(
+        "joint: Newton steps from near an end",
+        ("joint",),
+        (*LIMITED, *FREE),
+        {"formulations.joint:NEAR": 0.0},
+    ),
+    Rule(
+        "joint: units of displacements far from one",
+        ("joint",),
+        (*LIMITED, *FREE),
+        {"formulations.joint:ORDINARY": (0.0, np.inf)},
+    ),
+    Rule(
+        "joint, mpcc: again where the end is above the start",
+        ("joint", "mpcc"),
+        (*LIMITED, *FREE),
+        {"formulations.joint:is_above": lambda *_: False},
+    ),
     Rule("joint: tolerance by areas", ("joint",), LIMITED, settings={"tol_areas": 1e-10}),
     Rule("mpcc: barrier falls slowly", ("mpcc",), LIMITED, {"formulations.mpcc:SLOWLY": {}}),
     Rule("mpcc: first barrier of the energy", ("mpcc",), LIMITED, {"formulations.mpcc:BARRIER_ENERGY": 0.1}),
-    Rule("mpcc: first barrier without limits", ("mpcc",), FREE, {"formulations.mpcc:BARRIER_WITHOUT_LIMITS": 0.1}),
-    Rule("mpcc: t falls by 0.01 for other objectives", ("mpcc",), OTHERS, {"formulations.mpcc:FACTOR_OTHERS": 0.1}),
-    Rule("mpcc: tolerance 1e-12 for other objectives", ("mpcc",), OTHERS,
-         {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10}),
+    Rule(
+        "mpcc: first barrier without limits",
+        ("mpcc",),
+        FREE,
+        {"formulations.mpcc:BARRIER_WITHOUT_LIMITS": 0.1},
+    ),
+    Rule(
+        "mpcc: t falls by 0.01 for other objectives",
+        ("mpcc",),
+        OTHERS,
+        {"formulations.mpcc:FACTOR_OTHERS": 0.1},
+    ),
+    Rule(
+        "mpcc: tolerance 1e-12 for other objectives",
+        ("mpcc",),
+        OTHERS,
+        {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10},
+    ),
     Rule("mpcc: second path of designs", ("mpcc",), ("design",), settings={"twice": False}),
     Rule("nested: exact finish at kinks", ("nested",), OTHERS, {"formulations.nested:ROUNDS": 1}),
     Rule("nested: barrier of the finish at kinks", ("nested",), OTHERS, {"formulations.kinks:BARRIER": 0.1}),
-    Rule("nested: warm barrier", ("nested",), (*LIMITED, *OTHERS),
-         {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}),
-    Rule("nested: ends where little is left, 1e-4", ("nested",), LIMITED, {"rmesh_nlp.models.outer_solvers:TIGHT": 0.0}),
-    Rule("Newton: last round worthwhile", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0}),
-    Rule("Newton: overshoot of two widths", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:OVERSHOOT": 1.0}),
-    Rule("Newton: Cauchy steps fall by 0.25", ("nested", "auto"), (*LIMITED, *FREE), {"rmesh_nlp.optimize.newton_step:SHORTEN_CAUCHY": 0.5}),
-    Rule("Newton: a first radius of half the gradient step", ("nested",), LIMITED, settings={"newton": {"first_radius": 1.0}}),
+    Rule(
+        "nested: warm barrier",
+        ("nested",),
+        (*LIMITED, *OTHERS),
+        {
+            "rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1,
+            "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01,
+        },
+    ),
+    Rule(
+        "nested: ends where little is left, 1e-4",
+        ("nested",),
+        LIMITED,
+        {"rmesh_nlp.models.outer_solvers:TIGHT": 0.0},
+    ),
+    Rule(
+        "Newton: last round worthwhile",
+        ("nested", "auto"),
+        (*LIMITED, *FREE),
+        {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
+    ),
+    Rule(
+        "Newton: overshoot of two widths",
+        ("nested", "auto"),
+        (*LIMITED, *FREE),
+        {"rmesh_nlp.optimize.newton_step:OVERSHOOT": 1.0},
+    ),
+    Rule(
+        "Newton: Cauchy steps fall by 0.25",
+        ("nested", "auto"),
+        (*LIMITED, *FREE),
+        {"rmesh_nlp.optimize.newton_step:SHORTEN_CAUCHY": 0.5},
+    ),
+    Rule(
+        "Newton: a first radius of half the gradient step",
+        ("nested",),
+        LIMITED,
+        settings={"newton": {"first_radius": 1.0}},
+    ),
     Rule("Newton: hidden decreases", ("auto",), FREE, {"rmesh_nlp.optimize.trust_region:HIDDEN": 1.0}),
-    Rule("Newton: all products at once up to 200 variables", ("nested", "auto"), (*LIMITED, *FREE),
-         {"rmesh_nlp.models.second_derivatives:DENSE": 0}),
-    Rule("cascade: derivatives by rule 3 on the way", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:MODEL_RULE": 20}),
-    Rule("cascade: factorised second derivatives near the end", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:NEAR": 0.0}),
-    Rule("cascade: polish by factorisations", ("auto",), FREE, {"rmesh_nlp.models.regularised_descent:POLISH": 0}),
-    Rule("cascade: several schedules where they are cheap", ("auto",), FREE, {"rmesh_nlp.models.cascade:CHEAP": 1e9}),
-    Rule("cascade: brief descents at order 2", ("auto",), FREE, {"rmesh_nlp.models.cascade:ENOUGH": {1: 1.0, 2: 1.0}}),
-    Rule("cascade: final weight by order", ("auto",), FREE, {"rmesh_nlp.models.cascade:FINAL": {1: 3e-3, 2: 3e-3}}),
+    Rule(
+        "Newton: all products at once up to 200 variables",
+        ("nested", "auto"),
+        (*LIMITED, *FREE),
+        {"rmesh_nlp.models.second_derivatives:DENSE": 0},
+    ),
+    Rule(
+        "cascade: derivatives by rule 3 on the way",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.regularised_descent:MODEL_RULE": 20},
+    ),
+    Rule(
+        "cascade: factorised second derivatives near the end",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.regularised_descent:NEAR": 0.0},
+    ),
+    Rule(
+        "cascade: polish by factorisations",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.regularised_descent:POLISH": 0},
+    ),
+    Rule(
+        "cascade: several schedules where they are cheap",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.cascade:CHEAP": 1e9},
+    ),
+    Rule(
+        "cascade: brief descents at order 2",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.cascade:ENOUGH": {1: 1.0, 2: 1.0}},
+    ),
+    Rule(
+        "cascade: final weight by order",
+        ("auto",),
+        FREE,
+        {"rmesh_nlp.models.cascade:FINAL": {1: 3e-3, 2: 3e-3}},
+    ),
     Rule("cascade: parts of a prolonged map", ("auto",), FREE, {"rmesh_nlp.models.levels:HALVINGS": 1}),
-    Rule("contact: patience with blocks", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:PATIENCE": 10**6}),
-    Rule("contact: guess by the dual", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:FEW": 10**6}),
-    Rule("contact: refinement of linear solves", ("fixed", "nested"), (*LIMITED, *OTHERS), {"rmesh_nlp.contact.active_set:EXACT": 1.0}),
-)  # fmt: skip
+    Rule(
+        "contact: patience with blocks",
+        ("fixed", "nested"),
+        (*LIMITED, *OTHERS),
+        {"rmesh_nlp.contact.active_set:PATIENCE": 10**6},
+    ),
+    Rule(
+        "contact: guess by the dual",
+        ("fixed", "nested"),
+        (*LIMITED, *OTHERS),
+        {"rmesh_nlp.contact.active_set:FEW": 10**6},
+    ),
+    Rule(
+        "contact: refinement of linear solves",
+        ("fixed", "nested"),
+        (*LIMITED, *OTHERS),
+        {"rmesh_nlp.contact.active_set:EXACT": 1.0},
+    ),
+)
 
 
 @contextmanager

@@ -100,8 +100,8 @@ class Block:
             return None
         across, up = paper.size
         sizes = [f"{across}x{up}", *([f"{across}"] if across == up else [])]
-        same = record["n"] in sizes and record["delta"] == list(paper.delta) and order_of(record) == 1
-        return paper if same and record.get("quadrature", "midpoint") == "midpoint" else None
+        is_papers = record["n"] in sizes and record["delta"] == list(paper.delta) and order_of(record) == 1
+        return paper if is_papers and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
 def blocks(records: Iterable[Record]) -> list[Block]:
@@ -188,11 +188,11 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
     groups = blocks(records)
     names = []
     for block in groups:
-        told, same = [block.example], [other for other in groups if other.example == block.example]
+        told, rivals = [block.example], [other for other in groups if other.example == block.example]
         for place, text in enumerate(block.settings):
-            alike = [other for other in same if other.settings[place] == text]
-            told += [text] if len(alike) < len(same) or (place == 1 and text != LINEAR) else []
-            same = alike
+            alike = [other for other in rivals if other.settings[place] == text]
+            told += [text] if len(alike) < len(rivals) or (place == 1 and text != LINEAR) else []
+            rivals = alike
         names += [", ".join([*told, label(record)]) for record in block.records]
     return names
 

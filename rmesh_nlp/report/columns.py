@@ -75,8 +75,8 @@ def _factorisations(record: Record) -> str:
 
 def _stationarity(record: Record) -> str:
     """The label of stationarity, and whether it says more than that of an ordinary program."""
-    known = str(record.get("stationarity") or "")
-    return "S (KKT)" if known == "S" and record.get("biactive") == 0 else known
+    kind = str(record.get("stationarity") or "")
+    return "S (KKT)" if kind == "S" and record.get("biactive") == 0 else kind
 
 
 def _biactive(record: Record) -> int | None:

@@ -42,8 +42,8 @@ def design_figure(
     position of the first curve among the looks.
     """
     some = DESIGN + next(iter(bounds))
-    known = {name: steps for name, steps in curves.items() if steps and some in steps[0]}
-    if not known:
+    drawn = {name: steps for name, steps in curves.items() if steps and some in steps[0]}
+    if not drawn:
         return None
     few = len(bounds) <= PANELS
     count, across = 1 + (len(bounds) if few else 1), 3 if width > TWO_COLUMNS / 2 + 1 else 2
@@ -52,7 +52,7 @@ def design_figure(
     axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
     for axis in axes[count:]:
         axis.remove()
-    for position, (name, steps) in enumerate(known.items(), first):
+    for position, (name, steps) in enumerate(drawn.items(), first):
         pen: dict[str, Any] = {**look(position).line(scale=0.7), "markeredgewidth": 0.7}
         _draw(axes[0], steps, "objective", {**pen, "label": name})
         for axis, variable in zip(axes[1:], bounds if few else (), strict=False):
@@ -60,7 +60,7 @@ def design_figure(
         if not few:
             _draw_all(axes[1], steps, bounds, pen)
     axes[0].set_ylabel("objective")
-    _scale(axes[0], list(known.values()))
+    _scale(axes[0], list(drawn.values()))
     figure.suptitle(fill(objective, int(LETTERS * width)), fontsize="medium")
     for axis, (variable, ends) in zip(axes[1:], bounds.items() if few else (), strict=False):
         for end in ends:
@@ -69,8 +69,8 @@ def design_figure(
         axis.set(ylabel=variable, ylim=(ends[0] - room, ends[1] + room))
     if not few:
         axes[1].set_ylabel("design variables,\nparts of their bounds")
-    _finish(list(axes[:count]), across, [len(steps) for steps in known.values()])
-    if len(known) > 1:
+    _finish(list(axes[:count]), across, [len(steps) for steps in drawn.values()])
+    if len(drawn) > 1:
         add_legend(figure, [axes[0]], "outside lower center")
     return figure
 

@@ -104,18 +104,18 @@ def _by_name(entry: str, records: Sequence[Record]) -> Iterator[tuple[Sequence[s
 
     A head, its rows, and whether each name has a row.
     """
-    known = [record for record in records if record.get(entry)]
-    names = list(dict.fromkeys(name for record in known for name in record[entry]))
+    solved = [record for record in records if record.get(entry)]
+    names = list(dict.fromkeys(name for record in solved for name in record[entry]))
     if not names:
         return
-    bounds, value = _of_constraints(known) if entry == "constraints" else _of_design(known)
+    bounds, value = _of_constraints(solved) if entry == "constraints" else _of_design(solved)
     rows = [["bounds", *map(bounds, names)]]
-    start = known[0].get(f"{entry}_initial") or {}
+    start = solved[0].get(f"{entry}_initial") or {}
     if start:
         rows.append(["start", *(shown(start.get(name), ".5g") for name in names)])
     solves = [
         [short_label(record), *(value(record, name) for name in names)]
-        for record in known
+        for record in solved
         if record["formulation"] != "fixed" or entry == "constraints"
     ]
     if len(names) <= FEW:
@@ -143,8 +143,8 @@ def _of_design(known: Sequence[Record]) -> Cells:
 
 def _of_constraints(known: Sequence[Record]) -> Cells:
     def bounds(name: str) -> str:
-        one = next(record["constraints"][name] for record in known if name in record["constraints"])
-        return bounds_in_words(one.get("lower"), one.get("upper"))
+        limits = next(record["constraints"][name] for record in known if name in record["constraints"])
+        return bounds_in_words(limits.get("lower"), limits.get("upper"))
 
     def value(record: Record, name: str) -> str:
         return shown(record["constraints"].get(name, {}).get("value"), ".5g")

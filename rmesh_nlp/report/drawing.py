@@ -85,28 +85,28 @@ class Body:
 
 def foundations(space: DisplacementSpace, nodes: Array) -> tuple[Foundation, ...]:
     """The foundations for nodes at (2, nodes); none for scalar problems."""
-    found = []
+    parts = []
     for part in space.contact_sets if space.problem.components == 2 else ():
         edges, here = space.nodes_of(contact_edges(space.problem, part.obstacle)), nodes[:, part.nodes]
         starts = along(edges, nodes, PARTS)
         lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
         gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
         name, far = str(part.obstacle.boundary), _is_far(gaps, nodes)
-        found.append(Foundation(name, gaps, here, feet, starts, lines, far))
-    return tuple(found)
+        parts.append(Foundation(name, gaps, here, feet, starts, lines, far))
+    return tuple(parts)
 
 
 def body_of(fields: Fields) -> Body:
     """The body that a file holds: its foundations are joined in one, known at the contact nodes."""
     nodes, feet = (points[:, fields.contact] for points in (fields.nodes, fields.foundation))
-    known: tuple[Foundation, ...] = ()
+    parts: tuple[Foundation, ...] = ()
     if fields.displacement.shape[0] == 2 and nodes.size:
         gaps = np.linalg.norm(feet - nodes, axis=0)
         edges = fields.boundary
         edges = edges[:, np.all(fields.contact[edges], axis=0)]
         starts, lines = along(edges, fields.nodes), along(edges, fields.foundation)
-        known = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
-    return Body(fields.nodes, fields.triangles, fields.displacement, known)
+        parts = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
+    return Body(fields.nodes, fields.triangles, fields.displacement, parts)
 
 
 def _is_far(gaps: Array, nodes: Array) -> bool:

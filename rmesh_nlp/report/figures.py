@@ -123,24 +123,26 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             every = {label(record): field for record, field in moved}
             yield f"{stem}-surface", surface_figure({**given, **best} or every)
         for objective, records in block.objectives.items():
-            same = [result for result in results if result.record["objective"] == objective]
-            traced = [curve(result, block.unit, short_label(result.record)) for result in same]
+            solves = [result for result in results if result.record["objective"] == objective]
+            traced = [curve(result, block.unit, short_label(result.record)) for result in solves]
             curves = [one for one in traced if one is not None]
             lowest = Block(tuple(records)).best
             if curves and lowest is not None:
                 yield f"{stem}{_suffix(objective)}-convergence", convergence_figure(curves, lowest)
-            if (way := figure_of_designs(same)) is not None:
+            if (way := figure_of_designs(solves)) is not None:
                 yield f"{stem}{_suffix(objective)}-design", way
 
 
 def figure_of_designs(results: Sequence[Result], width: float = TWO_COLUMNS) -> Figure | None:
     """The way of the designs of solves with one objective; None where there is none."""
     moved = [result for result in results if result.record["formulation"] != RELOCATING_NOTHING]
-    known = [result for result in moved if result.record.get("design_bounds") and result.record.get("design")]
-    if not known:
+    designs = [
+        result for result in moved if result.record.get("design_bounds") and result.record.get("design")
+    ]
+    if not designs:
         return None
-    curves = {short_label(result.record): result.steps() for result in known}
-    first = known[0].record
+    curves = {short_label(result.record): result.steps() for result in designs}
+    first = designs[0].record
     return design_figure(curves, first["design_bounds"], str(first["objective"]), width=width)
 
 

@@ -87,9 +87,9 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
 def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     """The levels of one group, and what each result needs to reach them."""
     records = [result.record for result in results]
-    known = [(end, start) for end, start in map(_ends, records) if not math.isnan(end + start)]
-    level = max((end for end, _ in known), default=math.nan)
-    level += SLACK * max(0.0, min((start - level for _, start in known), default=0.0))
+    pairs = [(end, start) for end, start in map(_ends, records) if not math.isnan(end + start)]
+    level = max((end for end, _ in pairs), default=math.nan)
+    level += SLACK * max(0.0, min((start - level for _, start in pairs), default=0.0))
     residuals = [r["stationarity_residual"] for r in records if r.get("stationarity_residual") is not None]
     common = max((max(residual, TIGHTEST) for residual in residuals), default=math.nan)
     rows = []

@@ -191,19 +191,19 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
     by_record = {id(result.record): result for result in results}
     records = [result.record for result in results]
     looks = {name: position for position, name in enumerate(variants_of(records), 1)}
-    found, every = [], blocks(records)
+    charts_of, every = [], blocks(records)
     for block in every[:CONVERGENCE]:
         for objective, own in block.objectives.items():
             drawn = [curve(by_record[id(record)], block.unit, variant(record)) for record in own]
             curves, best = [one for one in drawn if one is not None], Block(tuple(own)).best
             if best is not None and any(one.feasible[-1] for one in curves):
                 caption = block.title if objective == "energy" else f"{block.title}, {objective}"
-                found.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
+                charts_of.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
             designs = figure_of_designs([by_record[id(record)] for record in own], CHART)
             if designs is not None:
-                found.append((f"{block.title}: designs", svg(designs)))
-    more = len(every) - CONVERGENCE
-    return found, f"The first {CONVERGENCE} problems; {more} more are not drawn." if more > 0 else ""
+                charts_of.append((f"{block.title}: designs", svg(designs)))
+    rest = len(every) - CONVERGENCE
+    return charts_of, f"The first {CONVERGENCE} problems; {rest} more are not drawn." if rest > 0 else ""
 
 
 def _without_energies(record: Record) -> Record:
@@ -211,8 +211,8 @@ def _without_energies(record: Record) -> Record:
     unknown = () if has_energy(record) else OF_ENERGY
     if objective_of(record) == "energy":
         unknown = (*unknown, "objective_initial", "objective_value")
-    found = {**record, **dict.fromkeys(unknown)}
-    return found | {f"{DESIGN}{name}": value for name, value in (record.get("design") or {}).items()}
+    shown = {**record, **dict.fromkeys(unknown)}
+    return shown | {f"{DESIGN}{name}": value for name, value in (record.get("design") or {}).items()}
 
 
 def _design_columns(records: Sequence[Record]) -> tuple[Column, ...]:
@@ -225,18 +225,18 @@ def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[in
     which = WHICH if all(order_of(record) == 1 for record in records) else (*WHICH, *COUNTED)
     shown = (*which, *columns, *(_design_columns(records) if columns is SOLVED else ()))
     cells = {column.heading: [column.cell(record) for record in records] for column in shown}
-    known = {head: own for head, own in cells.items() if set(own) != {MISSING}}
-    rows = list(zip(*known.values(), strict=True))
-    return Table(list(known), [("", rows)], texts=2, failed=failed)
+    filled = {head: own for head, own in cells.items() if set(own) != {MISSING}}
+    rows = list(zip(*filled.values(), strict=True))
+    return Table(list(filled), [("", rows)], texts=2, failed=failed)
 
 
 def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
     """Meshes and fields for the slider between the given and the relocated mesh, and what is left out."""
     solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
     solved = [r for r in solved if r.record["formulation"] != RELOCATING_NOTHING] or solved
-    left = len(solved) - MESHES
-    note = f"{left} further solves are not here; their fields are in the folder solutions."
-    return [_mesh(r.record, read_vtu(r.vtu)) for r in solved[:MESHES]], note if left > 0 else ""
+    rest = len(solved) - MESHES
+    note = f"{rest} further solves are not here; their fields are in the folder solutions."
+    return [_mesh(r.record, read_vtu(r.vtu)) for r in solved[:MESHES]], note if rest > 0 else ""
 
 
 def _mesh(record: Record, fields: Fields) -> dict[str, Any]:

@@ -43,12 +43,12 @@ def joined_tables(records: Sequence[Record]) -> dict[str, Table]:
 
 def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
     """Per block, a row for each formulation and objective that was solved from two starts or more."""
-    found = []
+    tables = []
     for block in blocks(records):
         groups = grouped((r for r in block.records if r["status"] != "refused"), seedless)
         rows = [row for name, group in groups.items() if (row := _starts(name, group))]
-        found.append((block.title, rows))
-    return [(title, rows) for title, rows in found if rows]
+        tables.append((block.title, rows))
+    return [(title, rows) for title, rows in tables if rows]
 
 
 def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
@@ -62,10 +62,10 @@ def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
         costs = [cost for r in group if r["success"] and (cost := contact_units(r)) is not None]
     else:
         return None
-    known = [end for end in ends if end is not None]
-    figures = [shown(f(known) if known else None, ".7g") for f in (min, median, max)]
+    values = [end for end in ends if end is not None]
+    figures = [shown(f(values) if values else None, ".7g") for f in (min, median, max)]
     middle = shown(median(costs) if costs else None, ".3g")
-    return [name, str(len(ends)), *figures, str(len(ends) - len(known)), middle]
+    return [name, str(len(ends)), *figures, str(len(ends) - len(values)), middle]
 
 
 def _end(record: Record) -> float | None:
@@ -131,6 +131,6 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
         if record["success"] and record.get("nodes") and record.get("energy_initial_audited") is not None
         if str(record["objective"]).startswith("energy") and has_energy(record)
     ]
-    found = grouped(solved, lambda record: with_order(str(record["example"]), record))
-    several = {name: own for name, own in found.items() if len({record["nodes"] for record in own}) > 1}
+    problems = grouped(solved, lambda record: with_order(str(record["example"]), record))
+    several = {name: own for name, own in problems.items() if len({record["nodes"] for record in own}) > 1}
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}

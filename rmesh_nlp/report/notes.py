@@ -63,9 +63,9 @@ def main_notes(records: Sequence[Record]) -> list[str]:
 
 def legends(records: Sequence[Record]) -> list[str]:
     """What the columns of the main tables mean: of energies, and of what has none that compare."""
-    found = blocks(records)
-    own = [] if all(block.has_energy for block in found) else [DESIGN_LEGEND]
-    return own if own and not any(block.has_energy for block in found) else [*own, *LEGEND]
+    every = blocks(records)
+    own = [] if all(block.has_energy for block in every) else [DESIGN_LEGEND]
+    return own if own and not any(block.has_energy for block in every) else [*own, *LEGEND]
 
 
 def detailed_notes(records: Sequence[Record]) -> list[str]:
@@ -105,8 +105,8 @@ def _units_in_words(units: Units, energy: bool) -> str:
 
 def stick_zone(block: Block) -> Iterator[str]:
     """A remark where no node with friction sticks: what such an example cannot show."""
-    known = [record for record in block.records if record.get("sticking_nodes") is not None]
-    if known and not any(record["sticking_nodes"] for record in known):
+    frictional = [record for record in block.records if record.get("sticking_nodes") is not None]
+    if frictional and not any(record["sticking_nodes"] for record in frictional):
         yield (
             f"{block.name}: no node sticks in any row, so there is no stick zone. Where all slide one "
             "way, friction acts like a load of size g: no change between stick and slip is met."

@@ -66,8 +66,8 @@ class DrawnState(Body):
         """The state of displacement ``u`` (components, nodes), the vertices at X (2, vertices)."""
         space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
         nodes = points_of(space, X)
-        known = foundations(space, nodes)
-        return DrawnState(nodes, space.elements, u, known, title, problem, X, pressure, stress)
+        parts = foundations(space, nodes)
+        return DrawnState(nodes, space.elements, u, parts, title, problem, X, pressure, stress)
 
     @property
     def space(self) -> DisplacementSpace:
@@ -239,8 +239,8 @@ def _contact_set(axis: Axes, state: DrawnState, *, filled: bool = True) -> None:
         corners = list(state.X[:, state.problem.triangles[:, closed]].transpose(2, 1, 0))
         pen: dict[str, Any] = {"facecolor": style.IN_CONTACT, "edgecolor": "none", "alpha": 0.25}
         axis.add_collection(PolyCollection(corners, **pen, label="in contact"))
-    left, right = mesh.f2t
-    rim = closed[left] != ((right >= 0) & closed[right])
+    inner, outer = mesh.f2t
+    rim = closed[inner] != ((outer >= 0) & closed[outer])
     draw_lines(axis, state.X[:, mesh.facets[:, rim].T], color=style.IN_CONTACT, linewidth=1.2)
 
 
@@ -279,10 +279,10 @@ def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
     size = float(np.clip(1500 / max(X.shape[1], 1), 0.6, 6.0))
     for limit in Limit:
         label, colour, marker = limit.value
-        here = used & (kinds == limit)
-        if np.any(here):
+        limited = used & (kinds == limit)
+        if np.any(limited):
             pen: dict[str, Any] = {"marker": marker, "linewidths": 0, "label": label, "rasterized": fine}
-            axis.scatter(X[0, here], X[1, here], s=size, c=colour, zorder=2, **pen)
+            axis.scatter(X[0, limited], X[1, limited], s=size, c=colour, zorder=2, **pen)
     axis.set_title("what limits each node")
     legend = figure.legend(loc="outside lower center", handletextpad=0.2, borderpad=0.1, labelspacing=0.25)
     for handle in legend.legend_handles:

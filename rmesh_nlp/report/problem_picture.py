@@ -69,14 +69,14 @@ def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     edges = p[:, problem.mesh.facets]
     length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
     for kind, (marker, label) in MARKERS.items():
-        here = p[:, free.mobility == kind]
-        if here.size and kind is Mobility.SLIDING:
+        places = p[:, free.mobility == kind]
+        if places.size and kind is Mobility.SLIDING:
             step = free.positions.slopes(np.zeros(free.n))[:, free.mobility == kind]
             step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
-            ends = np.stack([here - step, here + step], axis=2)
+            ends = np.stack([places - step, places + step], axis=2)
             draw_lines(axis, ends, color="black", linewidth=1.5, label=label)
-        elif here.size:
-            axis.scatter(here[0], here[1], s=size, marker=marker, color="black", label=label, zorder=3)
+        elif places.size:
+            axis.scatter(places[0], places[1], s=size, marker=marker, color="black", label=label, zorder=3)
 
 
 def _draw_gaps(axis: Axes, body: Body) -> None:

@@ -152,10 +152,10 @@ def _part(gain: float | None, whole: float | None) -> float | None:
 
 def _range(values: Sequence[float | None], form: str) -> str:
     """Median with the range in brackets."""
-    known = [value for value in values if value is not None]
-    if not known:
+    numbers = [value for value in values if value is not None]
+    if not numbers:
         return MISSING
-    middle, low, high = (format(f(known), form) for f in (median, min, max))
+    middle, low, high = (format(f(numbers), form) for f in (median, min, max))
     return middle if low == high else f"{middle} [{low}, {high}]"
 
 
@@ -163,15 +163,15 @@ def study_notes(records: Sequence[Record]) -> list[str]:
     """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
     shared = sum(bool(record.get("shared")) for record in records)
-    found = [MEDIANS]
+    notes = [MEDIANS]
     if refused:
-        found.append(f"{refused} solves were refused, since the formulation does not take the objective.")
+        notes.append(f"{refused} solves were refused, since the formulation does not take the objective.")
     if shared:
-        found.append(
+        notes.append(
             f"{shared} of {len(records)} solves shared their core with something: compare their costs in "
             "contact solves, which were measured beside each of them."
         )
-    return found
+    return notes
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:
@@ -183,7 +183,7 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     rows = [r for r in rows if r.record["status"] != "refused"]
     names = variants_of([r.record for r in rows])
     instances = grouped((r.record for r in rows), instance)
-    found = grouped(rows, lambda r: (variant(r.record), instance(r.record)))
+    solves = grouped(rows, lambda r: (variant(r.record), instance(r.record)))
     if len(names) < 2:
         return []
 
@@ -191,12 +191,12 @@ def charts(results: Sequence[Result]) -> list[Chart]:
         """Medians over repetitions and starts; infinite if most failed or there is none."""
 
         def cost(one: Result) -> float:
-            known = value(one) if one.record["success"] else None
-            return INF if known is None else float(known)
+            cost_of_one = value(one) if one.record["success"] else None
+            return INF if cost_of_one is None else float(cost_of_one)
 
         return {
             name: [
-                median(map(cost, found[name, where])) if (name, where) in found else INF
+                median(map(cost, solves[name, where])) if (name, where) in solves else INF
                 for where in instances
             ]
             for name in names
@@ -272,8 +272,8 @@ def _table(costs: Mapping[str, ArrayLike]) -> Array:
 
 def _profiles(names: Iterable[str], table: Array) -> dict[str, Profile]:
     """The distributions of rows of values; what is not finite is never reached."""
-    found = {}
+    profiles = {}
     for name, values in zip(names, table, strict=True):
         at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
-        found[name] = Profile(at, np.cumsum(counts) / max(values.size, 1))
-    return found
+        profiles[name] = Profile(at, np.cumsum(counts) / max(values.size, 1))
+    return profiles

@@ -112,16 +112,16 @@ class Table:
 def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
     """The groups in parts of at most ``LINES`` lines; a longer group is continued."""
     part: list[tuple[str, Rows]] = []
-    left = LINES
+    room = LINES
     for title, rows in groups:
         rest = list(rows)
         while rest:
-            if part and left < 2 + min(len(rest), LINES - 2):
+            if part and room < 2 + min(len(rest), LINES - 2):
                 yield part
-                part, left = [], LINES
-            taken, rest = rest[: left - 2], rest[left - 2 :]
+                part, room = [], LINES
+            taken, rest = rest[: room - 2], rest[room - 2 :]
             part.append((title if len(taken) + len(rest) == len(rows) else f"{title} (continued)", taken))
-            left -= 2 + len(taken)
+            room -= 2 + len(taken)
     if part:
         yield part
 

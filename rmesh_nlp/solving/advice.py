@@ -127,17 +127,26 @@ def advise(problem: ContactProblem) -> Advice:
         )
     motion = replace(problem.motion, delta=None)
     given = replace(with_edge_gaps(problem), motion=motion, quadrature="auto")
-    here = _Prospect.of(given)
-    fine = here.finer
-    moved = min(here.best, best_map(given, np.asarray(fine.problem.mesh.p), fine.regions))
-    chosen = recommended(here.remeshed, moved)
-    predicted = {"remesh": here.remeshed, "relocate": moved, "refine": 4**here.rate}[chosen]
-    found = Advice(here.error, here.rate, here.best, moved, here.refinement, here.remeshed, chosen, predicted)
+    prospect = _Prospect.of(given)
+    fine = prospect.finer
+    moved = min(prospect.best, best_map(given, np.asarray(fine.problem.mesh.p), fine.regions))
+    chosen = recommended(prospect.remeshed, moved)
+    predicted = {"remesh": prospect.remeshed, "relocate": moved, "refine": 4**prospect.rate}[chosen]
+    advice = Advice(
+        prospect.error,
+        prospect.rate,
+        prospect.best,
+        moved,
+        prospect.refinement,
+        prospect.remeshed,
+        chosen,
+        predicted,
+    )
     if problem.order > 1:
-        return found
+        return advice
     second = _Prospect.of(replace(given, order=2))
-    factor = here.error / second.error if second.error > 0 else 1.0
-    return replace(found, second_order_factor=factor, second_order_remeshing_factor=factor * second.remeshed)
+    factor = prospect.error / second.error if second.error > 0 else 1.0
+    return replace(advice, second_order_factor=factor, second_order_remeshing_factor=factor * second.remeshed)
 
 
 @dataclass(frozen=True)
@@ -158,10 +167,10 @@ class _Prospect:
     @staticmethod
     def of(given: ContactProblem) -> _Prospect:
         """By contact solves on a mesh and on its uniform refinement."""
-        here, finer = Solved.of(given), Solved.of(refined(given))
-        fall, order = max(here.state.energy - finer.state.energy, 0.0), given.order
+        coarse, finer = Solved.of(given), Solved.of(refined(given))
+        fall, order = max(coarse.state.energy - finer.state.energy, 0.0), given.order
         if order == 2:  # nearly always limited by singularities, whose rate the estimates show
-            times = np.clip(here.error / finer.error, SLOWEST, FASTEST) if finer.error > 0 else FASTEST
+            times = np.clip(coarse.error / finer.error, SLOWEST, FASTEST) if finer.error > 0 else FASTEST
             error = fall * float(times / (times - 1))
         elif _has_curved_data(given):  # the energies of two meshes do not compare
             error, fall = 4 * finer.error, 3 * finer.error
@@ -170,7 +179,7 @@ class _Prospect:
         rate = float(order)
         if error > fall:
             rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, order))
-        best, remeshed, refinement = _factors(here, finer, error)
+        best, remeshed, refinement = _factors(coarse, finer, error)
         return _Prospect(error, rate, best, remeshed, refinement, finer)
 
 
@@ -185,14 +194,14 @@ def _factors(here: Solved, finer: Solved, error: float) -> tuple[float, float, f
     """By the best mesh, by a metric start and relocation, by local refinement; 1 at least."""
     triangles = here.problem.mesh.t.shape[1]
     coarse, fine = (
-        LeastErrors.of(np.asarray(one.problem.mesh.p), one.regions, triangles) for one in (here, finer)
+        LeastErrors.of(np.asarray(first.problem.mesh.p), first.regions, triangles) for first in (here, finer)
     )
     order, pairs = here.problem.order, zip(vars(coarse).values(), vars(fine).values(), strict=True)
     any_mesh, equilateral, isotropic = (_limit(a, b, order) for a, b in pairs)
     made = SHARE * (1 + ROUGH / np.sqrt(triangles)) * equilateral ** (1 - BEST) * any_mesh**BEST
     least = any_mesh, max(made, any_mesh), isotropic
-    one, two, three = (max(1.0, error / value) if value > 0 else 1.0 for value in least)
-    return one, two, three
+    first, two, three = (max(1.0, error / value) if value > 0 else 1.0 for value in least)
+    return first, two, three
 
 
 def _limit(coarse: float, fine: float, order: int) -> float:

@@ -128,13 +128,13 @@ def formulations() -> tuple[str, ...]:
 
 def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -> Any:
     """The class or the choosing function of a name; a BadInputError if there is none, or no such module."""
-    found = group()
-    if name not in found:
-        raise unknown("formulation", name, found)
+    installed = group()
+    if name not in installed:
+        raise unknown("formulation", name, installed)
     try:
-        return found[name].load()
+        return installed[name].load()
     except (ImportError, AttributeError) as error:
-        said = f"formulation {name!r} cannot be loaded from {found[name].value}: {error}"
+        said = f"formulation {name!r} cannot be loaded from {installed[name].value}: {error}"
         raise BadInputError(said) from error
 
 

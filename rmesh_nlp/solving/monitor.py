@@ -146,9 +146,9 @@ class Monitor:
     def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: at the best valid mesh so far."""
         self._track = None
-        found, last = self.attempt(lambda: formulation.run(outer, q, self)), self._track
-        if found is not None:
-            return found
+        outcome, last = self.attempt(lambda: formulation.run(outer, q, self)), self._track
+        if outcome is not None:
+            return outcome
         if last is None:
             return Outcome(outer, q, self.end)
         start = q if last.outer.n == q.size else np.zeros(last.outer.n)

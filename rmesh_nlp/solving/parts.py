@@ -22,8 +22,8 @@ class Part:
 
     def record(self) -> dict[str, Any]:
         """The entries."""
-        known = ((one, getattr(self, one.name)) for one in fields(self))
-        return {one.name: value for one, value in known if value is not None or one.default is not None}
+        values = ((one, getattr(self, one.name)) for one in fields(self))
+        return {one.name: value for one, value in values if value is not None or one.default is not None}
 
 
 def entries(*parts: Part | None) -> dict[str, Any]:

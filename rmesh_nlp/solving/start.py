@@ -49,8 +49,8 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         if not isinstance(first, Formulation):
             raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
         first.accepts(outer.problem, outer.objective)
-        found = monitor.run(first, outer, outer.variables(seed=seed))
-        return Beginning(outer.near(), found.q, start)
+        outcome = monitor.run(first, outer, outer.variables(seed=seed))
+        return Beginning(outer.near(), outcome.q, start)
     if isinstance(start, Solution):
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         return Beginning(outer.near(), q, f"solution of {start.formulation}")
@@ -59,11 +59,13 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
 
 def positions(outer: Outer, nodes: Any) -> Array:
     """Node positions as an array, checked to be those of the problem's mesh."""
-    found, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
-    if found.ndim != 2 or found.shape[0] != 2:
-        raise BadInputError(f"start must hold positions (2, nodes), got an array of shape {found.shape}")
-    if found.shape != wanted:
-        raise BadInputError(f"the start has {found.shape[1]} nodes, the problem {wanted[1]}")
-    if (lost := np.argwhere(~np.isfinite(found))).size:
+    positions_of, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
+    if positions_of.ndim != 2 or positions_of.shape[0] != 2:
+        raise BadInputError(
+            f"start must hold positions (2, nodes), got an array of shape {positions_of.shape}"
+        )
+    if positions_of.shape != wanted:
+        raise BadInputError(f"the start has {positions_of.shape[1]} nodes, the problem {wanted[1]}")
+    if (lost := np.argwhere(~np.isfinite(positions_of))).size:
         raise BadInputError(f"start: node {int(lost[0][1])} has no finite position")
-    return found
+    return positions_of

@@ -61,8 +61,8 @@ class TaylorTest:
     @property
     def order(self) -> float:
         """The order of the smallest steps that rounding does not hide; infinite for a linear objective."""
-        known = self.orders[np.isfinite(self.orders)]
-        return float(known[-1]) if known.size else float("inf")
+        orders = self.orders[np.isfinite(self.orders)]
+        return float(orders[-1]) if orders.size else float("inf")
 
     @property
     def passed(self) -> bool:
@@ -122,16 +122,16 @@ def verify_gradient(
     q, direction = INSIDE * outer.variables(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
     while not outer.is_valid(q + FIRST_STEP * direction):
         direction /= 2
-    here = function(q)
-    slope = float(here.gradient @ direction)
+    point = function(q)
+    slope = float(point.gradient @ direction)
     steps = np.array([FIRST_STEP * 0.5**k for k in range(HALVINGS)])
     values = np.array([function(q + step * direction).value for step in steps])
-    remainders = np.abs(values - here.value - steps * slope)
-    known = remainders > LEAST_REMAINDER * max(abs(here.value), float(np.max(np.abs(values))))
+    remainders = np.abs(values - point.value - steps * slope)
+    is_resolved = remainders > LEAST_REMAINDER * max(abs(point.value), float(np.max(np.abs(values))))
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])
-    orders[~(known[:-1] & known[1:])] = np.nan
-    return TaylorTest(str(asked), here.value, slope, steps, remainders, orders)
+    orders[~(is_resolved[:-1] & is_resolved[1:])] = np.nan
+    return TaylorTest(str(asked), point.value, slope, steps, remainders, orders)
 
 
 @dataclass(frozen=True)
