@@ -311,10 +311,10 @@ def missing(rows: Mapping[tuple[str, str, str], Any]) -> Iterator[tuple[Rule, st
 
 
 def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
-    """Per rule: cases, median and least gain over that with the rule, failures more and less, and cost."""
+    """Per rule: cases, median and least gain over that with the rule, how many ended otherwise, and cost."""
     lines = [
-        "| rule | solves | median gain without it | least | failures more, less | cost without it |",
-        "|---|--:|--:|--:|--:|--:|",
+        "| rule | solves | median gain without it | least | successes lost, won | converged lost, won | cost |",
+        "|---|--:|--:|--:|--:|--:|--:|",
     ]
     for rule in RULES:
         pairs = [
@@ -327,9 +327,14 @@ def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
         both = [(old, new) for old, new in pairs if old["success"] and new["success"] and old["gain"] > 0]
         ratios = [new["gain"] / old["gain"] for old, new in both] or [np.nan]
         cost = sum(new["cost"] for _, new in both) / max(sum(old["cost"] for old, _ in both), 1)
-        worse = sum(old["success"] and not new["success"] for old, new in pairs)
-        better = sum(new["success"] and not old["success"] for old, new in pairs)
-        figures = f"{median(ratios):.4f} | {min(ratios):.3f} | {worse}, {better} | {cost:.2f}"
+        ends = [
+            f"{sum(a and not b for a, b in both)}, {sum(b and not a for a, b in both)}"
+            for both in (
+                [(old["success"], new["success"]) for old, new in pairs],
+                [(old["status"] == "converged", new["status"] == "converged") for old, new in pairs],
+            )
+        ]
+        figures = f"{median(ratios):.4f} | {min(ratios):.3f} | {' | '.join(ends)} | {cost:.2f}"
         lines.append(f"| {rule.name} | {len(pairs)} | {figures} |")
     return "\n".join(lines)
 

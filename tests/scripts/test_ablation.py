@@ -32,6 +32,8 @@ def test_table_has_gains_failures_and_cost() -> None:
         ("as it is", "joint", "c"): good,
         (rule.name, "joint", "a"): {**good, "gain": 1.0, "cost": 30},
         (rule.name, "joint", "b"): good,
-        (rule.name, "joint", "c"): {**good, "success": False},
+        (rule.name, "joint", "c"): {**good, "success": False, "status": "worse"},
     }
-    assert ablation.table(rows).splitlines()[-1] == f"| {rule.name} | 3 | 0.7500 | 0.500 | 1, 0 | 2.00 |"
+    assert (
+        ablation.table(rows).splitlines()[-1] == f"| {rule.name} | 3 | 0.7500 | 0.500 | 1, 0 | 1, 0 | 2.00 |"
+    )
