@@ -313,7 +313,7 @@ def missing(rows: Mapping[tuple[str, str, str], Any]) -> Iterator[tuple[Rule, st
 def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
     """Per rule: cases, median and least gain over that with the rule, how many ended otherwise, and cost."""
     lines = [
-        "| rule | solves | median gain without it | least | successes lost, won | converged lost, won | cost |",
+        "| rule | solves | median gain without | least | successes lost, won | converged lost, won | cost |",
         "|---|--:|--:|--:|--:|--:|--:|",
     ]
     for rule in RULES:
@@ -328,8 +328,8 @@ def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
         ratios = [new["gain"] / old["gain"] for old, new in both] or [np.nan]
         cost = sum(new["cost"] for _, new in both) / max(sum(old["cost"] for old, _ in both), 1)
         ends = [
-            f"{sum(a and not b for a, b in both)}, {sum(b and not a for a, b in both)}"
-            for both in (
+            f"{sum(a and not b for a, b in marks)}, {sum(b and not a for a, b in marks)}"
+            for marks in (
                 [(old["success"], new["success"]) for old, new in pairs],
                 [(old["status"] == "converged", new["status"] == "converged") for old, new in pairs],
             )
