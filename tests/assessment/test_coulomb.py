@@ -13,11 +13,12 @@ import rmesh_nlp as rm
 from rmesh_nlp.assessment.coulomb import NOTICED, coulomb_residual, growth
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.problem import ContactProblem
-from tests.support import sliding
+from support import sliding
+from support.problems import coulomb_slab
 
 
 def coefficient(x: Any, _: Any) -> Any:
-    """g over the exact pressure: with it the solution of tests.support.sliding obeys Coulomb's law."""
+    """g over the exact pressure: with it the solution of support.sliding obeys Coulomb's law."""
     past = 3 * sliding.SLIDE * ca.fmax(x - sliding.TURN, 0) ** 2
     return -sliding.BOUND / (sliding.LAMBDA * (past + sliding.PRESS) + 2 * sliding.MU * sliding.PRESS)
 
@@ -29,8 +30,7 @@ def block(n: int, order: int) -> ContactProblem:
 
 
 def slab(coulomb: float, order: int = 1) -> ContactProblem:
-    problem = rm.EXAMPLES["6.3"](n=(8, 4))
-    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=coulomb), order=order)
+    return coulomb_slab(coulomb, (8, 4), order=order)
 
 
 def residual(problem: ContactProblem, push: float = 1.0, motion: float = 1.0) -> float:

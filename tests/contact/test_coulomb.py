@@ -19,22 +19,12 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.contact.uniqueness import contraction, spectral_radius
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
-from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
+from support.problems import COULOMB, PRESSURE, SHEAR, sliding_block
+from support.problems import coulomb_slab as slab
 
 SAG = "mean(top, -uy)"
-
-
-def slab(coulomb=0.5, n=(12, 6), order: int = 1, **changes) -> ContactProblem:
-    """Example 6.3 with a coefficient of Coulomb in the place of its bound."""
-    problem = rm.EXAMPLES["6.3"](n=n)
-    obstacle = replace(problem.obstacle, friction=0.0, coulomb=coulomb)
-    return replace(problem, obstacle=obstacle, order=order, **changes)
 
 
 def is_solution(system: ContactSystem, state: Equilibrium) -> bool:
@@ -52,18 +42,8 @@ def all_branches(system: ContactSystem) -> Iterator[Equilibrium]:
 class TestSolver:
     @pytest.mark.parametrize("order", [1, 2])
     def test_a_sliding_block_under_constant_stress(self, order: int) -> None:
-        """Pressure p and shear F p everywhere: displacements are linear, and the bottom slides by 0.02."""
-        mu, p, F = 50.0, 3.0, 0.4
-        top = rm.Dirichlet("top", (0.02 + F * p / mu, -p / (2 * mu)))
-        sides = rm.Traction("right", (0.0, F * p)), rm.Traction("left", (0.0, -F * p))
-        problem = ContactProblem(
-            rectangle(4, 3),
-            rm.PlaneStrain(0.0, mu),
-            top,
-            rm.Obstacle("bottom", coulomb=F),
-            order=order,
-            tractions=sides,
-        )
+        mu, p, F = SHEAR, PRESSURE, COULOMB
+        problem = sliding_block(order)
         model = ContactSolver(problem)
         found, space = model.given, model.discretisation.space
         _, y = space.points(problem.mesh.p)
@@ -204,26 +184,6 @@ class TestSolver:
         assert is_solution(loaded, found)
         assert spectral_radius(loaded, found.active) < 1
         assert contraction(loaded, found) >= 1
-
-
-class TestGradients:
-    @pytest.mark.parametrize("order", [1, 2])
-    @pytest.mark.parametrize("coulomb", [0.4, lambda x, y: 0.8 + 0.1 * x + 0.05 * y])
-    def test_by_the_adjoint_are_those_of_differences(self, coulomb, order: int) -> None:
-        energy = ReducedEnergy.of(ContactSolver(slab(coulomb, order=order)))
-        function = ReducedObjective(energy, parse_objective(SAG))
-        rng, n = np.random.default_rng(3), energy.relocation.n_q
-        q, d = 0.2 * rng.uniform(-1, 1, n), rng.uniform(-1, 1, n)
-        here = function(q)
-        hessian = ObjectiveCurvature(energy, function.objective).at(here)
-        np.testing.assert_allclose(
-            hessian.gradient, here.gradient, rtol=1e-7, atol=1e-9 * np.abs(here.gradient).max()
-        )
-        step = 1e-4
-        above, below = function(q + step * d), function(q - step * d)
-        assert (above.value - below.value) / (2 * step) == pytest.approx(here.gradient @ d, rel=1e-5)
-        change = (above.gradient - below.gradient) / (2 * step)
-        np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
 
 
 class TestFormulations:

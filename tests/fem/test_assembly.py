@@ -17,7 +17,7 @@ from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, PlaneStrain
 from support.contact_geometry import block_along_a_circle
-from support.problems import sloped_block
+from support.problems import sloped_block, tied_neighbours
 
 
 def automatic(nlp: NLP, x: np.ndarray, lam_g: np.ndarray) -> list[np.ndarray]:
@@ -42,14 +42,6 @@ def check(nlp: NLP, tolerance: float = 1e-12) -> None:
     found = [f, g, gradient, jacobian, ours.hess_lag(x, [], 0.7, lam_g)]
     for one, other in zip(found, [value.full(), rows.full(), *automatic(nlp, x, lam_g)], strict=True):
         np.testing.assert_allclose(one.full(), other, atol=tolerance * max(1, np.abs(other).max(initial=0)))
-
-
-def tied_neighbours() -> ContactProblem:
-    """Two vertices of one triangle share their outer variables: local derivatives fold onto the diagonal."""
-    problem = EXAMPLES["6.1"](4, 0.1)
-    inside = problem.mesh.interior_nodes()
-    edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
-    return replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))
 
 
 @pytest.mark.parametrize(

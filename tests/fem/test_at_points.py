@@ -20,6 +20,7 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import Laplace, PlaneStrain
 from rmesh_nlp.vectorised import USUAL, AssemblySettings
+from support.problems import tied_neighbours
 
 
 def wave(x, y):
@@ -150,11 +151,7 @@ def test_leading_rows_are_those_of_the_whole() -> None:
 
 
 def test_tied_unknowns_fold_onto_the_diagonal() -> None:
-    problem = EXAMPLES["6.1"](4, 0.1)
-    inside = problem.mesh.interior_nodes()
-    edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
-    tied = replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))
-    rel = relocation(discretise(tied, AssemblySettings(numpy_from=10**9)))
+    rel = relocation(discretise(tied_neighbours(), AssemblySettings(numpy_from=10**9)))
     x = np.random.default_rng(0).uniform(-0.5, 0.5, rel.n_x)
     ours = results(list(rel.energies), x)[2]
     theirs = rel.nlp.derivatives.hess_lag(x, [], 0.7, np.zeros(rel.n_rows)).full()

@@ -149,11 +149,6 @@ def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
     assert passes(replace(problem, motion=Motion(None)), body=problem)[0] > 1e-5
 
 
-def test_bad_gaps_are_refused() -> None:
-    with pytest.raises(ValueError, match="'somewhere'"):
-        Obstacle("bottom", gap="somewhere")
-
-
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int, order: int) -> None:

@@ -16,9 +16,7 @@ from rmesh_nlp.problem import (
     PiecewiseLinear,
     PlaneStrain,
     PlaneStress,
-    PointLoad,
     Relative,
-    Traction,
 )
 from support.formulations import fixed, joint, mpcc, nested
 
@@ -174,79 +172,3 @@ def test_formulations_agree_on_an_interior_obstacle() -> None:
     assert all(s.success for s in solutions)
     assert max(energies) - min(energies) <= 1e-4 * abs(energies[0])
     assert energies[0] < solutions[0].energy_initial
-
-
-def between_nodes(x: object, y: object) -> object:
-    """Not a number, but at the nodes of the mesh of the next test."""
-    return ca.sqrt(1e-9 - ca.sin(4 * ca.pi * x) ** 2 - ca.sin(2 * ca.pi * y) ** 2)
-
-
-LEFT = Dirichlet("left", (0.0, None))
-BAD_PROBLEMS = {  # by what is said
-    "can still move as a rigid body": {"dirichlet": (LEFT,)},
-    r"1 at node \d+, where another boundary gives 0": {"dirichlet": ("left", Dirichlet("top", (1.0, None)))},
-    "needs 2 values": {"dirichlet": (Dirichlet("left", (0.0,)),)},
-    "no boundary named 'lft'": {"dirichlet": ("lft",)},
-    "'left' is inf at": {"dirichlet": (Dirichlet("left", (lambda x, y: 1 / x, 0.0)),)},
-    "at least one boundary must be held": {"dirichlet": ()},
-    "no subdomain named 'body'": {"law": {"body": PlaneStrain(1, 1)}},
-    "has 1 components": {"obstacle": Obstacle("bottom", (1.0,))},
-    r"negative, got -0.5 at \(0, 0\)": {"obstacle": Obstacle("bottom", friction=lambda x, y: x - 0.5)},
-    "the obstacle is nan": {"obstacle": Obstacle("bottom", offset=lambda x, y: ca.sqrt(x - 0.5))},
-    "on 'right' has 1 components: it needs 2 values": {"tractions": (Traction("right", (1.0,)),)},
-    "component 2 of the body force is nan at": {"law": PlaneStrain(1.0, 1.0, (0.0, between_nodes))},
-    "component 1 of the traction on 'right'": {"tractions": (Traction("right", (between_nodes, 0.0)),)},
-    "displacement given on 'left' is nan": {"dirichlet": (Dirichlet("left", (0.0, between_nodes)),)},
-    "obstacle is nan": {"obstacle": Obstacle("bottom", offset=between_nodes)},
-    "the friction bound is nan": {"obstacle": Obstacle("bottom", friction=between_nodes)},
-    "names node 99": {"motion": Motion(0.1, pinned=(99,))},
-    "dirichlet must be names of boundaries or Dirichlet, got 3": {"dirichlet": ("left", 3)},
-    r"or Dirichlet, got \{'left': 0.5\}": {"dirichlet": {"left": 0.5}},
-    "tractions must be Traction, got 'right'": {"tractions": "right"},
-    "obstacle must be Obstacle, got 'bottom'": {"obstacle": "bottom"},
-    "motion must be Motion, got 0.1": {"motion": 0.1},
-    "no node of the contact set": {"obstacle": Obstacle("left")},
-}
-
-
-@pytest.mark.parametrize("message", BAD_PROBLEMS)
-def test_bad_problems_are_named(message: str) -> None:
-    good = ContactProblem(rectangle(4, 2), PlaneStrain(1.0, 1.0), ("left",), motion=Motion(0.1))
-    with pytest.raises(ValueError, match=message):
-        replace(good, **BAD_PROBLEMS[message])
-
-
-def test_one_of_several_may_stand_alone() -> None:
-    load, motion = Traction("right", 2.0), Motion(0.1, pinned="top", free=4)
-    problem = ContactProblem(rectangle(4, 2), Laplace(), "left", motion=motion, tractions=load)
-    assert (problem.dirichlet, problem.tractions, load.value) == (("left",), (load,), (2.0,))
-    assert (motion.pinned, motion.free) == (("top",), (4,))
-    support, force = Dirichlet("left", 0.5), PointLoad(3, 1.0)
-    problem = replace(problem, dirichlet=support, point_loads=force)
-    assert problem.supports == (Dirichlet("left", (0.5,)),)
-    assert problem.point_loads == (PointLoad(3, (1.0,)),)
-
-
-BAD_VALUES = {
-    "lambda=-1.0, mu=0.5": lambda: PlaneStrain(-1.0, 0.5),
-    "mu=nan": lambda: PlaneStrain(1.0, float("nan")),
-    "-1.0": lambda: PlaneStress.from_young(-1.0, 0.3),
-    "0.5": lambda: PlaneStrain.from_young(1.0, 0.5),
-    "conductivity must be positive, got 0": lambda: Laplace(conductivity=0.0),
-    "non-zero vector": lambda: Obstacle.line("b", (0, 0), (0, 0)),
-    "length 2.0": lambda: Obstacle("b", (0.0, 2.0)),
-    "got -1.0": lambda: Obstacle("b", friction=-1.0),
-    "must increase": lambda: PiecewiseLinear((0, 0), (1, 2)),
-    "relative delta": lambda: Relative(0.0),
-    "delta must be": lambda: Motion((0.1, 0.1, 0.1)),
-    "delta must be .*'wide'": lambda: Motion("wide"),
-    "min_angle": lambda: Motion(0.1, min_angle=60.0),
-    "pinned must be names of boundaries or node numbers, got 0.5": lambda: Motion(0.1, pinned=(0.5,)),
-    "tied must be pairs of node numbers, got 1": lambda: Motion(0.1, tied=(1, 2)),
-}
-
-
-@pytest.mark.parametrize("message", BAD_VALUES)
-def test_bad_values_are_named(message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        BAD_VALUES[message]()

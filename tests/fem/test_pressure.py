@@ -15,31 +15,16 @@ from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_along_a_circle
 from support.designs import BOW, H0, LOAD, E, block
 from support.orders import ORDERS
-from support.problems import sloped_block
+from support.problems import COULOMB, LENGTH, PRESSURE, SHEAR, sliding_block, sloped_block
 from support.solved import example
 
-MU, P, F, LENGTH = 50.0, 3.0, 0.4, 2.0
+MU, P, F = SHEAR, PRESSURE, COULOMB
 
 
 def value(problem: ContactProblem, text: str) -> float:
     """An objective at the contact solution on the given mesh."""
     outer = Outer.of(problem, text)
     return float(outer.function(np.zeros(outer.n)).value)
-
-
-def sliding_block(order: int = 1) -> ContactProblem:
-    """Pressure P and shear F P everywhere: the bottom slides by 0.02, the top is held."""
-    top = rm.Dirichlet("top", (0.02 + F * P / MU, -P / (2 * MU)))
-    sides = rm.Traction("right", (0.0, F * P)), rm.Traction("left", (0.0, -F * P))
-    return ContactProblem(
-        rm.shapes.rectangle(5, 3, x=(0, LENGTH)),
-        rm.PlaneStrain(0.0, MU),
-        top,
-        rm.Obstacle("bottom", coulomb=F),
-        rm.Motion(0.05),
-        order=order,
-        tractions=sides,
-    )
 
 
 @pytest.mark.parametrize("order", [1, 2])

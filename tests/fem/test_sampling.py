@@ -15,15 +15,14 @@ from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem import ContactProblem
 from support.curved import HOLE, plate
+from support.problems import renumbered
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])
 
 
 def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
     """A space whose nodes are numbered at random."""
-    problem = replace(problem, order=order)
-    n = DisplacementSpace.of(problem).n_nodes
-    return DisplacementSpace(problem, np.random.default_rng(5).permutation(n))
+    return renumbered(replace(problem, order=order)).space
 
 
 def polynomial(order: int, x: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
 from support.curved import disc
-from support.problems import sloped_block
+from support.problems import renumbered, sloped_block
 
 PROBLEMS = {
     "6.1": lambda: EXAMPLES["6.1"](4),
@@ -46,8 +46,7 @@ def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation
     """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
     name, order = request.param
     problem = replace(PROBLEMS[name](), order=order)
-    number = np.random.default_rng(7).permutation(DisplacementSpace.of(problem).n_nodes)
-    return problem, Discretisation(problem, displacement_space=DisplacementSpace(problem, number))
+    return problem, renumbered(problem)
 
 
 def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, Discretisation]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -231,32 +232,50 @@ def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction
     np.testing.assert_allclose(values[1], values[0], atol=1e-12)
 
 
+Path = Callable[[Outer, Monitor, "int | None"], Outcome]
+
+
+@pytest.fixture
+def along(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
+    """Paths end where a function of the problem, the monitor and their limit of iterations says."""
+
+    def ending(path: Path) -> None:
+        def followed(_: AllAtOnce, at: Outer, q: Any, monitor: Monitor, most: int | None = None) -> Outcome:
+            return path(at, monitor, most)
+
+        monkeypatch.setattr(AllAtOnce, "_path", followed)
+
+    return ending
+
+
 @pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])
-def test_the_better_end_of_two_paths_is_kept_for_designs(
-    order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch
+def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
+    order: tuple[float, float], kept: int, along: Callable[[Path], None]
 ) -> None:
     outer, near = Outer.of(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
-    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
+    def path(at: Outer, monitor: Monitor, most: int | None) -> Outcome:
         near.append(at.is_near)
         return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
 
-    monkeypatch.setattr(AllAtOnce, "_path", path)
-    found = AllAtOnce().run(outer, np.zeros(outer.n), Monitor())
+    along(path)
+    assert AllAtOnce().run(outer, np.zeros(outer.n), Monitor()).q is ends[kept]
     assert near == [False, True]
-    assert found.q is ends[kept]
-    assert AllAtOnce(twice=False).run(outer, np.zeros(outer.n), Monitor()).status is Status.CONVERGED
-    assert len(near) == 3
+    plain = Outer.of(coarse("6.3"), "mean(top, -uy)")
+    for formulation, problem in ((AllAtOnce(twice=False), outer), (AllAtOnce(), plain)):
+        near.clear()
+        assert formulation.run(problem, np.zeros(problem.n), Monitor()).status is Status.CONVERGED
+        assert near == [False]
 
 
 def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
-    monkeypatch: pytest.MonkeyPatch,
+    along: Callable[[Path], None],
 ) -> None:
     outer = Outer.of(block(LOAD), "compliance")
     start, lower = np.zeros(outer.n), 0.1 * np.ones(outer.n)
 
-    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
+    def path(at: Outer, monitor: Monitor, most: int | None) -> Outcome:
         if most is None:
             for k in range(1, 6):
                 monitor.note(Step(k, float(-k), 0.0, 0.0, 0.0, 0, 0.0))
@@ -264,7 +283,7 @@ def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
         assert most == 3 * 5
         return Outcome(at, lower, Status.ITERATION_LIMIT)
 
-    monkeypatch.setattr(AllAtOnce, "_path", path)
+    along(path)
     monitor = Monitor()
     found = AllAtOnce().run(outer, start, monitor)
     assert found.status is Status.CONVERGED
@@ -272,29 +291,12 @@ def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
     assert monitor.steps[-1].objective == pytest.approx(outer.function(start).value)
 
 
-def test_a_first_path_that_ends_at_no_mesh_is_returned_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_first_path_that_ends_at_no_mesh_is_returned_as_it_is(along: Callable[[Path], None]) -> None:
     outer = Outer.of(block(LOAD, BOW), "compliance")
     flat = np.zeros(outer.n)
     flat[-1] = 1e3 * outer.discretisation.mesh_map.upper[-1]
     assert not outer.is_valid(flat)
-
-    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor, most: int | None = None) -> Outcome:
-        return Outcome(at, flat, Status.STALLED if most is None else Status.ITERATION_LIMIT)
-
-    monkeypatch.setattr(AllAtOnce, "_path", path)
+    along(lambda at, _, most: Outcome(at, flat, Status.STALLED if most is None else Status.ITERATION_LIMIT))
     monitor = Monitor()
     assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).status is Status.STALLED
     assert not monitor.steps  # no contact solution there
-
-
-def test_where_there_is_no_design_there_is_one_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    near = []
-
-    def path(_: AllAtOnce, at: Outer, q: np.ndarray, monitor: Monitor) -> Outcome:
-        near.append(at.is_near)
-        return Outcome(at, q, Status.CONVERGED)
-
-    monkeypatch.setattr(AllAtOnce, "_path", path)
-    outer = Outer.of(coarse("6.3"), "mean(top, -uy)")
-    AllAtOnce().run(outer, np.zeros(outer.n), Monitor())
-    assert near == [False]

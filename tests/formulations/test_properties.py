@@ -16,11 +16,11 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.random_problems import STILL, Frame, random_problem
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import NO_CONTACT, ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
+from support.problems import shuffled
 
 pytestmark = pytest.mark.slow
 SEEDS = st.integers(0, 10**6)
@@ -48,19 +48,9 @@ def test_energy_does_not_depend_on_the_frame(seed: int, angle: float, a: float, 
 @FEW
 @given(SEEDS)
 def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
-    problem, rng = drawn(seed), np.random.default_rng(seed)
+    problem = drawn(seed)
     mesh = problem.mesh
-    new, order = rng.permutation(mesh.p.shape[1]), rng.permutation(mesh.t.shape[1])
-    nodes = np.empty_like(mesh.p)
-    nodes[:, new] = mesh.p
-    turned = np.array([np.roll(t, rng.integers(3)) for t in new[problem.triangles.T[order]]])
-    place = np.argsort(order)
-    renumbered = from_arrays(
-        nodes.T,
-        turned,
-        {name: new[mesh.facets[:, facets]].T for name, facets in mesh.boundaries.items()},
-        {name: place[elements] for name, elements in (mesh.subdomains or {}).items()},
-    )
+    renumbered, new = shuffled(mesh, seed)
     other = replace(problem, mesh=renumbered)
     one, two = ContactSolver(problem).solve(mesh.p), ContactSolver(other).solve(renumbered.p)
     assert two.energy == pytest.approx(one.energy, rel=1e-10, abs=1e-12)

@@ -116,9 +116,3 @@ def test_elements_with_a_validity_row_can_fail() -> None:
             q[mine] = corner
             ratios.append(area_ratios(problem, free.positions.values(q))[element])
         assert min(ratios) < problem.motion.min_area_fraction
-
-
-@pytest.mark.parametrize("delta", [(0.0, 0.1), (-1.0, 0.1), (float("nan"), 0.1), (0.1, float("inf"))])
-def test_bad_move_limits_are_refused(delta: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="delta must be positive and finite"):
-        Motion(delta)

@@ -20,25 +20,11 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_a
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Relative
+from rmesh_nlp.models.levels import coarsened, prolonged
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
-
-
-def shuffled(mesh: MeshTri, seed: int) -> MeshTri:
-    """The same mesh with its nodes and triangles in another order."""
-    rng = np.random.default_rng(seed)
-    new, order = rng.permutation(mesh.p.shape[1]), rng.permutation(mesh.t.shape[1])
-    nodes = np.empty_like(mesh.p)
-    nodes[:, new] = mesh.p
-    place = np.argsort(order)
-    return from_arrays(
-        nodes.T,
-        new[counter_clockwise(mesh.p, mesh.t)].T[order],
-        {name: new[mesh.facets[:, facets]].T for name, facets in mesh.boundaries.items()},
-        {name: place[elements] for name, elements in (mesh.subdomains or {}).items()},
-    )
+from support.problems import shuffled
 
 
 def sizes(mesh: MeshTri) -> dict[str, float]:
@@ -55,7 +41,7 @@ def sizes(mesh: MeshTri) -> dict[str, float]:
 @pytest.mark.parametrize("seed", range(6))
 def test_refinement_is_undone_in_any_order(seed: int) -> None:
     coarse = random_problem(seed).mesh
-    fine = shuffled(coarse.refined(1), seed)
+    fine, _ = shuffled(coarse.refined(1), seed)
     back = unrefined(fine)
     assert back is not None
     assert back.mesh.t.shape == coarse.t.shape
@@ -225,18 +211,6 @@ def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
     assert np.any(delaunay(mirrored, t, none) != t)
 
 
-def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
-    mesh, rng = rectangle(5, 3), np.random.default_rng(2)
-    t = counter_clockwise(mesh.p, mesh.t)
-    points = rng.uniform(0, 1, (2, 200))
-    values = np.array([2 * mesh.p[0] - mesh.p[1], 1 + mesh.p[1]])
-    found = interpolated(mesh.p, t, values, points)
-    np.testing.assert_allclose(found, [2 * points[0] - points[1], 1 + points[1]], atol=1e-12)
-    vertices, weights = located(mesh.p, t, np.array([[1.001], [0.5]]))
-    assert np.all(weights >= 0)
-    np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
-
-
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
     coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
     flat = coarse.mesh.p.copy()
@@ -244,27 +218,3 @@ def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
     fine = relocation(refined(coarse))
     found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, flat - coarse.mesh.p, fine))
     np.testing.assert_allclose(found[:, : flat.shape[1]], flat, atol=1e-12)
-
-
-def test_a_map_is_prolonged_exactly_on_a_uniform_refinement_and_validly_on_any_mesh() -> None:
-    rng = np.random.default_rng(4)
-    coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
-    rel = relocation(coarse)
-    q = rng.uniform(-0.3, 0.3, rel.n_q)
-    move = rel.nodes(q) - coarse.mesh.p
-    ratio = np.min(
-        signed_areas(rel.nodes(q), coarse.triangles) / signed_areas(coarse.mesh.p, coarse.triangles)
-    )
-    assert ratio > 0
-    fine = relocation(refined(coarse))
-    found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, fine))
-    n = coarse.mesh.p.shape[1]
-    np.testing.assert_allclose(found[:, :n], rel.nodes(q), atol=1e-12)
-    other = ContactProblem(rectangle(11, 7), Laplace(1.0), (Dirichlet("left", (0.0,)),), motion=Motion(None))
-    unrelated = relocation(other)
-    there = unrelated.nodes(prolonged(coarse.mesh.p, coarse.triangles, move, unrelated))
-    assert np.all(signed_areas(there, other.triangles) > 0)
-    assert np.max(np.abs(there - other.mesh.p)) > 0.3 * np.max(np.abs(move))
-    limited = relocation(replace(refined(coarse), motion=Motion(0.01)))
-    short = prolonged(coarse.mesh.p, coarse.triangles, move, limited)
-    assert np.max(np.abs(short)) == 1.0  # the move itself is wider than the limits

@@ -2,29 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
-from collections.abc import Callable
-from pathlib import Path
-from types import ModuleType
-
 import numpy as np
 import pytest
 
+import branches
 import rmesh_nlp as rm
+from benchmark_branches import seal, slab
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
-
-@pytest.fixture
-def load(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], ModuleType]:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    return importlib.import_module
 
 
 def leak(cost: float) -> str:
@@ -42,16 +31,15 @@ def labelled(outer: Outer, q: Array) -> BranchLabel:
 
 @pytest.mark.parametrize("coulomb", [0.0, 0.3])
 def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
-    coulomb: float, load: Callable[[str], ModuleType]
+    coulomb: float,
 ) -> None:
     """At the best edge of a seal every node touches without force; it is the best for some costs of a gap."""
-    script, search = load("benchmark_branches"), load("branches").steepest
-    block = script.seal(4, coulomb)
+    block = seal(4, coulomb)
     _, q = ended(block, leak(2.0), "mpcc")
     rates = []
     for cost in (2.0, 0.7, 40.0):
         outer = Outer.of(block, leak(cost))
-        found, every = labelled(outer, q), search(outer, q)
+        found, every = labelled(outer, q), branches.steepest(outer, q)
         assert found.pairs.size == 3
         assert every.branches == 8
         rates.append(every.rate)
@@ -72,10 +60,8 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
     assert min(rates[1:]) < -1e-3
 
 
-def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual(
-    load: Callable[[str], ModuleType],
-) -> None:
-    problem, objective = load("benchmark_branches").slab(0.5, (6, 4)), "mean(top, -uy)"
+def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual() -> None:
+    problem, objective = slab(0.5, (6, 4)), "mean(top, -uy)"
     solution, q = ended(problem, objective, "nested")
     outer = Outer.of(problem, objective)
     assert solution.stationarity_residual <= outer.tolerance
@@ -87,9 +73,9 @@ def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual(
     assert given.rate == pytest.approx(-np.sum(np.abs(outer.function(np.zeros(outer.n)).gradient)) / unit)
 
 
-def test_slips_that_are_given_have_no_friction_of_their_own(load: Callable[[str], ModuleType]) -> None:
+def test_slips_that_are_given_have_no_friction_of_their_own() -> None:
     """The corner of the block is held sideways: its friction is any force up to the bound."""
-    outer = Outer.of(load("benchmark_branches").seal(4, 0.3), leak(2.0))
+    outer = Outer.of(seal(4, 0.3), leak(2.0))
     q = np.random.default_rng(2).uniform(-0.2, 0.0, outer.n)
     here, d = outer.function(q), np.random.default_rng(3).uniform(-1, 1, outer.n)
     hessian = ObjectiveCurvature(outer.energy, parse_objective(leak(2.0))).at(here)
@@ -98,11 +84,9 @@ def test_slips_that_are_given_have_no_friction_of_their_own(load: Callable[[str]
     np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
 
 
-def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two(
-    load: Callable[[str], ModuleType],
-) -> None:
+def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two() -> None:
     """Gap, force and friction vanish together at grazing nodes of a seal, which slide."""
-    block = load("benchmark_branches").seal(4, 0.3)
+    block = seal(4, 0.3)
     _, q = ended(block, leak(2.0), "mpcc")
     outer = Outer.of(block, leak(2.0))
     point = outer.function(q)

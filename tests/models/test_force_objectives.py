@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Evaluator
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional
@@ -22,14 +20,9 @@ from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from support.orders import ORDERS
+from support.problems import coulomb_slab
 from support.reduced import CONTACTS, OTHERS, reduced
 from support.taylor import difference_order, taylor_order
-
-
-def slab(coulomb: Any, n: tuple[int, int] = (6, 4)) -> ContactProblem:
-    """Example 6.3 with Coulomb friction."""
-    problem = EXAMPLES["6.3"](n)
-    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=coulomb))
 
 
 def punch() -> ContactProblem:
@@ -45,8 +38,8 @@ def punch() -> ContactProblem:
 
 
 COULOMB = {
-    "Coulomb": lambda: slab(0.4),
-    "Coulomb, varying": lambda: slab(lambda x, y: 0.8 + 0.1 * x + 0.05 * y),
+    "Coulomb": lambda: coulomb_slab(0.4, (6, 4)),
+    "Coulomb, varying": lambda: coulomb_slab(lambda x, y: 0.8 + 0.1 * x + 0.05 * y, (6, 4)),
     "punch of a free shape, Coulomb": punch,
 }
 PROBLEMS = (

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from models.test_reduced_nlp import bumpy
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import least_angles
@@ -89,14 +88,6 @@ def test_options_of_ipopt() -> None:
     short = NestedSettings(tol=1e-4).limited_memory(has_limits=True)
     assert (short["tol"], short["limited_memory_init_val"]) == (1e-4, 1e-2)
     assert "limited_memory_init_val" not in NestedSettings().limited_memory(has_limits=False)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"), [({"newton": {"radius": 1}}, "radius"), ({"newton": 3}, "newton")]
-)
-def test_bad_settings_are_refused_by_name(given: dict[str, Any], message: str) -> None:
-    with pytest.raises(BadInputError, match=message):
-        NestedSettings.of(given)
 
 
 def test_what_differs_from_the_defaults_is_in_the_record_and_changes_the_path() -> None:

@@ -30,14 +30,17 @@ from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.motion import BY_BARRIER
 from rmesh_nlp.problem.rigid import rigid_motions
-from support.curved import HOLE, plate
 from support.formulations import fixed, mpcc
 
 
 def test_problem_is_frozen_and_one_condition_may_stand_alone() -> None:
-    problem = ContactProblem(rectangle(2, 2), Laplace(1.0), "left", tractions=Traction("right", 2.0))
-    assert problem.dirichlet == ("left",)
-    assert problem.tractions == (Traction("right", (2.0,)),)
+    load, motion = Traction("right", 2.0), Motion(0.1, pinned="top", free=4)
+    problem = ContactProblem(rectangle(2, 2), Laplace(1.0), "left", motion=motion, tractions=load)
+    assert (problem.dirichlet, problem.tractions, load.value) == (("left",), (load,), (2.0,))
+    assert (motion.pinned, motion.free) == (("top",), (4,))
+    problem = replace(problem, dirichlet=Dirichlet("left", 0.5), point_loads=PointLoad(3, 1.0))
+    assert problem.supports == (Dirichlet("left", (0.5,)),)
+    assert problem.point_loads == (PointLoad(3, (1.0,)),)
     with pytest.raises(FrozenInstanceError):
         problem.name = "other"  # type: ignore[misc]
 
@@ -61,6 +64,11 @@ BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
 POLE = Laplace(lambda x, y: 1 / (x - 0.25))
 
 
+def between_nodes(x: Any, y: Any) -> Any:
+    """Not a number, but at the nodes of the meshes above."""
+    return ca.sqrt(1e-9 - ca.sin(2 * ca.pi * x) ** 2 - ca.sin(2 * ca.pi * y) ** 2)
+
+
 @pytest.mark.parametrize(
     ("base", "change", "part", "message"),
     [
@@ -71,6 +79,8 @@ POLE = Laplace(lambda x, y: 1 / (x - 0.25))
         (SCALAR, {"order": 2.0}, "order", r"must be 1 or 2, got 2\.0"),
         (SCALAR, {"motion": None}, "motion", "motion must be Motion, got None"),
         (SCALAR, {"point_loads": 3}, "tractions", "point_loads must be PointLoad, got 3"),
+        (SCALAR, {"tractions": "right"}, "tractions", "tractions must be Traction, got 'right'"),
+        (SCALAR, {"obstacle": "bottom"}, "obstacle", "obstacle must be Obstacle, got 'bottom'"),
         (SCALAR, {"dirichlet": "lft"}, "dirichlet", "named 'lft'; it has bottom, left, right, top"),
         (SCALAR, {"motion": Motion(0.1, pinned="x")}, "motion", "no boundary named 'x'"),
         (SCALAR, {"motion": Motion(None, curves={"x": DISC})}, "curves", "no boundary named 'x'"),
@@ -95,6 +105,13 @@ POLE = Laplace(lambda x, y: 1 / (x - 0.25))
         (SCALAR, {"law": POLE, "quadrature": "midpoint"}, "law", r"the source is .*inf at \(0.25, "),
         (SCALAR, {"tractions": GAP, "quadrature": "midpoint"}, "tractions", r"is nan at \(0.0563508, 1\)"),
         (BODY, {"law": PlaneStrain(1, 1, (0.0, np.inf))}, "law", "component 2 of the body force"),
+        (BODY, {"law": PlaneStrain(1, 1, (0.0, between_nodes))}, "law", "component 2 of .* is nan"),
+        (BODY, {"tractions": Traction("right", (between_nodes, 0.0))}, "tractions", "component 1 .* 'right'"),
+        (BODY, {"dirichlet": Dirichlet("left", (0.0, between_nodes))}, "dirichlet", "given on 'left' is nan"),
+        (BODY, {"dirichlet": Dirichlet("left", (lambda x, y: 1 / x, 0.0))}, "dirichlet", "'left' is inf at"),
+        (BODY, {"dirichlet": Dirichlet("left", (0.0,))}, "dirichlet", "needs 2 values"),
+        (BODY, {"obstacle": replace(FLOOR, offset=between_nodes)}, "obstacle", "the obstacle is nan"),
+        (BODY, {"obstacle": replace(FLOOR, friction=between_nodes)}, "friction", "friction bound is nan"),
         (BODY, {"dirichlet": ()}, "dirichlet", "can still move as a rigid body"),
         (BODY, {"dirichlet": Dirichlet("left", (0.0, None)), "obstacle": WALL}, "dirichlet", "rigid"),
         (BODY, {"obstacle": replace(FLOOR, friction=lambda x, y: x - 0.5)}, "friction", "got -0.5 at"),
@@ -187,17 +204,6 @@ def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
     for one in (whole, part):
         assert boundary_lengths(one) == pytest.approx(boundary_lengths(problem))
         assert signed_areas(one.mesh.p, one.triangles).sum() == pytest.approx(4.0)
-
-
-@pytest.mark.parametrize("polygon", [False, True])
-def test_new_nodes_of_a_curve_are_on_it_or_on_the_edges(polygon: bool) -> None:
-    coarse = plate({"hole": HOLE})
-    fine = refined(coarse, polygon=polygon)
-    nodes = fine.boundary_nodes(("hole",))
-    off = np.linalg.norm(fine.mesh.p[:, nodes] - np.array([HOLE.centre]).T, axis=0) - HOLE.radius
-    assert (np.min(off) < -0.01) == polygon
-    assert np.max(np.abs(off)) < 1e-12 or polygon
-    assert set(fine.motion.curves) == (set() if polygon else {"hole"})
 
 
 def test_boundary_on_an_axis_of_symmetry_stays_on_it() -> None:

@@ -139,7 +139,9 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
         (lambda: Motion(-0.1), "delta must be positive and finite, or 0, got -0.1"),
         (lambda: Motion((0.0, 0.1)), "delta must be positive and finite, or 0, got 0.0"),
         (lambda: Motion((0.1, np.inf)), "got inf"),
+        (lambda: Motion((np.nan, 0.1)), "got nan"),
         (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
+        (lambda: Motion("wide"), "got 'wide'"),
         (lambda: Motion(Relative(0.0)), "relative delta must be positive and finite, got 0.0"),
         (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
         (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
@@ -147,6 +149,7 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
         (lambda: Motion(0.1, min_angle=-1.0), "at least 0"),
         (lambda: Motion(0.1, pinned=(1.5,)), "pinned must be names of boundaries or node numbers, got 1.5"),
         (lambda: Motion(0.1, tied=((1, 2, 3),)), "tied must be pairs of node numbers"),
+        (lambda: Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
         (lambda: Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
     ],
 )

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
 
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+import benchmark_branches as script
 
 
 @pytest.mark.slow
 def test_ends_at_kinks_are_searched_branch_by_branch(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    script = importlib.import_module("benchmark_branches")
     every = [case.name for case in script.cases()]
     assert len(every) == len(set(every)) == 68
     rows = tmp_path / "rows.jsonl"
@@ -33,9 +30,7 @@ def test_ends_at_kinks_are_searched_branch_by_branch(
     assert said.count("S, 3") == 2
 
 
-def test_what_raises_is_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    script = importlib.import_module("benchmark_branches")
+def test_what_raises_is_a_row() -> None:
     case = next(iter(script.cases()))
     row = script.row(script.Case(case.name, case.problem, "mean(nowhere, uy)"), "mpcc", 10.0)
     assert row["status"] != "converged"

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
-from pathlib import Path
-
 import pytest
 
+import benchmark_cost as script
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.models import cascade
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
 
 def test_parts_add_up_to_the_whole_and_are_told_apart_in_one_run_only(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    script = importlib.import_module("benchmark_cost")
     before = cascade.descend, ContactSolver.__init__
     assert script.main(["6.1:3"]) == 0
     assert (cascade.descend, ContactSolver.__init__) == before

@@ -2,26 +2,16 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
-
-
-@pytest.fixture
-def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-    return importlib.import_module("benchmark_designs")
+import benchmark_designs as script
 
 
 @pytest.mark.slow
-def test_one_problem_by_both_from_both_starts(
-    script: ModuleType, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_one_problem_by_both_from_both_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "rows.jsonl"
     for _ in range(2):  # the second time nothing is left to solve
         script.main(["--seeds", "3", "4", "--out", str(out)])
@@ -36,7 +26,7 @@ def test_one_problem_by_both_from_both_starts(
     )
 
 
-def test_the_better_of_two_starts_counts_and_invalid_ends_do_not(script: ModuleType) -> None:
+def test_the_better_of_two_starts_counts_and_invalid_ends_do_not() -> None:
     ends = [("nested", 2.0, True), ("nested", 1.0, True), ("mpcc", 1.5, True), ("mpcc", 0.5, False)]
     rows = [
         {"seed": 0, "formulation": name, "value": value, "valid": valid, "first": 3.0}
@@ -45,6 +35,6 @@ def test_the_better_of_two_starts_counts_and_invalid_ends_do_not(script: ModuleT
     assert script.best_reached(rows) == {(0, "nested"): True, (0, "mpcc"): False}
 
 
-def test_orders_of_gradients(script: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_orders_of_gradients(capsys: pytest.CaptureFixture[str]) -> None:
     script.main(["--gradients", "--seeds", "2", "4"])
     assert "within 0.02 on 2" in capsys.readouterr().out

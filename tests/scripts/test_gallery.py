@@ -3,15 +3,12 @@
 ``common.run`` asserts success, validity, no rise of the energy, and joint = nested to 1e-4.
 """
 
-import sys
-from collections.abc import Callable
+import importlib
 from pathlib import Path
-from types import ModuleType
 
+import common
 import numpy as np
 import pytest
-
-FOLDER = Path(__file__).parents[2] / "scripts" / "gallery"
 
 
 def needs_gmsh() -> None:
@@ -25,30 +22,28 @@ def needs_gmsh() -> None:
 @pytest.mark.parametrize(
     ("name", "n", "ratio"), [("l_shape", 5, 0.75), ("wedge", 3, 0.9), ("signorini", 5, 0.85)]
 )
-def test_relocation_lowers_the_error(
-    load: Callable[[str], ModuleType], tmp_path: Path, name: str, n: int, ratio: float
-) -> None:
+def test_relocation_lowers_the_error(tmp_path: Path, name: str, n: int, ratio: float) -> None:
     if name == "l_shape":
         needs_gmsh()
-    case = load(name).main(n)
+    case = importlib.import_module(name).main(n)
     assert 0 < case.error_after < ratio * case.error_before
-    sys.modules["common"].draw(case, tmp_path / "it.png")
+    common.draw(case, tmp_path / "it.png")
     assert (tmp_path / "it.png").stat().st_size > 10_000
 
 
 @pytest.mark.slow
-def test_contact_has_its_analytic_extent(load: Callable[[str], ModuleType]) -> None:
-    membrane = load("free_boundary")
+def test_contact_has_its_analytic_extent() -> None:
+    membrane = importlib.import_module("free_boundary")
     assert membrane.radius(membrane.main(10)) == pytest.approx(1, abs=0.05)
     needs_gmsh()
-    hertz = load("hertz")
+    hertz = importlib.import_module("hertz")
     contact = hertz.measure(hertz.main(8).after)
     assert (contact.half_width, contact.peak) == pytest.approx((1, 1), abs=0.05)
 
 
 @pytest.mark.slow
-def test_the_shaped_punch_has_a_lower_peak_by_both_formulations(load: Callable[[str], ModuleType]) -> None:
-    solutions = load("punch").main(4)
+def test_the_shaped_punch_has_a_lower_peak_by_both_formulations() -> None:
+    solutions = importlib.import_module("punch").main(4)
     before, nested, mpcc = (solutions[name] for name in ("fixed", "nested", "mpcc"))
     assert nested.success
     assert mpcc.success
@@ -58,10 +53,8 @@ def test_the_shaped_punch_has_a_lower_peak_by_both_formulations(load: Callable[[
 
 
 @pytest.mark.slow
-def test_a_slab_ends_where_a_node_is_about_to_slide(
-    load: Callable[[str], ModuleType], tmp_path: Path
-) -> None:
-    module = load("coulomb_kink")
+def test_a_slab_ends_where_a_node_is_about_to_slide(tmp_path: Path) -> None:
+    module = importlib.import_module("coulomb_kink")
     solutions = module.main(6)
     module.draw(solutions, tmp_path / "slab.png")
     assert all(solution.success for solution in solutions.values())
@@ -76,10 +69,8 @@ def test_a_slab_ends_where_a_node_is_about_to_slide(
 
 
 @pytest.mark.slow
-def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
-    load: Callable[[str], ModuleType], tmp_path: Path
-) -> None:
-    module = load("seal")
+def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(tmp_path: Path) -> None:
+    module = importlib.import_module("seal")
     solutions = module.main(4, ["newton"])
     module.draw(solutions, tmp_path / "seal.png")
     best = solutions["mpcc"]
@@ -109,8 +100,8 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(
 
 
 @pytest.mark.slow
-def test_labels_tell_traps_from_minima(load: Callable[[str], ModuleType]) -> None:
-    cases = {case.name: case for case in load("mpcc_traps").main()}
+def test_labels_tell_traps_from_minima() -> None:
+    cases = {case.name: case for case in importlib.import_module("mpcc_traps").main()}
     for name, case in cases.items():
         assert case.corner.stationarity == name[0]
         assert case.corner.b_stationary == ("trap" not in name)

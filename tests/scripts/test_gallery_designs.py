@@ -1,5 +1,6 @@
 """The design cases of the gallery small: all starts succeed, labels are proved, gains are real."""
 
+import importlib
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,8 @@ def is_same_at_start(file: str, problem: rm.ContactProblem, objective) -> bool:
 
 
 @pytest.mark.slow
-def test_the_face_of_the_punch_levels_its_pressure(load, tmp_path: Path) -> None:
-    module = load("level_punch")
+def test_the_face_of_the_punch_levels_its_pressure(tmp_path: Path) -> None:
+    module = importlib.import_module("level_punch")
     punch = module.main(4, order=1, seeds=(None, 1))
     check_ends(punch.starts)
     assert values(punch.starts, "nested") == pytest.approx(values(punch.starts, "mpcc"), rel=1e-5)
@@ -50,8 +51,8 @@ def test_the_face_of_the_punch_levels_its_pressure(load, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_modulus_friction_and_gap_are_identified(load, tmp_path: Path) -> None:
-    module = load("identification")
+def test_modulus_friction_and_gap_are_identified(tmp_path: Path) -> None:
+    module = importlib.import_module("identification")
     found = module.main(2, seeds=(None, 2))
     check_ends(found.starts)
     assert values(found.starts, "nested") == pytest.approx(values(found.starts, "mpcc"), rel=1e-5)
@@ -71,8 +72,8 @@ def test_modulus_friction_and_gap_are_identified(load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
-    module = load("closing_force")
+def test_the_seal_spreads_its_closing_force(tmp_path: Path) -> None:
+    module = importlib.import_module("closing_force")
     seal = module.main(4, seeds=(None, 1))
     check_ends(seal.starts)
     assert values(seal.starts, "nested") == pytest.approx(values(seal.starts, "mpcc"), rel=1e-5)
@@ -88,8 +89,8 @@ def test_the_seal_spreads_its_closing_force(load, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_relocation_under_coulomb_friction_lowers_the_error(load, tmp_path: Path) -> None:
-    module = load("stick_slip")
+def test_relocation_under_coulomb_friction_lowers_the_error(tmp_path: Path) -> None:
+    module = importlib.import_module("stick_slip")
     found = module.main(3, seeds=(None, 1))
     check_ends(found.starts)
     for end in found.starts.solutions.values():

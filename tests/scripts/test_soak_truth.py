@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import ast
-import importlib
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+
+import soak_truth as soak
+from truth.body import Body
+from truth.contact import accurate_loads, equilibrium, friction, least, penetration
+from truth.data import Data, Foundation, Material
+from truth.draws import block, disc, ring
+from truth.reference import reference, refined
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -18,29 +24,18 @@ LOWER = "200*sin(2*pi*x)*(4*pi**2*y*(0.5-y)**4+8*(0.5-y)**3-12*y*(0.5-y)**2)"
 UPPER = "100*sin(pi*x/2)*(pi**2/4*(1-y)*(0.5-y)**4-8*(0.5-y)**3-12*(1-y)*(0.5-y)**2)"
 
 
-@pytest.fixture(autouse=True)
-def scripts_are_modules(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.syspath_prepend(str(SCRIPTS))
-
-
-def script(name: str) -> ModuleType:
-    return importlib.import_module(name)
-
-
 def pressed_block(**more: Any) -> Any:
     """A block of plane stress on a flat foundation, under a pressure of 3."""
-    data = script("truth.data")
-    steel = (data.Material("plane-stress", (0.0, 0.0), 50.0, 0.3),)
-    flat = data.Foundation("bottom", "height", 0.0)
-    mesh = script("truth.draws").block(3, 2, 2, np.random.default_rng(1))
-    one = data.Data("block", mesh, steel, flat, {"left": (0.0, None)}, {"top": (0.0, -3.0)})
+    steel = (Material("plane-stress", (0.0, 0.0), 50.0, 0.3),)
+    flat = Foundation("bottom", "height", 0.0)
+    mesh = block(3, 2, 2, np.random.default_rng(1))
+    one = Data("block", mesh, steel, flat, {"left": (0.0, None)}, {"top": (0.0, -3.0)})
     return replace(one, **more)
 
 
 def membrane(load: str, foundation: Any, held: dict[str, Any], n: int) -> Any:
-    data = script("truth.data")
-    mesh = script("truth.draws").block(n, n, 1)
-    return data.Data("membrane", mesh, (data.Material("laplace", (load,)),), foundation, held)
+    mesh = block(n, n, 1)
+    return Data("membrane", mesh, (Material("laplace", (load,)),), foundation, held)
 
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])
@@ -49,7 +44,7 @@ ORDERS = pytest.mark.parametrize("order", [1, 2])
 @ORDERS
 def test_patch_test(order: int) -> None:
     """Uniform stress, which piecewise linear displacements have exactly."""
-    found = script("truth.contact").least(pressed_block(order=order), pressed_block().mesh)
+    found = least(pressed_block(order=order), pressed_block().mesh)
     assert found.converged
     np.testing.assert_allclose(found.energy, -(3**2) / 50, rtol=1e-9)  # -p^2 / (2 E) over an area of 2
     np.testing.assert_allclose([found.peak, found.resultant, found.length], [3, 6, 2], rtol=1e-8)
@@ -58,9 +53,9 @@ def test_patch_test(order: int) -> None:
 @ORDERS
 def test_obstacle_below_a_string(order: int) -> None:
     """-u'' = -f, u >= -c: contact from a = sqrt(2 c / f) on, energy -c f (1 - 4 a / 3)."""
-    string = script("truth.data").Foundation("interior", "interior", -0.05)
+    string = Foundation("interior", "interior", -0.05)
     data = replace(membrane("-2.0", string, {"left": (0.0,), "right": (0.0,)}, 3), order=order)
-    found = script("truth.reference").reference(data, 300)
+    found = reference(data, 300)
     exact = -0.1 * (1 - 4 * np.sqrt(0.05) / 3)
     assert found.converged
     assert abs(found.energy - exact) <= found.bar < 3e-3 * abs(exact)
@@ -68,18 +63,18 @@ def test_obstacle_below_a_string(order: int) -> None:
 
 @ORDERS
 def test_example_61(order: int) -> None:
-    flat = script("truth.data").Foundation("right", "offset", 0.0)
+    flat = Foundation("right", "offset", 0.0)
     held = dict.fromkeys(("left", "bottom", "top"), (0.0,))
     load = f"(y <= 0.5)*({LOWER})+(y > 0.5)*({UPPER})"
     data = replace(membrane(load, flat, held, 8), order=order)
-    found = script("truth.reference").reference(data, 600)
+    found = reference(data, 600)
     assert abs(found.energy + 1.9456096613) <= found.bar < 0.02 / 10 ** (order - 1)
 
 
 def test_friction_with_a_bound_that_varies_within_elements() -> None:
-    foundation = script("truth.data").Foundation("bottom", "height", 0.0, "8*(1+0.95*sin(16*pi*x+0.3))")
+    foundation = Foundation("bottom", "height", 0.0, "8*(1+0.95*sin(16*pi*x+0.3))")
     data = pressed_block(foundation=foundation)
-    body = script("truth.body").Body(data, data.mesh)
+    body = Body(data, data.mesh)
     u = np.zeros((body.p.shape[1], 2))
     u[:, 0] = body.p[0] - 0.7  # changes its sign within an edge
     k, phase = 16 * np.pi, 0.3
@@ -89,29 +84,28 @@ def test_friction_with_a_bound_that_varies_within_elements() -> None:
         return (x - 0.7) ** 2 / 2 + 0.95 * wave
 
     exact = 8 * (whole(2) - 2 * whole(0.7) + whole(0))
-    np.testing.assert_allclose(script("truth.contact").friction(body, u.ravel()), exact, rtol=1e-10)
+    np.testing.assert_allclose(friction(body, u.ravel()), exact, rtol=1e-10)
 
 
 @ORDERS
 def test_domain_of_the_true_curves(order: int) -> None:
     """Areas, and energies of linear and quadratic displacements, are those of the round body on any mesh."""
-    data, draws, body = (script(f"truth.{name}") for name in ("data", "draws", "body"))
     steel, lid = (
-        (data.Material("plane-strain", (0.0, 0.0), 7.0, 0.2),),
-        data.Foundation("arc", "level", "5-y"),
+        (Material("plane-strain", (0.0, 0.0), 7.0, 0.2),),
+        Foundation("arc", "level", "5-y"),
     )
     circles = {"arc": (0.0, 0.0, 5.0), "hole": (0.0, 0.0, 3.0)}
-    half = data.Data("disc", draws.disc(3, 2.0, False), steel, lid, {}, {}, {"arc": (0.0, 2.0, 2.0)})
-    ring = data.Data("ring", draws.ring(8, 2, 3.0), steel, lid, {}, {}, circles)
-    for one, area in ((half, 2 * np.pi), (ring, 8 * np.pi)):
+    half = Data("disc", disc(3, 2.0, False), steel, lid, {}, {}, {"arc": (0.0, 2.0, 2.0)})
+    round_ring = Data("ring", ring(8, 2, 3.0), steel, lid, {}, {}, circles)
+    for one, area in ((half, 2 * np.pi), (round_ring, 8 * np.pi)):
         one = replace(one, order=order)
-        found = body.Body(one, one.mesh)
+        found = Body(one, one.mesh)
         x, y = found.places
         u = np.stack([0.3 * x + 0.1 * y, -0.2 * x + 0.5 * y], axis=1)
         mu, lam = 7 / 2.4, 7 * 0.2 / (1.2 * 0.6)
         density = lam * 0.8**2 / 2 + mu * (0.3**2 + 0.5**2 + 2 * 0.05**2)
         np.testing.assert_allclose(found.area.sum(), area)
-        finer = body.Body(one, script("truth.reference").refined(one, one.mesh, np.arange(3)))
+        finer = Body(one, refined(one, one.mesh, np.arange(3)))
         np.testing.assert_allclose(finer.area.sum(), area)
         np.testing.assert_allclose(u.ravel() @ found.stiffness @ u.ravel() / 2, density * area)
         if order == 2 and one.name == "disc":  # y^2 is 4 (y - 2)^2 above the centre, over half a disc
@@ -123,17 +117,16 @@ def test_domain_of_the_true_curves(order: int) -> None:
 @ORDERS
 def test_gaps_hold_inside_elements(order: int) -> None:
     """Over a bump narrower than an element: not so where gaps hold at nodes."""
-    contact = script("truth.contact")
     bump = "-0.05+0.08*exp(-((x-0.45)**2+(y-0.5)**2)/0.03**2)"
-    psi = script("truth.data").Foundation("interior", "interior", bump)
+    psi = Foundation("interior", "interior", bump)
     data = membrane("-1.0", psi, dict.fromkeys(("left", "right", "bottom", "top"), (0.0,)), 4)
     data = replace(data, order=order)
-    best = contact.least(data, data.mesh)
-    nodal = contact.equilibrium(best.body, contact.accurate_loads(best.body))
-    assert contact.penetration(best.body, nodal.u) > 0.05
-    assert contact.penetration(best.body, best.u) < 1e-9
+    best = least(data, data.mesh)
+    nodal = equilibrium(best.body, accurate_loads(best.body))
+    assert penetration(best.body, nodal.u) > 0.05
+    assert penetration(best.body, best.u) < 1e-9
     assert best.energy > nodal.energy + 1e-3
-    assert best.energy > script("truth.reference").reference(data, 400).energy
+    assert best.energy > reference(data, 400).energy
 
 
 def claimed(mesh: Any, **record: Any) -> SimpleNamespace:
@@ -145,7 +138,7 @@ def claimed(mesh: Any, **record: Any) -> SimpleNamespace:
 
 
 def test_false_claims_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    soak, flat = script("soak_truth"), script("truth.data").Foundation("right", "offset", 0.01)
+    flat = Foundation("right", "offset", 0.01)
     monkeypatch.setattr(soak, "LEVELS", (300,))
     data = membrane("-2+3*sin(7*x)", flat, {"left": (0.0,)}, 4)
     p, inside = np.array(data.mesh.p), data.mesh.interior_nodes()
@@ -165,14 +158,13 @@ def test_false_claims_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_success_without_admissible_displacements_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    soak, data = script("soak_truth"), pressed_block(held={"left": (0.0, -0.1)})
+    data = pressed_block(held={"left": (0.0, -0.1)})
     monkeypatch.setattr(soak, "solved", lambda data, formulation, **options: claimed(data.mesh))
     assert soak.checked(data)["faults"] == ["infeasible success"]
 
 
 def test_displacements_and_certificates_are_checked() -> None:
     """Against J* = -1 of a mesh with the error 0.02 and a solution with an energy norm error of 0.3."""
-    soak = script("soak_truth")
     row = {"J": -1.0, "bar": 1e-4, "errors": [0.02, 0.02], "success": True, "claimed": None, "audited": []}
     row |= {"own": [{"J": -0.98, "norm": 0.3}] * 2, "energies": [-0.98] * 2, "fine_error": 1e-4}
     sound = {"energy_lower_bound": -1.05, "energy_upper_bound": -0.98, "error_bound": 0.4, "percent": True}
@@ -200,11 +192,10 @@ def test_nothing_of_the_package_checks_itself() -> None:
 
 @pytest.mark.slow
 def test_a_soak_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main = script("soak_truth").main
-    main(["--count", "2", "--out", str(tmp_path)])
+    soak.main(["--count", "2", "--out", str(tmp_path)])
     rows = (tmp_path / "random.jsonl").read_text()
     assert len(rows.splitlines()) == 2
     capsys.readouterr()
-    main(["--count", "2", "--out", str(tmp_path), "--compare", str(tmp_path / "random.jsonl")])
+    soak.main(["--count", "2", "--out", str(tmp_path), "--compare", str(tmp_path / "random.jsonl")])
     assert (tmp_path / "random.jsonl").read_text() == rows
     assert "2 solves" in capsys.readouterr().out

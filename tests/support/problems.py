@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from skfem import MeshTri
@@ -11,7 +12,18 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PiecewiseLinear, PlaneStrain, Traction
+from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    PlaneStrain,
+    Traction,
+)
 
 
 def sloped_block(friction: float = 60.0) -> ContactProblem:
@@ -38,6 +50,31 @@ def sloped_block(friction: float = 60.0) -> ContactProblem:
     )
 
 
+def coulomb_slab(coulomb: Any = 0.5, n: tuple[int, int] = (12, 6), **changes: Any) -> ContactProblem:
+    """Example 6.3 with a coefficient of Coulomb in the place of its bound."""
+    problem = EXAMPLES["6.3"](n)
+    obstacle = replace(problem.obstacle, friction=0.0, coulomb=coulomb)
+    return replace(problem, obstacle=obstacle, **changes)
+
+
+SHEAR, PRESSURE, COULOMB, LENGTH = 50.0, 3.0, 0.4, 2.0
+"""Shear modulus of the next block, its pressure, its coefficient of friction, its length."""
+
+
+def sliding_block(order: int = 1) -> ContactProblem:
+    """Pressure p and shear F p everywhere: displacements are linear, the bottom slides by 0.02."""
+    F, p = COULOMB, PRESSURE
+    return ContactProblem(
+        rectangle(5, 3, x=(0, LENGTH)),
+        PlaneStrain(0.0, SHEAR),
+        Dirichlet("top", (0.02 + F * p / SHEAR, -p / (2 * SHEAR))),
+        Obstacle("bottom", coulomb=F),
+        Motion(0.05),
+        (Traction("right", (0.0, F * p)), Traction("left", (0.0, -F * p))),
+        order=order,
+    )
+
+
 def renumbered(problem: ContactProblem, seed: int = 7) -> Discretisation:
     """The same with the nodes of the displacement in another order than the vertices and edges."""
     order = np.random.default_rng(seed).permutation(DisplacementSpace.of(problem).n_nodes)
@@ -57,3 +94,23 @@ def energy_error(problem: ContactProblem) -> float:
 def no_move_limits(problem: ContactProblem) -> ContactProblem:
     """The same without boxes, elements kept by a small least area."""
     return replace(problem, motion=replace(problem.motion, delta=None, min_area_fraction=0.01))
+
+
+def tied_neighbours() -> ContactProblem:
+    """Two vertices of one triangle share their outer variables: local derivatives fold onto the diagonal."""
+    problem = EXAMPLES["6.1"](4, 0.1)
+    inside = problem.mesh.interior_nodes()
+    edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
+    return replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))
+
+
+def shuffled(mesh: MeshTri, seed: int) -> tuple[MeshTri, np.ndarray]:
+    """The same mesh with its nodes and triangles in another order, and the new number of each node."""
+    rng = np.random.default_rng(seed)
+    new, order = rng.permutation(mesh.p.shape[1]), rng.permutation(mesh.t.shape[1])
+    nodes, place = np.empty_like(mesh.p), np.argsort(order)
+    nodes[:, new] = mesh.p
+    triangles = [np.roll(t, rng.integers(3)) for t in new[counter_clockwise(mesh.p, mesh.t)].T[order]]
+    edges = {name: new[mesh.facets[:, facets]].T for name, facets in mesh.boundaries.items()}
+    parts = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}
+    return from_arrays(nodes.T, np.array(triangles), edges, parts), new
