@@ -159,7 +159,7 @@ def test_nothing_passes_between_the_nodes(obstacle: Obstacle, order: int) -> Non
     # and no farther off than need be: somewhere the gap closes
     lower = replace(found, displacement=found.displacement - np.array([[0.0], [1e-4]]))
     assert deepest(lower) > 1e-5
-    for _ in range(4 - order):
+    for _ in range(3 - order):
         problem = refined(problem)
     assert found.energy > admissible(problem).energy
 

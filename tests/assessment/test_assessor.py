@@ -76,7 +76,7 @@ CAUSES: dict[str, Callable[[], ContactProblem]] = {
 RENUMBERED = {
     **CAUSES,
     "elastic": sloped_block,
-    "two foundations": block_between_two_foundations,
+    "two foundations": lambda: block_between_two_foundations(2),
     "bump": lambda: ContactProblem(rectangle(4, 4), Laplace(-1.0), SIDES, hill((0.5, 0.5), 0.0009)),
     "cut": lambda: ContactProblem(
         rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill((0.15, 0.15), 0.002)

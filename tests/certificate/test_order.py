@@ -174,7 +174,7 @@ def test_on_a_finer_mesh_the_field_leaves_little_of_the_width(make: Callable) ->
 def test_it_holds_the_least_energy_of_61_on_any_relocated_mesh(
     seed: int, amount: float, refinements: int
 ) -> None:
-    problem = EXAMPLES["6.1"](4, order=2)
+    problem = EXAMPLES["6.1"](3, order=2)
     problem = replace(problem, mesh=distorted(problem.mesh, amount, seed))
     found = refined_bracket(problem, problem.mesh.p, guess_on(problem), refinements)
     assert found.lower <= EXACT_ENERGY_61 <= found.upper

@@ -139,7 +139,7 @@ def test_quantities_that_a_problem_does_not_have() -> None:
 
 
 def test_nested_and_mpcc_find_the_same_design() -> None:
-    design = replace(block(E, LOAD, H0, BOW), motion=rm.Motion(delta=0.0))
+    design = replace(block(E, LOAD, H0, BOW, n=(6, 2)), motion=rm.Motion(delta=0.0))
     objective = "level-pressure(bottom) + 0.1*square(resultant(bottom) - 250)"
     ends = [rm.solve(design, name, objective=objective) for name in ("nested", "mpcc")]
     values = [end.record()["objective_value"] for end in ends]

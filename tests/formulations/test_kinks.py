@@ -19,14 +19,14 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
-from support.solved import example
+from support.solved import example, solved
 
 LEAK = "boundary(seal, 1.2*(y + uy) - y)"
 
 
 def seal() -> ContactProblem:
     """A block whose lower edge may be cut in the middle; at the best edge it touches there without force."""
-    mesh = named(rm.shapes.rectangle(8, 4, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)})
+    mesh = named(rm.shapes.rectangle(8, 2, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)})
     moves = (mesh.p[1] == 0) & (abs(mesh.p[0] - 1) < 0.5)
     free, pinned = (tuple(int(node) for node in np.flatnonzero(which)) for which in (moves, ~moves))
     return rm.ContactProblem(
@@ -118,7 +118,7 @@ def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_cl
     claimed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem, objective = example("6.1", 3, 6), "error-l2"
-    solution = rm.solve(problem, "nested", objective=objective)
+    solution = solved("nested", "6.1", 3, 6, objective=objective)
     assert solution.status is Status.CONVERGED
     outer = Outer.of(problem, objective)
     q = outer.variables(np.asarray(solution.mesh.p))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -25,6 +27,13 @@ def ended(problem: ContactProblem, objective: str, formulation: str) -> tuple[rm
     return solution, Outer.of(problem).variables(np.asarray(solution.mesh.p))
 
 
+@cache
+def end_of_seal(coulomb: float) -> tuple[ContactProblem, Array]:
+    """A seal, and the edge at which ``mpcc`` ends: every node touches without force."""
+    block = seal(4, coulomb)
+    return block, ended(block, leak(2.0), "mpcc")[1]
+
+
 def labelled(outer: Outer, q: Array) -> BranchLabel:
     return outer.branches(outer.function(q))
 
@@ -34,8 +43,7 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
     coulomb: float,
 ) -> None:
     """At the best edge of a seal every node touches without force; it is the best for some costs of a gap."""
-    block = seal(4, coulomb)
-    _, q = ended(block, leak(2.0), "mpcc")
+    block, q = end_of_seal(coulomb)
     rates = []
     for cost in (2.0, 0.7, 40.0):
         outer = Outer.of(block, leak(cost))
@@ -86,8 +94,7 @@ def test_slips_that_are_given_have_no_friction_of_their_own() -> None:
 
 def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two() -> None:
     """Gap, force and friction vanish together at grazing nodes of a seal, which slide."""
-    block = seal(4, 0.3)
-    _, q = ended(block, leak(2.0), "mpcc")
+    block, q = end_of_seal(0.3)
     outer = Outer.of(block, leak(2.0))
     point = outer.function(q)
     program = outer.kkt
