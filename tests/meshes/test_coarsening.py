@@ -20,7 +20,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_a
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.levels import coarsened, prolonged
+from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
@@ -209,6 +209,18 @@ def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
     np.testing.assert_array_equal(delaunay(own, t, none), t)
     mirrored = Measured(p, own.metric * [[1], [-1], [1]])
     assert np.any(delaunay(mirrored, t, none) != t)
+
+
+def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
+    mesh, rng = rectangle(5, 3), np.random.default_rng(2)
+    t = counter_clockwise(mesh.p, mesh.t)
+    points = rng.uniform(0, 1, (2, 200))
+    values = np.array([2 * mesh.p[0] - mesh.p[1], 1 + mesh.p[1]])
+    found = interpolated(mesh.p, t, values, points)
+    np.testing.assert_allclose(found, [2 * points[0] - points[1], 1 + points[1]], atol=1e-12)
+    vertices, weights = located(mesh.p, t, np.array([[1.001], [0.5]]))
+    assert np.all(weights >= 0)
+    np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
 
 
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
@@ -106,6 +107,12 @@ def test_it_stops_when_asked_to_and_when_the_time_is_up() -> None:
     # the map so far is taken to the given mesh
     assert found.q.size == found.energy.relocation.n_q
     assert np.any(found.q)
+
+
+@pytest.mark.parametrize("bad", [{"schedules": ((0.0,),)}, {"schedules": (1.0,)}, {"distortion": "oval"}])
+def test_bad_settings_are_refused(bad: dict) -> None:
+    with pytest.raises(BadInputError):
+        CascadeSettings.of(bad)
 
 
 LEAST = -3.66907

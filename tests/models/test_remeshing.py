@@ -255,6 +255,25 @@ class TestLeastAngle:
         found = remade(scalar(motion=Motion(None, min_angle=angle)))
         assert least_angles(found.mesh.p, found.triangles).min() >= angle
 
+    def test_density_is_evened_where_round_triangles_are_not_enough(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        parts, real = [], remeshing.Metric.evened
+        monkeypatch.setattr(
+            remeshing.Metric, "evened", lambda self, part: parts.append(part) or real(self, part)
+        )
+        kinds = []
+        monkeypatch.setattr(remeshing, "least_angles", lambda *_: np.array([1.0]))
+        made = remeshing._with_nodes
+        monkeypatch.setattr(
+            remeshing, "_with_nodes", lambda *a: kinds.append(np.ptp(a[1].density)) or made(*a)
+        )
+        with pytest.raises(BadInputError, match="with angles of 30 degrees or more"):
+            remade(scalar(motion=Motion(None, min_angle=30.0)), tolerance=1.0)
+        assert parts == [0.7] * 6 + [0.0]
+        assert kinds[-1] == pytest.approx(0.0, abs=1e-12)
+        assert kinds[0] > 0
+
     def test_is_small_if_none_is_asked_for(self) -> None:
         found = remade(scalar())
         assert least_angles(found.mesh.p, found.triangles).min() < 10.0
