@@ -4,7 +4,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.contact import factorisation
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
-from rmesh_nlp.solving.solution import versions
+from rmesh_nlp.solving.entries import versions
 
 
 @pytest.fixture(
