@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
-from rmesh_nlp.mpcc.mixed import Member, PlainPairs, sides
+from rmesh_nlp.mpcc.mixed import PlainPairs
 from rmesh_nlp.mpcc.names import of_symbol
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
@@ -236,56 +236,6 @@ class MPCC:
             lbx=np.append(plain.lbx, np.zeros(n_new)), ubx=np.append(plain.ubx, np.full(n_new, np.inf)),
             lbg=np.append(plain.lbg, np.zeros(n_rows)), ubg=np.append(plain.ubg, np.zeros(n_rows)),
             p=plain.p, completion=pairs.completion(plain.x, plain.p),
-        )  # fmt: skip
-
-    @classmethod
-    def from_nlp(
-        cls,
-        nlp: Mapping[str, Any],
-        pairs: Sequence[tuple[tuple[str, int], tuple[str, int]]],
-        *,
-        lbx: ArrayLike = -np.inf,
-        ubx: ArrayLike = np.inf,
-        lbg: ArrayLike = -np.inf,
-        ubg: ArrayLike = np.inf,
-    ) -> MPCC:
-        """An NLP in the form of ``nlpsol``, of which some rows and unknowns complement each other.
-
-        Parameters
-        ----------
-        nlp : mapping
-            ``x``, ``f`` and perhaps ``g`` and ``p``: CasADi expressions.
-        pairs : sequence
-            Each pair names its members, ``(("g", 3), ("x", 0))``: row 3 of g and unknown 0. Their
-            bounds are those of the NLP, with the meaning of :meth:`mixed`; paired rows leave g.
-        lbx, ubx, lbg, ubg : array_like
-
-        Raises
-        ------
-        ValueError
-            If a member does not exist or a row is paired twice.
-        """
-        if set(nlp) - {"x", "f", "g", "p"} or "x" not in nlp or "f" not in nlp:
-            raise ValueError(f"nlp has the keys {sorted(nlp)}: x and f are needed, g and p may be given")
-        plain = cls(nlp["x"], nlp["f"], nlp.get("g"), None, None, lbx, ubx, lbg, ubg, nlp.get("p"))
-        lbg, ubg = np.asarray(plain.lbg), np.asarray(plain.ubg)
-        columns = {"x": (plain.x, np.asarray(plain.lbx), np.asarray(plain.ubx)), "g": (plain.g, lbg, ubg)}
-        taken: set[int] = set()
-
-        def member(k: int, kind: str, i: int) -> Member:
-            if kind not in columns or not 0 <= i < columns[kind][0].shape[0]:
-                raise ValueError(f"pair {k}: there is no {kind}[{i}]")
-            if kind == "g" and i in taken:
-                raise ValueError(f"pair {k}: row g[{i}] is already in a pair")
-            taken.update([i] if kind == "g" else [])
-            column, lower, upper = columns[kind]
-            return column[i], float(lower[i]), float(upper[i])
-
-        mixed = sides((member(k, *a), member(k, *b)) for k, (a, b) in enumerate(pairs))
-        kept = [i for i in range(plain.n_g) if i not in taken]
-        return cls.mixed(
-            plain.x, plain.f, plain.g[kept] if kept else None, lbx=plain.lbx, ubx=plain.ubx,
-            lbg=lbg[kept], ubg=ubg[kept], p=plain.p, **mixed,
         )  # fmt: skip
 
 

@@ -146,32 +146,6 @@ def test_bounds_that_make_no_pair_are_refused():
             MPCC.mixed(XY, x, None, x, y, **bounds)
 
 
-def test_rows_and_unknowns_of_an_nlp_are_paired_by_place():
-    """z wants to grow, so z = 2 with x^2 + z - 3 <= 0, |x| <= 1; x = 1 and y = 0: f = 0 + 1 - 4."""
-    nlp = {"x": XYZ, "f": (x - 1) ** 2 + ca.exp(y) - 2 * z, "g": ca.vertcat(x + z, x**2 + z - 3, x + y)}
-    program = MPCC.from_nlp(
-        nlp, [(("g", 2), ("x", 1)), (("g", 1), ("x", 2))],
-        lbx=[-INF, 0, -1], ubx=[INF, INF, 2], lbg=[-INF, -INF, 1], ubg=[5, INF, INF],
-    )  # fmt: skip
-    assert (program.n_g, program.ubg[0]) == (2, 5)  # x + z, and the row that splits the boxed pair
-    result = solve(program, [0.5, 0.2, 0])
-    assert result.success
-    assert result.x[:3] == pytest.approx([1, 0, 2], abs=1e-6)
-    assert result.f == pytest.approx(-3, abs=1e-7)
-    assert MPCC.from_nlp(nlp, []).n_g == 3
-    for pairs, words in (
-        ([(("g", 3), ("x", 0))], r"no g\[3\]"),
-        ([(("g", -1), ("x", 0))], r"no g\[-1\]"),
-        ([(("h", 0), ("x", 0))], r"no h\[0\]"),
-        ([(("g", 0), ("x", 0)), (("g", 0), ("x", 1))], "already in a pair"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            MPCC.from_nlp(nlp, pairs, lbx=0, lbg=0)
-    for keys in ({"x": x}, {"f": x}, {"x": x, "f": x, "h": x}):
-        with pytest.raises(ValueError, match="x and f are needed"):
-            MPCC.from_nlp(keys, [])
-
-
 def test_derivatives_of_another_oracle_are_refused():
     column = ca.vertcat(x - y, x)  # H is missing
     wrong = automatic_derivatives(XY, ca.SX(0, 1), x + y, column)
