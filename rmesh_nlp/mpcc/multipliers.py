@@ -89,6 +89,12 @@ class Columns:
         yes = np.ones(self.members.size, dtype=bool)
         return np.concatenate([lin.row_upper[self.rows], lin.z_upper[self.bounds], yes])
 
+    @cached_property
+    def may_rise_in_s(self) -> BoolArray:
+        """The same with the signs of S: that of biactive members may not."""
+        own = np.zeros(self.rows.size + self.bounds.size, dtype=bool)
+        return self.may_rise & ~np.append(own, self.corner)
+
     def scattered(self, values: Array) -> Multipliers:
         """Multipliers of the columns at their places."""
         nlp, pairs = self.lifted.nlp, np.zeros(self.lifted.pairs.shape)
@@ -119,22 +125,20 @@ def by_least_squares(
     if not matrix.shape[1] or not np.all(np.isfinite(matrix.data)) or not np.all(np.isfinite(lin.gradient)):
         return None
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
-    scaled = matrix @ sp.diags(1.0 / np.where(length > 0, length, 1.0))
     size = np.where(length > 0, length, 1.0)
-    s_rise = columns.may_rise.copy()
-    s_rise[s_rise.size - columns.corner.size :] &= ~columns.corner
+    scaled = matrix @ sp.diags(1.0 / size)
     try:
         random = np.random.default_rng(0).normal(size=size.size)
         gradients = (-(scaled @ random), lin.gradient)
         again, values = _least_squares(scaled, gradients, np.zeros(size.size), budget)
         unique = bool(np.max(np.abs(again - random)) <= _RECOVERED)
         if unique:
-            signed = _signed(values / size, columns.may_fall, columns.may_rise)
-            if np.max(np.abs(lin.gradient + matrix @ signed), initial=0.0) > slack:
+            own = signed(values / size, columns.may_fall, columns.may_rise)
+            if np.max(np.abs(lin.gradient + matrix @ own), initial=0.0) > slack:
                 return None
-            zero = bool(np.all((signed <= slack) | s_rise))
-            return LeastSquares(columns.scattered(signed), zero, True)
-        found = _with_signs(scaled, lin.gradient, values, columns.may_fall, s_rise, slack, budget)
+            is_s = bool(np.all((own <= slack) | columns.may_rise_in_s))
+            return LeastSquares(columns.scattered(own), is_s, True)
+        found = _with_signs(scaled, columns, values, slack, budget)
     except RuntimeError:  # exactly singular
         return None
     return None if found is None else LeastSquares(columns.scattered(found / size), True, False)
@@ -159,22 +163,21 @@ def _least_squares(
     return factorised(system, refined, budget)
 
 
-def _signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
+def signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
     """Each multiplier cut to the signs it may have."""
     return np.where(may_fall, np.minimum(values, 0.0), 0.0) + np.where(may_rise, np.maximum(values, 0.0), 0.0)
 
 
 def _with_signs(
-    matrix: sp.csc_matrix, gradient: Array, values: Array, may_fall: BoolArray, may_rise: BoolArray,
-    slack: float, budget: Budget | None,
-) -> Array | None:  # fmt: skip
-    """Multipliers of the right signs, by leaving out in turn what has the wrong one."""
-    kept = np.ones(values.size, dtype=bool)
+    matrix: sp.csc_matrix, columns: Columns, values: Array, slack: float, budget: Budget | None
+) -> Array | None:
+    """Multipliers with the signs of S, by leaving out in turn what has the wrong one; columns scaled."""
+    kept, gradient = np.ones(values.size, dtype=bool), columns.lin.gradient
     for _ in range(_ROUNDS):
-        signed = _signed(values, may_fall, may_rise)
-        if np.max(np.abs(gradient + matrix @ signed)) <= slack:
-            return signed
-        wrong = kept & (signed != values)
+        own = signed(values, columns.may_fall, columns.may_rise_in_s)
+        if np.max(np.abs(gradient + matrix @ own)) <= slack:
+            return own
+        wrong = kept & (own != values)
         if not np.any(wrong):
             return None
         kept &= ~wrong

@@ -28,7 +28,7 @@ from scipy.optimize import linprog
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
-from rmesh_nlp.mpcc.multipliers import LeastSquares, Multipliers, by_least_squares
+from rmesh_nlp.mpcc.multipliers import Columns, LeastSquares, Multipliers, by_least_squares, signed
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -134,19 +134,14 @@ def proof_of_s(
     nu = np.where(lifted.member & ~lin.z_lower, lam_z, 0.0)
     nu[lin.z_upper & (nu > 0)] = 0.0  # that of the upper bound
     found = Multipliers(
-        _signed(lam_rows, lin.row_lower, lin.row_upper),
-        _signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
+        signed(lam_rows, lin.row_lower, lin.row_upper),
+        signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
         _share(lifted, lin, nu),
     )
     wrong = np.max(found.pairs[:, lin.biactive], initial=0.0)
     error = lin.gradient + lin.jacobian.T @ found.rows + found.z
     np.add.at(error, lifted.pairs, found.pairs)
     return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else found
-
-
-def _signed(lam: Array, lower: BoolArray, upper: BoolArray) -> Array:
-    """Keep of each multiplier what the active bounds allow."""
-    return np.where(lower, np.minimum(lam, 0.0), 0.0) + np.where(upper, np.maximum(lam, 0.0), 0.0)
 
 
 def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> Array:
@@ -164,44 +159,35 @@ def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> Array:
 class _MultiplierLP:
     """Linear programs over the multipliers that make the Lagrangian stationary within ``tolerance``.
 
-    Columns: active rows, active bounds, zero members, and for each biactive member a copy for the positive
-    part, which costs 1: the minimum is 0 exactly if the point is S-stationary.
+    After the ``Columns`` of the point stands for each biactive member a copy for the positive part of its
+    multiplier, which costs 1: the minimum is 0 exactly if the point is S-stationary.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
-        self.lifted, self.pairs, self.decided = lifted, lin.biactive, True
+        self.columns, self.pairs, self.decided = Columns(lifted, lin), lin.biactive, True
         self.budget = budget or Budget()
-        rows = np.flatnonzero(lin.row_lower | lin.row_upper)
-        bounds = np.flatnonzero(lin.z_lower | lin.z_upper)
-        biactive = lin.zero & lin.zero[::-1]
-        members, copies = np.flatnonzero(lin.zero), np.flatnonzero(biactive)  # in the raveled pairs
-        self.places = (rows, bounds, members, copies)
-        self.ends = np.cumsum([place.size for place in self.places])
-        eye = sp.identity(lifted.nlp.n_x, format="csc")
-        unknowns = (bounds, lifted.pairs[lin.zero], lifted.pairs[biactive])
-        columns = [lin.jacobian.T.tocsc()[:, rows], *(eye[:, place] for place in unknowns)]
+        n_own = self.columns.rows.size + self.columns.bounds.size
+        self.at_corner = n_own + np.flatnonzero(self.columns.corner)
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
-        matrix = sp.hstack(columns, format="csc")
+        matrix = sp.hstack([self.columns.matrix, self.columns.matrix[:, self.at_corner]], format="csc")
         slack = tolerance * lin.scale
         self.matrix = sp.vstack([matrix, -matrix], format="csc")
         self.right = np.concatenate([slack - lin.gradient, slack + lin.gradient])
-        no, yes = np.zeros(copies.size, bool), np.ones(members.size, bool)
-        below = np.concatenate([lin.row_lower[rows], lin.z_lower[bounds], yes, no])
-        above = np.concatenate([lin.row_upper[rows], lin.z_upper[bounds], ~biactive[lin.zero], ~no])
-        self.lower, self.upper = np.where(below, -np.inf, 0.0), np.where(above, np.inf, 0.0)
-        self.cost = np.repeat([0.0, 1.0], [self.ends[2], copies.size])
+        may_fall, may_rise = self.columns.may_fall, self.columns.may_rise_in_s
+        self.lower = np.append(np.where(may_fall, -np.inf, 0.0), np.zeros(self.at_corner.size))
+        self.upper = np.append(np.where(may_rise, np.inf, 0.0), np.full(self.at_corner.size, np.inf))
+        self.cost = np.repeat([0.0, 1.0], [may_fall.size, self.at_corner.size])
 
     def solve(self, pieces: dict[int, Piece]) -> tuple[Multipliers, float] | None:
         """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any."""
         lower, upper = self.lower.copy(), self.upper.copy()
-        _, _, members, copies = self.places
+        n_columns = lower.size - self.at_corner.size
         for k, piece in pieces.items():
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
-                lower[self.ends[1] + np.searchsorted(members, copies[copy])] = low
-                upper[self.ends[2] + copy] = high
+                lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
         if lower.size == 0:
-            return (self._multipliers(lower), 0.0) if np.all(self.right >= 0) else None
+            return (self.columns.scattered(lower), 0.0) if np.all(self.right >= 0) else None
         left = self.budget.remaining
         options = {"time_limit": max(left, LEAST_SECONDS)} if np.isfinite(left) else {}
         answer = linprog(
@@ -209,15 +195,11 @@ class _MultiplierLP:
             method="highs", options=options,
         )  # fmt: skip
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
-        return (self._multipliers(answer.x), float(answer.fun)) if answer.status == _OPTIMAL else None
-
-    def _multipliers(self, values: Array) -> Multipliers:
-        nlp, pairs = self.lifted.nlp, np.zeros(self.lifted.pairs.shape)
-        found = Multipliers(np.zeros(nlp.n_g), np.zeros(nlp.n_x), pairs)
-        into = (found.rows, found.z, pairs.reshape(-1), pairs.reshape(-1))
-        for array, place, part in zip(into, self.places, np.split(values, self.ends[:-1]), strict=True):
-            array[place] += part
-        return found
+        if answer.status != _OPTIMAL:
+            return None
+        values, copies = np.split(answer.x, [n_columns])
+        values[self.at_corner] += copies
+        return self.columns.scattered(values), float(answer.fun)
 
 
 def strongest(

@@ -13,8 +13,7 @@ from rmesh_nlp.optimize.nlp import Derivatives
 from support.formulations import joint, mpcc
 from support.scripted_run import XY, x, y
 
-z, stray = ca.SX.sym("z"), ca.SX.sym("stray")
-XYZ = ca.vertcat(XY, z)
+stray = ca.SX.sym("stray")
 INF = np.inf
 
 
