@@ -12,15 +12,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import spsolve
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, linearise
 from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.phase_one import phase_one
-from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.mpcc.polish import polish
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
@@ -29,10 +27,7 @@ from rmesh_nlp.optimize.status import Status
 _FAITHFUL = 1e-2
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACH = 2.0  # first radius of the search for a feasible branch, in units of the largest min(G, H)
-_SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
-_REGULAR, _CONSISTENT = 1e-10, 1e-3
 _TRUST = (None, 1e-1, 1e-3)  # relative radii within which a lower point of the descent branch is sought
-_NEAR_BIACTIVE = 3e-5  # pairs closer to the corner than this are tried on both sides at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +83,14 @@ def finish(
     if warm is not None and not run.exact(result.x):
         result = run.branch(z, zero)
     if search and not run.exact(result.x):
-        result, zero = _other_branch(run, z, zero, result)
+        result = _other_branch(run, z, result)
     if not run.exact(result.x):
-        end = Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
-    elif result.status is Status.UNBOUNDED:
+        return Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
+    if result.status is Status.UNBOUNDED:
         return Finish(result.x, result.f, Status.UNBOUNDED)
-    elif result.f > ceiling:
+    if result.f > ceiling:
         return Finish(result.x, result.f, Status.WORSE)
-    else:
-        result = _tighten(run, result, zero)
-        end = pivot(run, _labelled(run, result.x, result.f, (result.lam_g, result.lam_x)))
-    return end if end.solved or not search else _projected(run, z, end)
+    return pivot(run, _labelled(run, result.x, result.f, (result.lam_g, result.lam_x)))
 
 
 def polished(
@@ -160,7 +152,6 @@ def pivot(run: Run, here: Finish) -> Finish:
             return here
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
-        better = _tighten(run, better, direction.zero)
         here = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
         lpecs += here.lpecs
     return replace(here, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
@@ -177,89 +168,11 @@ def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
     return None
 
 
-def _projected(run: Run, z: Array, end: Finish) -> Finish:
-    """The relaxed point itself, put onto its branch, if that is better than ``end``.
-
-    A branch with more equations than free unknowns (discretised dynamics) has hardly any freedom: the
-    relaxed point is right, and solving for it again only loses it.
-    """
-    near = project(run, z, run.lifted.smaller(z))
-    if near is None:
-        return end
-    run.record("polished", 0.0, near)
-    here = _labelled(run, near, run.objective(near), None)
-    return here if here.rank > end.rank else end
-
-
-def _other_branch(run: Run, z: Array, zero: BoolArray, result: NLPResult) -> tuple[NLPResult, BoolArray]:
-    """A feasible branch near the relaxed point: first by signs, which is cheap, then by phase I."""
-    by_signs = _follow_signs(run, z, zero)
-    if by_signs is not None:
-        return by_signs
+def _other_branch(run: Run, z: Array, result: NLPResult) -> NLPResult:
+    """The solution of a feasible branch near the relaxed point, by phase I; ``result`` if there is none."""
     distance = float(np.max(np.min(z[run.lifted.pairs], axis=0), initial=0.0))
     near = phase_one(run, z, radius=_REACH * max(distance, run.options.corner))
     if near.status is not Status.CONVERGED:
-        return result, zero
-    better = run.branch(near.z, near.zero)
-    if not run.exact(better.x):
-        better = replace(better, x=near.z, f=run.objective(near.z))
-    return better, near.zero
-
-
-def _follow_signs(run: Run, z: Array, zero: BoolArray) -> tuple[NLPResult, BoolArray] | None:
-    """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
-
-    Where the pairs determine the rest (a lower level with one solution) it moves a contact boundary
-    node by node. M. Hintermueller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
-    semismooth Newton method, SIAM J. Optim. 13 (2002) 865-888. None if it does not end in an exact point.
-    """
-    worst = np.inf
-    for _ in range(_SIGN_STEPS):
-        result = run.branch(z, zero, phase="signs", free_signs=True)
-        z = result.x
-        G, H = z[run.lifted.pairs]
-        free = np.where(zero[0], H, G)
-        wrong, before, worst = free < -run.options.complementarity, worst, -float(np.min(free, initial=0.0))
-        if not result.converged or worst > before:
-            return None
-        if not np.any(wrong):
-            result = run.branch(z, zero)
-            return (result, zero) if run.exact(result.x) else None
-        zero = zero ^ wrong
-    return None
-
-
-def _tighten(run: Run, result: NLPResult, zero: BoolArray) -> NLPResult:
-    """Put pairs that end next to the corner into it, if that costs nothing.
-
-    A weakly active member stops at a distance of the square root of the solver's tolerance from zero:
-    too far to be called zero, near enough to hide a biactive pair and with it a descent direction.
-    """
-    free = np.max(result.x[run.lifted.pairs], axis=0)
-    near = (free <= _NEAR_BIACTIVE) & (free > run.options.complementarity)
-    if not np.any(near) or not _can_close(run, result.x, zero, near):
         return result
-    tight = run.branch(result.x, zero | near, phase="tightened")
-    is_free = tight.f - result.f <= _DECREASE * (1 + abs(result.f))
-    return tight if is_free and run.exact(tight.x) else result
-
-
-def _can_close(run: Run, z: Array, zero: BoolArray, near: BoolArray) -> bool:
-    """Whether a small step closes the near pairs to first order: spares a hopeless, slow NLP.
-
-    It is the least-norm step that keeps the active rows and the zero members, from one regularised KKT
-    system; inconsistent demands leave a residual.
-    """
-    lifted = run.lifted
-    lin = _linearised(run, z)
-    eye = sp.identity(z.size, format="csr")
-    places = np.unique(lifted.pairs[zero | near])
-    A = sp.vstack([lin.jacobian[np.flatnonzero(lin.row_lower | lin.row_upper)], eye[places]], format="csr")
-    size = np.maximum(1.0, np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel()))
-    A = sp.diags(1.0 / size) @ A
-    aim = np.zeros(A.shape[0])
-    aim[-places.size :] = -z[places]
-    system = sp.bmat([[eye, A.T], [A, -_REGULAR * sp.identity(aim.size)]], format="csc")
-    step = spsolve(system, np.append(np.zeros(z.size), aim))[: z.size]
-    gap = float(np.max(np.abs(aim)))
-    return bool(np.max(np.abs(A @ step - aim)) <= _CONSISTENT * gap and np.max(np.abs(step)) <= 1e3 * gap)
+    better = run.branch(near.z, near.zero)
+    return better if run.exact(better.x) else replace(better, x=near.z, f=run.objective(near.z))

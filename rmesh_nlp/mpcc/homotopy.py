@@ -76,13 +76,15 @@ def follow(
     *,
     patience: int = RETREATS,
     former: Sequence[Mapping[float, float]] = (),
+    dependent: bool = False,
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
     If a step fails, t retreats half of the way (in its logarithm) and goes down by a smaller factor from
     there, ``patience`` times; a step that is locally infeasible counts twice. A penalty whose products do not
     fall any more has ended at a violation. ``first`` holds multipliers of the lifted problem for the first
-    step, ``former`` the levels of trajectories that this one may join.
+    step, ``former`` the levels of trajectories that this one may join; ``dependent`` relaxations reckon with
+    equations that follow from each other.
     """
     options = run.options
     t, factor, retreats, stuck, product, corner = t0, options.factor, 0, 0, np.inf, 0.0
@@ -91,7 +93,7 @@ def follow(
     warm: NLPResult | None = None
     sides: BoolArray | None = None
     while True:
-        result = _step(run, relaxation, z0, last, t, first)
+        result = _step(run, relaxation, z0, last, t, first, dependent)
         if result.converged:
             last, path.relaxed, path.failure = result, result, None
             stuck = stuck + 1 if run.steps[-1].product > max(_FALLS * product, 10 * t) else 0
@@ -145,15 +147,17 @@ def first_t(run: Run, z0: Array) -> float:
 
 
 def _step(
-    run: Run, relaxation: str, z0: Array, last: NLPResult | None, t: float, first: NLPResult | None
-) -> NLPResult:
+    run: Run, relaxation: str, z0: Array, last: NLPResult | None, t: float, first: NLPResult | None,
+    dependent: bool,
+) -> NLPResult:  # fmt: skip
     """Solve a relaxation from the last solution; if that fails, from ``z0`` unless it ran long."""
     if last is None:
         warm = None if first is None else run.nlps.padded(relaxation, first)
-        return run.relaxed(relaxation, z0, t, warm, first=True)
-    result = run.relaxed(relaxation, last.x, t, last if run.options.warm_duals else None, first=False)
+        return run.relaxed(relaxation, z0, t, warm, first=True, dependent=dependent)
+    warm = last if run.options.warm_duals else None
+    result = run.relaxed(relaxation, last.x, t, warm, first=False, dependent=dependent)
     if not result.converged and result.status is not Status.ITERATION_LIMIT:
-        cold = run.relaxed(relaxation, z0, t, first=True)
+        cold = run.relaxed(relaxation, z0, t, first=True, dependent=dependent)
         return cold if cold.converged else result
     return result
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -24,13 +23,32 @@ from rmesh_nlp.optimize.solver import NLPResult, Solver
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
 
 
+@dataclass(frozen=True, eq=False)
+class Watch:
+    """Who looks at the iterations of an NLP, and how often."""
+
+    monitor: Monitor | None = None
+    only_clock: bool = False
+    """Whether the monitor looks at nothing but the clock."""
+
+    def every(self, n: int) -> int:
+        """Iterations of ``n`` unknowns from one look to the next; 0 if nobody looks.
+
+        Those of a small problem are shorter than a callback: its clock is looked at now and then.
+        """
+        if self.monitor is None:
+            return 0
+        return int(np.clip(_CLOCK // max(n, 1), 1, 20)) if self.only_clock else 1
+
+
+UNWATCHED = Watch()
+
+
 class CompiledNLPs:
     """Solves relaxations and branches of one MPCC.
 
     Nothing is rebuilt between solves: t is a parameter, a pair is fixed by a bound. Ipopt's options are
     fixed when it is made ready, so warm starts, and starts that are watched, have instances of their own.
-    ``extra`` are Ipopt options of rescues, below those of the user; ``only_clock`` says that the monitor
-    looks at nothing but the clock.
     """
 
     def __init__(self, mpcc: MPCC, options: Options) -> None:
@@ -39,10 +57,7 @@ class CompiledNLPs:
         self.lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
         self._relaxations: dict[str, tuple[NLP, Evaluator]] = {}
-        self._solvers: dict[tuple[Any, ...], _AnySize] = {}
-        self.watch = Watch()
-        self.extra: Mapping[str, Any] = {}
-        self.only_clock = False
+        self._solvers: dict[tuple[str | bool | int, ...], _AnySize] = {}
         self.build_seconds = watch.elapsed
 
     @cached_property
@@ -54,38 +69,40 @@ class CompiledNLPs:
             self._relaxations[name] = relaxed_nlp(self.lifted, name)
         return self._relaxations[name]
 
-    def _solver(self, key: tuple[Any, ...], nlp: NLP, options: dict[str, Any]) -> _AnySize:
-        # iterations of a small problem are shorter than a callback: its clock is looked at now and then
-        every = int(np.clip(_CLOCK // max(nlp.n_x, 1), 1, 20)) if self.only_clock else 1
-        watch = None if self.watch.monitor is None else self.watch
-        key = (*key, watch is None, every, *self.extra)
+    def _solver(
+        self, kind: tuple[str | bool, ...], nlp: NLP, options: dict[str, Any], watch: Watch
+    ) -> _AnySize:
+        every = watch.every(nlp.n_x)
+        key = (*kind, every)
         if key not in self._solvers:
             building = Budget()
-            self._solvers[key] = _AnySize(nlp, options, watch, every)
+            self._solvers[key] = _AnySize(nlp, options, every)
             self.build_seconds += building.elapsed
         return self._solvers[key]
 
     def relaxed(
-        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None, first: bool = False
-    ) -> NLPResult:
+        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None, *,
+        first: bool = False, dependent: bool = False, watch: Watch = UNWATCHED,
+    ) -> NLPResult:  # fmt: skip
         """Solve the relaxation ``name`` at ``t`` from ``z``, and from the multipliers of ``warm``.
 
-        ``first`` says that ``z`` is a user's start and not another relaxed solution.
+        ``first`` says that ``z`` is a user's start and not another relaxed solution, ``dependent``
+        that equations may follow from each other.
         """
         nlp, _ = self._relaxed(name)
         first = first and warm is None
-        options = self.options.relaxed(nlp.n_x, warm is not None, first, self.extra)
-        solver = self._solver((name, warm is not None, first), nlp, options)
-        return solver(z, p=np.append(p, t), **_multipliers(warm))
+        options = self.options.relaxed(nlp.n_x, warm is not None, first, dependent)
+        solver = self._solver((name, warm is not None, first, dependent), nlp, options, watch)
+        return solver(z, watch.monitor, p=np.append(p, t), **_multipliers(warm))
 
-    def unlifted(self, x: Array, p: Array, t: float) -> NLPResult:
+    def unlifted(self, x: Array, p: Array, t: float, *, watch: Watch = UNWATCHED) -> NLPResult:
         """Solve Scholtes' relaxation in the unknowns of the source problem, by Ipopt's default settings.
 
         The point and the multipliers are given as those of the lifted NLP.
         """
         source, lifted = self.lifted.source, self.lifted
-        solver = self._solver(("unlifted",), self._unlifted, self.options.unlifted(source.n_x))
-        result = solver(x, p=np.append(p, t))
+        solver = self._solver(("unlifted",), self._unlifted, self.options.unlifted(source.n_x), watch)
+        result = solver(x, watch.monitor, p=np.append(p, t))
         ends = np.cumsum([source.n_g, source.n_pairs, source.n_pairs])
         g, G, H, products = np.split(result.lam_g, ends)
         _, G_value, H_value, _ = np.split(result.g, ends)
@@ -100,24 +117,24 @@ class CompiledNLPs:
         zero: BoolArray,
         *,
         radius: Array | None = None,
-        free_signs: bool = False,
         warm: NLPResult | None = None,
+        watch: Watch = UNWATCHED,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``, within ``radius`` of it.
 
-        ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
+        ``warm`` has multipliers of the lifted NLP.
         """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
         if radius is not None:
             lower, upper = np.maximum(lower, z - radius), np.minimum(upper, z + radius)
-        if free_signs:
-            lower[lifted.member] = -np.inf
         fixed = lifted.pairs[zero]
         lower[fixed] = upper[fixed] = 0.0
-        options = self.options.exact(lifted.nlp.n_x, warm is not None, self.extra)
-        solver = self._solver(("branch", warm is not None), lifted.nlp, options)
-        return solver(np.clip(z, lower, upper), p=p, lbx=lower, ubx=upper, **_multipliers(warm))
+        options = self.options.exact(lifted.nlp.n_x, warm is not None)
+        solver = self._solver(("branch", warm is not None), lifted.nlp, options, watch)
+        return solver(
+            np.clip(z, lower, upper), watch.monitor, p=p, lbx=lower, ubx=upper, **_multipliers(warm)
+        )
 
     def without_relaxation(self, name: str, result: NLPResult, t: float) -> NLPResult:
         """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
@@ -162,16 +179,6 @@ class CompiledNLPs:
             float(np.max(np.minimum(G, H), initial=0.0)) / options.complementarity,
         )
         return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
-
-
-class Watch:
-    """The monitor of whichever solve is running: Ipopt takes one callback, when it is made ready."""
-
-    monitor: Monitor | None = None
-
-    def __call__(self, iteration: int, x: Array, f: float) -> bool | None:
-        """Pass an iteration on."""
-        return None if self.monitor is None else self.monitor(iteration, x, f)
 
 
 def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
@@ -246,13 +253,22 @@ class _AnySize:
     added only when a call needs them.
     """
 
-    def __init__(self, nlp: NLP, options: dict[str, Any], monitor: Monitor | None, every: int) -> None:
-        self.nlp = nlp
-        self._options: dict[str, Any] = {"options": options, "monitor": monitor, "every": every}
-        self._solver = Solver(nlp, **self._options)
+    def __init__(self, nlp: NLP, options: dict[str, Any], every: int) -> None:
+        self.nlp, self._options, self._every = nlp, options, every
+        self._monitor: Monitor | None = None
+        self._solver = self._ready(nlp)
         self._padded: Solver | None = None
 
-    def __call__(self, z: Array, **arguments: Any) -> NLPResult:
+    def _ready(self, nlp: NLP) -> Solver:
+        """Ipopt takes its callback when it is made ready; the monitor is that of the call."""
+        watch = self._watch if self._every else None
+        return Solver(nlp, options=self._options, monitor=watch, every=self._every or 1)
+
+    def _watch(self, iteration: int, x: Array, f: float) -> bool | None:
+        return None if self._monitor is None else self._monitor(iteration, x, f)
+
+    def __call__(self, z: Array, monitor: Monitor | None, **arguments: Array) -> NLPResult:
+        self._monitor = monitor
         nlp = self.nlp
         lower, upper = arguments.get("lbx", nlp.lbx), arguments.get("ubx", nlp.ubx)
         if np.count_nonzero(nlp.lbg == nlp.ubg) <= np.count_nonzero(lower != upper):
@@ -261,7 +277,7 @@ class _AnySize:
         if self._padded is None:
             idle, free = type(nlp.x).sym("idle", extra), np.full(extra, np.inf)
             padded = nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
-            self._padded = Solver(padded, **self._options)
+            self._padded = self._ready(padded)
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], np.full(extra, fill))

@@ -25,14 +25,9 @@ _EXACT = {
 _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
 }  # fmt: skip
+_DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
 LARGE = 1000
 """Pairs from which on an NLP is long: then the search is for one good minimum, not for the better of two."""
-DEPENDENT: Mapping[str, Any] = {"perturb_always_cd": "yes"}
-"""Ipopt options for equations that follow from each other.
-
-Without them its multipliers grow until it calls a point that is not stationary acceptable."""
-
-NONE: Mapping[str, Any] = {}
 
 
 @dataclass(frozen=True)
@@ -129,32 +124,26 @@ class Options(Settings):
         """A budget of its limits, from now on."""
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
-    def relaxed(
-        self, n: int, warm: bool, first: bool = False, extra: Mapping[str, Any] = NONE
-    ) -> dict[str, Any]:
+    def relaxed(self, n: int, warm: bool, first: bool = False, dependent: bool = False) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
-        ``extra`` ones override the defaults, and the user's override all.
+        ``dependent`` reckons with equations that follow from each other; that costs iterations.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
         """
         own = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **(_FIRST if first else {})}
-        return {**own, **extra, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
+        own |= _DEPENDENT if dependent else {}
+        return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 
     def unlifted(self, n: int) -> dict[str, Any]:
         """Ipopt options of the second trajectory of ``n`` unknowns: its defaults."""
         return {"max_iter": _iterations(n), **_UNLIFTED}
 
-    def exact(self, n: int, warm: bool = False, extra: Mapping[str, Any] = NONE) -> dict[str, Any]:
+    def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        return {
-            "max_iter": _iterations(n),
-            **_EXACT,
-            **(_WARM_EXACT if warm else {}),
-            **extra,
-            **self.ipopt_exact,
-        }
+        own = {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {})}
+        return {**own, **self.ipopt_exact}
 
 
 def with_ipopt(given: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from itertools import islice
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.homotopy import RETREATS, Path, first_t, follow, ran_out
-from rmesh_nlp.mpcc.options import DEPENDENT, LARGE
+from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.starts import moved_starts
@@ -29,7 +29,6 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> int:
             break
         paths.append(Path())
         attempt(paths[-1])
-    run.nlps.extra = {}
     return len(paths) - before
 
 
@@ -37,17 +36,16 @@ def _attempts(run: Run, paths: list[Path], x0: Array, z0: Array) -> Iterator[Cal
     options, lifted = run.options, run.lifted
     asked = (options.relaxation, first_t(run, z0))
 
-    def homotopy(relaxation: str, z: Array, t0: float) -> Callable[[Path], None]:
+    def homotopy(relaxation: str, z: Array, t0: float, dependent: bool) -> Callable[[Path], None]:
         # where every relaxation was empty the next one is hardly worth a retreat
         patience = 0 if _is_hopeless(paths) else RETREATS
-        return lambda path: follow(run, path, relaxation, z, t0, patience=patience)
+        return lambda path: follow(
+            run, path, relaxation, z, t0, patience=patience, dependent=dependent)  # fmt: skip
 
     for relaxation, t0 in options.rescues:
         is_smaller = _is_hopeless(paths) and relaxation == options.relaxation  # than a set that was empty
         if (relaxation, t0) != asked and not is_smaller:
-            run.nlps.extra = DEPENDENT
-            yield homotopy(relaxation, z0, t0)
-    run.nlps.extra = {}
+            yield homotopy(relaxation, z0, t0, True)
     yield lambda path: _from_phase_one(run, path, z0 if run.nearest is None else run.nearest[0])
     # from a minimum of the violation on, NLPs are solved only where a feasible point was found before
     is_minimum = paths[-1].failure is Status.INFEASIBLE and not ran_out(paths)
@@ -57,7 +55,7 @@ def _attempts(run: Run, paths: list[Path], x0: Array, z0: Array) -> Iterator[Cal
         if is_minimum:
             yield partial(_from_phase_one, run, z=z)
         else:
-            yield homotopy(options.relaxation, z, options.t0)
+            yield homotopy(options.relaxation, z, options.t0, False)
 
 
 def _from_phase_one(run: Run, path: Path, z: Array) -> None:

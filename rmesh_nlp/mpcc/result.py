@@ -22,8 +22,7 @@ class Measured:
     ----------
     phase : str
         ``relaxed`` (a relaxation solved at ``t``), ``second`` (one of the second trajectory), ``branch``
-        (each pair fixed on one side), ``tightened`` (pairs next to the corner fixed on both), ``signs`` (a
-        branch with free signs) or ``polished`` (Newton steps or a projection onto the branch, no NLP).
+        (each pair fixed on one side) or ``polished`` (Newton steps or a projection onto the branch, no NLP).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float

@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, Watch
 from rmesh_nlp.mpcc.result import Iterate, Step
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
@@ -53,30 +53,37 @@ class Run:
         self._before = self.budget.iterations
         self.nearest: tuple[Array, float, float] | None = None
         self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
-        nlps.only_clock = on_iteration is None and self.budget.iterations_left is None
         if progress is not None:
             progress(Step.HEADER)
 
     def relaxed(
-        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool
-    ) -> NLPResult:
+        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool,
+        dependent: bool = False,
+    ) -> NLPResult:  # fmt: skip
         """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
-        return self.solve("relaxed", t, lambda: self.nlps.relaxed(name, z, self.p, t, warm, first))
+        parts = (name, z, self.p, t, warm)
+        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(
+            *parts, first=first, dependent=dependent, watch=w))  # fmt: skip
 
     def unlifted(self, x: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
-        return self.solve("second", t, lambda: self.nlps.unlifted(x, self.p, t))
+        return self.solve("second", t, lambda w: self.nlps.unlifted(x, self.p, t, watch=w))
 
-    def branch(self, z: Array, zero: BoolArray, *, phase: str = "branch", **how: Any) -> NLPResult:
+    def branch(
+        self, z: Array, zero: BoolArray, *, radius: Array | None = None, warm: NLPResult | None = None
+    ) -> NLPResult:
         """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
-        return self.solve(phase, 0.0, lambda: self.nlps.branch(z, self.p, zero, **how))
+        parts = (z, self.p, zero)
+        return self.solve(
+            "branch", 0.0, lambda w: self.nlps.branch(*parts, radius=radius, warm=warm, watch=w)
+        )
 
-    def solve(self, phase: str, t: float, nlp: Callable[[], NLPResult]) -> NLPResult:
+    def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""
         self.budget.check()
         before = self.budget.iterations
-        self.nlps.watch.monitor = self._monitor(phase, t)
-        result = nlp()
+        only_clock = self._on_iteration is None and self.budget.iterations_left is None
+        result = nlp(Watch(self._monitor(phase, t), only_clock))
         self.budget.iterations = before + result.iterations
         self.record(phase, t, result.x, result)
         self.budget.check()

@@ -70,7 +70,6 @@ class MPCCSolver:
         budget: Budget | None,
     ) -> MultiStart:
         options, budget = self.options, budget or self.options.budget()
-        self.nlps.extra = {}
         parameters = self.mpcc.parameters(p)
         given = self.mpcc.start(x0, parameters)
         weight = self.nlps.lifted.weight(given, parameters)

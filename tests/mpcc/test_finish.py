@@ -14,7 +14,7 @@ from rmesh_nlp.mpcc.phase_one import Feasibility
 from rmesh_nlp.mpcc.polish import Polished
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ON_G, ON_H, XY, XYW, ScriptedRun, ended, run_of, two_minima, w, x, y
+from support.scripted_run import ON_G, ON_H, XY, ScriptedRun, ended, run_of, two_minima, x, y
 
 S = Status
 DOWN = Direction(-1.0, np.zeros(2), ON_H)
@@ -110,14 +110,12 @@ class TestBranches:
 
     @pytest.fixture(autouse=True)
     def _simple(self, monkeypatch):
-        self.polished, self.projected, self.pivots, self.tightened = None, [], [], []
+        self.polished, self.pivots = None, []
         for name, answer in {
             "polish": lambda *_, **__: None,
             "polished": lambda *_: self.polished,
             "pivot": lambda run, here: self.pivots.append(here) or here,
             "_labelled": lambda run, z, f, lam: labelled(f),
-            "_tighten": lambda run, result, zero: self.tightened.append(zero) or result,
-            "_projected": lambda run, z, end: self.projected.append(end) or end,
         }.items():
             monkeypatch.setattr(finishing, name, answer)
 
@@ -138,8 +136,8 @@ class TestBranches:
     def test_else_the_branch_is_solved_without_multipliers(self, near):
         self.polished = near
         end = self.finish(self.GOOD, search=True, warm=self.WARM)
-        assert (end.f, end.solved, self.warms, self.projected) == (1.0, True, [None], [])
-        np.testing.assert_array_equal([self.tightened[0], self.run.branch_calls[0].zero], [ON_G, ON_G])
+        assert (end.f, end.solved, self.warms) == (1.0, True, [None])
+        np.testing.assert_array_equal(self.run.branch_calls[0].zero, ON_G)
 
     @pytest.mark.parametrize(
         ("results", "warm", "warms"),
@@ -165,19 +163,14 @@ class TestBranches:
             (ended([0.3, 0.0], S.UNBOUNDED), 0.5, S.UNBOUNDED),
         ],
     )
-    def test_end_says_why_it_is_none(self, result, ceiling, status, monkeypatch):
+    def test_end_says_why_it_is_none(self, result, ceiling, status):
         end = self.finish(result, ceiling=ceiling)
-        assert (end.status, end.f, self.projected) == (status, result.f, [])
-        assert (end.stationarity is None) == (len(self.tightened) == 0) == (not end.solved)
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, zero, result: (result, zero))
-        self.finish(result, search=True, ceiling=ceiling)
-        # with a search the relaxed point itself is tried at last
-        assert bool(self.projected) == (result.x[0] != 2.0)
+        assert (end.status, end.f) == (status, result.f)
+        assert (end.stationarity is None) == (not end.solved)
 
     def test_only_a_search_looks_for_another_branch(self, monkeypatch):
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, zero, result: (self.GOOD, ON_H))
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, result: self.GOOD)
         assert [self.finish(self.BAD, search=search).solved for search in (False, True)] == [False, True]
-        assert self.tightened == [ON_H]
 
 
 class TestPivot:
@@ -201,7 +194,6 @@ class TestPivot:
         unbounded = S.UNBOUNDED if ends == [-1e20] else S.CONVERGED
         waiting = [None if f is None else ended([0, 0], unbounded, f) for f in ends]
         monkeypatch.setattr(finishing, "_descend", lambda *_: waiting.pop(0))
-        monkeypatch.setattr(finishing, "_tighten", lambda run, result, zero: result)
         monkeypatch.setattr(finishing, "_labelled", label)
         limit = 3 if stationary_at < 0 else 30
         end = pivot(ScriptedRun(max_pivots=limit), labelled(4.0, S.STALLED, DOWN))
@@ -238,16 +230,6 @@ class TestPivot:
         assert (end.solved, end.pivots, end.z) == (True, 1, pytest.approx([1, 0], abs=1e-8))
 
 
-def test_projected_point_counts_if_it_is_better_than_the_end_it_replaces():
-    """The relaxed point next to the minimum (2, 0) of two minima: on its branch and stationary."""
-    run, lost = run_of(two_minima()), Finish(np.ones(2), 0.0, S.STALLED)
-    found = finishing._projected(run, np.array([2.0, 1e-6]), lost)
-    assert (found.solved, found.f, run.steps[-1].phase) == (True, pytest.approx(1.0), "polished")
-    assert found.z == pytest.approx([2.0, 0.0], abs=1e-12)
-    best = Finish(np.ones(2), 0.0, S.CONVERGED, found.stationarity)
-    assert finishing._projected(run, np.array([2.0, 1e-6]), best) is best
-
-
 @pytest.mark.parametrize(("ceiling", "status"), [(3.0, S.WORSE), (5.0, S.CONVERGED)])
 def test_exact_point_above_the_ceiling_is_left(ceiling, status):
     """Next to the minimum 4."""
@@ -269,95 +251,26 @@ class TestOtherBranch:
 
     @pytest.fixture
     def nearest(self, monkeypatch):
-        self.near, self.by_signs, radii = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED), None, []
+        self.near, radii = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED), []
         monkeypatch.setattr(finishing, "phase_one", lambda run, z, radius: radii.append(radius) or self.near)
-        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: self.by_signs)
         return radii
 
     @staticmethod
     def other(run, *z):
-        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], S.INFEASIBLE))
+        return finishing._other_branch(run, np.array(z), ended([9.0, 9.0], S.INFEASIBLE))
 
     def test_it_is_solved_from_the_end_of_phase_one_near_the_point(self, nearest):
-        result, zero = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
-        assert (list(result.x), zero, nearest) == ([2.0, 0.0], ON_H, pytest.approx([0.6]))
+        result = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
+        assert (list(result.x), nearest) == ([2.0, 0.0], pytest.approx([0.6]))
         self.other(scripted(ended([2.0, 0.0])), 0.0, 1.0)  # a point on its branch: units of the corner's size
         assert nearest[1:] == pytest.approx([2e-6])
 
     def test_feasible_point_is_kept_if_its_branch_is_not_solved(self, nearest):
-        result, zero = self.other(scripted(ended([1.0, 1.0]), exact=False), 0.3, 0.5)
-        assert (list(result.x), zero) == ([2.0, 0.0], ON_H)
+        result = self.other(scripted(ended([1.0, 1.0]), exact=False), 0.3, 0.5)
+        assert list(result.x) == [2.0, 0.0]
 
     @pytest.mark.parametrize("status", [S.INFEASIBLE, S.STALLED])
     def test_without_a_feasible_point_no_branch_is_solved(self, status, nearest):
         self.near, run = Feasibility(np.array([2.0, 0.0]), ON_H, status), scripted(ended([2.0, 0.0]))
-        result, zero = self.other(run, 0.3, 0.5)
-        assert (run.branch_calls, list(result.x), zero) == ([], [9.0, 9.0], ON_G)
-
-    def test_signs_come_first(self, nearest):
-        self.by_signs = (ended([2.0, 0.0]), ON_H)
-        assert self.other(ScriptedRun(), 0.3, 0.5) is self.by_signs
-        assert nearest == []
-
-
-@pytest.mark.parametrize(
-    ("ends", "exact", "on_G", "found"),
-    [
-        # a pair with a negative member changes sides
-        ([[0.0, -0.5], [0.4, 0.0], [2.0, 0.0]], True, [True, False, False], False),
-        ([[0.0, -0.5], [-0.6, 0.0], [2.0, 0.0]], True, [True, False], None),  # signs become worse
-        ([None, [2.0, 0.0]], True, [True], None),  # a branch fails
-        ([[0.0, -0.5], [-0.4, 0.0], [0.0, 0.3], [0, 0.3]], True, [True, False, True, True], True),
-        ([[0.0, 0.5], [0.0, 0.5]], False, [True, True], None),  # a branch that is not exact is no end
-        ([[0.0, -0.9e-8], [0.0, 0.0]], True, [True, True], True),  # signs within the tolerance are right
-        ([[0.0, -1.1e-8], [0.0, 0.0], [0.0, 0.0]], True, [True, False, False], False),
-    ],
-)
-def test_pairs_follow_the_signs_of_their_free_members(ends, exact, on_G, found):
-    run = scripted(*(ended([0, -0.5], S.STALLED) if end is None else ended(end) for end in ends), exact=exact)
-    answer = finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
-    assert [call.zero.ravel().tolist() for call in run.branch_calls] == [[side, not side] for side in on_G]
-    assert (None if answer is None else bool(answer[1][0, 0])) == found
-    signs, done = {"phase": "signs", "free_signs": True}, answer is not None or not exact
-    assert [call.options for call in run.branch_calls] == [signs] * (len(on_G) - done) + [{}] * done
-    for end, call in zip(ends, run.branch_calls[1:], strict=False):
-        assert list(call.z) == end  # each starts at the solution of the one before
-
-
-@pytest.mark.parametrize(
-    ("at", "f", "exact", "closes", "taken"),
-    [
-        (1e-5, 1.0 + 1e-9, True, True, True),
-        (1e-5, 1.0 + 3e-9, True, True, False),  # costs too much
-        (1e-5, 0.0, False, True, False),
-        (1e-5, 0.0, True, False, False),
-        (1e-9, 0.0, True, True, False),  # in the corner already
-        (1e-4, 0.0, True, True, False),  # far from it
-    ],
-)
-def test_pairs_next_to_the_corner_are_put_into_it_where_that_is_free(
-    at, f, exact, closes, taken, monkeypatch
-):
-    monkeypatch.setattr(finishing, "_can_close", lambda *_: closes)
-    tight, before = ended([0.0, 0.0], f=f), ended([0.0, at], f=1.0)
-    run = scripted(tight, exact=exact)
-    assert finishing._tighten(run, before, ON_G) is (tight if taken else before)
-    calls = [(call.zero.tolist(), call.options) for call in run.branch_calls]
-    assert calls == [([[True], [True]], {"phase": "tightened"})] * (closes and at == 1e-5)
-
-
-@pytest.mark.parametrize(
-    ("row", "ratio", "bounds", "closes"),
-    [
-        (None, 1.0, {}, True),
-        (y - 1e-5, 1.0, EQUATION, False),  # held open by an equation
-        (y - 1e-2 * w, 1e-2, EQUATION, True),  # w goes a hundred times as far as the gap
-        (y - 1e-5 * w, 1e-5, EQUATION, False),  # 1e5 times as far
-        (1e6 * (y - 1e-2 * w), 1e-2, EQUATION, True),  # the size of a row does not matter
-        (y + w, 1.0, {"lbg": -1}, True),  # a row that is not active does not hold
-        (y, 1.0, {"lbg": 1e-5}, False),
-    ],
-)
-def test_step_that_closes_a_pair_must_exist_and_be_small(row, ratio, bounds, closes):
-    run = run_of(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, row, x, y, **bounds))
-    assert finishing._can_close(run, np.array([0.0, 1e-5, 1e-5 / ratio]), ON_G, np.array([True])) == closes
+        result = self.other(run, 0.3, 0.5)
+        assert (run.branch_calls, list(result.x)) == ([], [9.0, 9.0])

@@ -6,7 +6,6 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.options import DEPENDENT
 from rmesh_nlp.mpcc.result import excess, residuals
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import CORNER, ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
@@ -102,7 +101,6 @@ def test_branch_fixes_one_member_of_each_pair():
     assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
     assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
-    assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
 def test_nothing_is_compiled_twice(monkeypatch):
@@ -126,8 +124,7 @@ def test_nothing_is_compiled_twice(monkeypatch):
     assert len(made) == 5
     assert [options.get("mu_strategy") for options in made] == ["monotone", None, *["adaptive"] * 3]
     assert ["warm_start_init_point" in options for options in made] == [False] * 4 + [True]
-    own.extra = DEPENDENT
-    own.relaxed("scholtes", result.x, ONE, 1e-3)
+    own.relaxed("scholtes", result.x, ONE, 1e-3, dependent=True)
     assert [options.get("perturb_always_cd") for options in made] == [None] * 5 + ["yes"]
 
 
@@ -169,17 +166,15 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
 
 def test_clock_of_small_problems_is_looked_at_now_and_then(monkeypatch):
     made = []
-    monkeypatch.setattr(
-        nlps, "_AnySize", lambda nlp, options, watch, every: made.append((watch, every)) or solved
-    )
+    monkeypatch.setattr(nlps, "_AnySize", lambda nlp, options, every: made.append(every) or solved)
 
-    def solved(z, **_):
+    def solved(z, monitor, **_):
         return ended(z, Status.CONVERGED)
 
     for n, only_clock, watched, every in ((2, False, True, 1), (2, True, True, 20), (300, True, True, 6),
-                                          (3000, True, True, 1), (2, False, False, 1)):  # fmt: skip
+                                          (3000, True, True, 1), (2, False, False, 0)):  # fmt: skip
         v = ca.SX.sym("v", n)
         own = compiled(MPCC(v, ca.sumsqr(v), None, None, None))
-        own.only_clock, own.watch.monitor = only_clock, (lambda *_: False) if watched else None
-        own.branch(np.zeros(n), ONE, np.zeros((2, 0), bool))
-        assert made[-1] == (own.watch if watched else None, every)
+        watch = nlps.Watch((lambda *_: False) if watched else None, only_clock)
+        own.branch(np.zeros(n), ONE, np.zeros((2, 0), bool), watch=watch)
+        assert made[-1] == every

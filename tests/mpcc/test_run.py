@@ -77,7 +77,7 @@ def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation()
     run = run_of(MPCC(v, ca.sumsqr(v), ca.sum1(v), v[:2], v[2:]))
     for z, t, near in (((0.01, 0.3, 0.1, 0.5), 0.01, 1), ((0.01, 0.3, 0.1, 0.5), 0.1, 2),
                        ((0, 0.3, 1e-6, 0.5), 0.0, 1), ((0, 0.3, 1.1e-6, 0.5), 0.0, 0)):  # fmt: skip
-        run.solve("relaxed", t, lambda z=z: ended(z, lam_g=np.array([9.0, 0.2, 0.7])))
+        run.solve("relaxed", t, lambda watch, z=z: ended(z, lam_g=np.array([9.0, 0.2, 0.7])))
         assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
     assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
     run.record("polished", 0.0, np.zeros(4))
@@ -121,11 +121,11 @@ def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations
     run, stops = run_of(two_minima(), **limits), []
     run.budget.iterations = iterations
 
-    def nlp():
-        stops.extend(run.nlps.watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
+    def nlp(watch):
+        assert watch.only_clock == ("time_limit_s" in limits)
+        stops.extend(watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
         return replace(ended([0.5, 0.5]), iterations=0)
 
-    assert run.nlps.only_clock == ("time_limit_s" in limits)
     if status is None:
         run.solve("relaxed", 1.0, nlp)
         assert stops == [False, False]
@@ -142,14 +142,14 @@ def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations
 def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
     run = run_of(two_minima(), max_iterations=3)
     with pytest.raises(StoppedError):
-        run.solve("relaxed", 1.0, lambda: ended([0.5, 0.25]))
+        run.solve("relaxed", 1.0, lambda watch: ended([0.5, 0.25]))
     assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
 
 
 def test_without_limits_and_observers_nothing_is_watched():
-    run = run_of(two_minima())
-    run.solve("relaxed", 1.0, lambda: ended([0.5, 0.5]))
-    assert (run.nlps.watch.monitor, run.budget.remaining) == (None, np.inf)
+    run, watches = run_of(two_minima()), []
+    run.solve("relaxed", 1.0, lambda watch: watches.append(watch) or ended([0.5, 0.5]))
+    assert (watches[0].monitor, run.budget.remaining) == (None, np.inf)
 
 
 @pytest.mark.slow

@@ -142,8 +142,8 @@ class TestAttempts:
         calls, self.ends, self.looks, self.starts = [], {}, 0, []
         self.near = Feasibility(np.zeros(2), CORNER, S.STALLED)
 
-        def follow(run, path, name, z0, t0, first=None, *, patience=3, former=()):
-            calls.append((name, t0, bool(run.nlps.extra), patience))
+        def follow(run, path, name, z0, t0, first=None, *, patience=3, former=(), dependent=False):
+            calls.append((name, t0, dependent, patience))
             self.starts.append(z0)
             known = self.ends.get(name, Path(failure=S.STALLED))
             path.finish, path.failure = known.finish, known.failure

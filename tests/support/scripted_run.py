@@ -101,7 +101,7 @@ class ScriptedRun(Run):
         """t of each relaxation."""
         return [call.t for call in self.calls]
 
-    def relaxed(self, name, z, t, warm=None, *, first=False):  # type: ignore[no-untyped-def]
+    def relaxed(self, name, z, t, warm=None, *, first=False, dependent=False):  # type: ignore[no-untyped-def]
         assert self.relaxations is not None
         self.calls.append(Call(name, z, t, warm, first))
         answer = self.relaxations(self.calls[-1])
