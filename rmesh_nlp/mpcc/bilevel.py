@@ -20,13 +20,14 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.mpcc.lower_level import LowerLevel
+from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC, _column
 from rmesh_nlp.optimize.nlp import NLP
 
 _KEYS = {"x", "f", "g", "p", "lbx", "ubx", "lbg", "ubg"}
 
 
-def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Any) -> MPCC:
+def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Symbolic) -> MPCC:
     """Write the KKT conditions of a lower-level NLP as constraints and complementarity pairs.
 
     Parameters
@@ -91,7 +92,7 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: An
     )  # fmt: skip
 
 
-def _level(name: str, level: Mapping[str, Any], p: list[Any]) -> MPCC:
+def _level(name: str, level: Mapping[str, Any], p: list[Symbolic]) -> MPCC:
     """One level, checked, as a program without pairs; its parameters are all that it does not choose."""
     unknown = set(level) - _KEYS
     if unknown:
@@ -115,7 +116,7 @@ def _lower_level(below: MPCC, n_upper: int) -> LowerLevel:
     return LowerLevel(NLP(y, p, f, g, lbx, ubx, lbg, ubg), n_upper)
 
 
-def _gradient(level: LowerLevel, below: MPCC, lam_g: Any) -> Any:
+def _gradient(level: LowerLevel, below: MPCC, lam_g: Symbolic) -> Symbolic:
     """Gradient of ``f + lam_g^T g`` in the unknowns of the MPCC."""
     nlp = level.nlp
     lam = type(nlp.x).sym("lam_g", nlp.n_g)

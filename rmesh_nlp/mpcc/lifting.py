@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -18,6 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
@@ -79,7 +79,7 @@ class Lifted:
         return on_side(np.asarray(z[self.pairs[0]] <= z[self.pairs[1]]))
 
     @cached_property
-    def _by_rows(self) -> tuple[IntArray, Any, Any]:
+    def _by_rows(self) -> tuple[IntArray, IntArray, IntArray]:
         """Order of the Jacobian's nonzeros row by row, their columns, and where each row begins."""
         numbers = np.arange(self.pattern[0].size)
         rows = sp.csr_matrix((numbers, self.pattern), shape=(self.nlp.n_g, self.nlp.n_x))
@@ -178,7 +178,7 @@ def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Dua
     )  # fmt: skip
 
 
-def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
+def automatic_derivatives(x: Symbolic, p: Symbolic, f: Symbolic, g: Symbolic) -> Derivatives:
     """CasADi's own derivatives, made once and shared by every NLP built on the oracle.
 
     Those that are constant are numbers: symbolic ones of a dense quadratic program of 150 unknowns take
@@ -199,7 +199,7 @@ def automatic_derivatives(x: Any, p: Any, f: Any, g: Any) -> Derivatives:
     )
 
 
-def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
+def _constant_jacobian(rows: Symbolic, x: Symbolic, p: Symbolic) -> ca.DM | None:
     """The Jacobian of dense rows that are linear in x and know no parameter; else nothing.
 
     The symbolic Jacobian of sparse rows takes few sweeps and less time than a sweep per unknown.
@@ -215,7 +215,7 @@ def _constant_jacobian(rows: Any, x: Any, p: Any) -> ca.DM | None:
     return ca.project(columns, sparsity) if columns.is_regular() else None
 
 
-def _pure(mpcc: MPCC) -> tuple[Any, Any, Any, Any]:
+def _pure(mpcc: MPCC) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
     """x, p, vertcat(g, G, H), f; an MX of several symbols becomes one, so that CasADi can derive."""
     column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
     if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
@@ -252,7 +252,14 @@ def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> IntArray:
 
 
 def _lifted_nlp(
-    mpcc: MPCC, x: Any, p: Any, f: Any, column: Any, base: Derivatives, rows: IntArray, n_s: int
+    mpcc: MPCC,
+    x: Symbolic,
+    p: Symbolic,
+    f: Symbolic,
+    column: Symbolic,
+    base: Derivatives,
+    rows: IntArray,
+    n_s: int,
 ) -> NLP:
     """Select the kept rows of the oracle, subtract the slacks, weight the objective by a last parameter.
 

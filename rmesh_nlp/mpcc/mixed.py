@@ -15,18 +15,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.mpcc.names import in_short
+from rmesh_nlp.mpcc.names import Symbolic, in_short
 
-Member = tuple[Any, float, float]
+Member = tuple[Symbolic, float, float]
 """An expression with its bounds."""
 
 
-def sides(pairs: Iterable[tuple[Member, Member]]) -> dict[str, list[Any]]:
+def sides(pairs: Iterable[tuple[Member, Member]]) -> dict[str, list[Symbolic | float]]:
     """The pairs as keywords of ``MPCC.mixed``: G, H, and their bounds."""
     names, columns = ("G", "lbG", "ubG", "H", "lbH", "ubH"), [(*a, *b) for a, b in pairs]
     return {name: [column[k] for column in columns] for k, name in enumerate(names)}
@@ -36,14 +35,14 @@ def sides(pairs: Iterable[tuple[Member, Member]]) -> dict[str, list[Any]]:
 class PlainPairs:
     """What mixed pairs become: pairs, rows, and new unknowns ``up``, ``down`` of ``source = up - down``."""
 
-    kind: Any  # SX or MX
-    unknowns: list[Any] = field(default_factory=list)
-    sources: list[Any] = field(default_factory=list)
-    rows: list[Any] = field(default_factory=list)
-    G: list[Any] = field(default_factory=list)
-    H: list[Any] = field(default_factory=list)
+    kind: type[Symbolic]
+    unknowns: list[Symbolic] = field(default_factory=list)
+    sources: list[Symbolic] = field(default_factory=list)
+    rows: list[Symbolic] = field(default_factory=list)
+    G: list[Symbolic] = field(default_factory=list)
+    H: list[Symbolic] = field(default_factory=list)
 
-    def add(self, i: int, a: Any, b: Any, lg: float, ug: float, lh: float, uh: float) -> None:
+    def add(self, i: int, a: Symbolic, b: Symbolic, lg: float, ug: float, lh: float, uh: float) -> None:
         """Rewrite pair i; raises ValueError if its bounds make no complementarity."""
         match tuple(int(np.isfinite(bound)) for bound in (lg, ug, lh, uh)):
             case (0, 0, 1, 1):
@@ -61,11 +60,11 @@ class PlainPairs:
                     f"G is {in_short(a)}, H is {in_short(b)}"
                 )
 
-    def _pair(self, a: Any, b: Any) -> None:
+    def _pair(self, a: Symbolic, b: Symbolic) -> None:
         self.G.append(a)
         self.H.append(b)
 
-    def _bounded(self, lower: float, value: Any, upper: float, partner: Any) -> None:
+    def _bounded(self, lower: float, value: Symbolic, upper: float, partner: Symbolic) -> None:
         """Add ``lower <= value <= upper _|_ partner``."""
         if lower == upper:
             self.rows.append(value - lower)
@@ -78,7 +77,7 @@ class PlainPairs:
         self._pair(up, value - lower)
         self._pair(down, upper - value)
 
-    def completion(self, x: Any, p: Any) -> ca.Function | None:
+    def completion(self, x: Symbolic, p: Symbolic) -> ca.Function | None:
         """``(x, p) -> `` the new unknowns at a start: ``max(source, 0)`` and ``max(-source, 0)``."""
         if not self.sources:
             return None

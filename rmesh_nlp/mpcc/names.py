@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TypeAlias
 
 import casadi as ca
+
+Symbolic: TypeAlias = ca.SX | ca.MX
+"""An expression of CasADi."""
 
 _SHORT, _FEW = 12, 4  # nodes of an expression that is shown, symbols that are named
 
 
-def symbol_names(x: Any) -> list[str]:
+def symbol_names(x: Symbolic) -> list[str]:
     """The name of each entry of a column of SX or MX symbols, ``v[2]`` of a longer symbol ``v``."""
     if isinstance(x, ca.SX):
         return [str(x[i]) for i in range(x.shape[0])]
@@ -20,12 +23,12 @@ def symbol_names(x: Any) -> list[str]:
     return names
 
 
-def named(x: Any, i: int) -> str:
+def named(x: Symbolic, i: int) -> str:
     """Entry i of the unknowns: ``x[3]``, or ``x[3] (pressure)`` where it has a name of its own."""
     return f"x[{i}]{of_symbol(x, i)}"
 
 
-def of_symbol(symbols: Any, i: int) -> str:
+def of_symbol(symbols: Symbolic | None, i: int) -> str:
     """`` (pressure)`` to stand after the place of entry i; nothing where the name is only its place."""
     if symbols is None:
         return ""
@@ -34,7 +37,7 @@ def of_symbol(symbols: Any, i: int) -> str:
     return "" if is_place else f" ({name})"
 
 
-def in_short(expression: Any) -> str:
+def in_short(expression: Symbolic) -> str:
     """An expression as text if that is short, else the first of the symbols that it depends on."""
     if ca.n_nodes(expression) <= _SHORT:
         return str(expression)

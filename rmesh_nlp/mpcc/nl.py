@@ -19,9 +19,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.nl_records import Records, open_records
 
-Operation = Callable[..., Any]
+Operation = Callable[..., ca.SX]
 
 _UNARY: dict[int, Operation] = {
     13: ca.floor, 14: ca.ceil, 15: ca.fabs, 16: operator.neg, 34: ca.logic_not, 37: ca.tanh, 38: ca.tan,
@@ -47,7 +48,7 @@ _SEGMENTS = {"F": "imported functions", "L": "logical rows"}
 _SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
-def _fold(operation: Operation, parts: Sequence[Any]) -> Any:
+def _fold(operation: Operation, parts: Sequence[ca.SX]) -> ca.SX:
     """Combine pairwise, so that long sums do not make deep graphs."""
     while len(parts) > 1:
         paired = [operation(a, b) for a, b in zip(parts[::2], parts[1::2], strict=False)]
@@ -64,14 +65,14 @@ class Rows:
     first line, which a ``.sol`` file repeats.
     """
 
-    x: Any
-    bodies: list[Any]
-    lower: Any
-    upper: Any
-    lbx: Any
-    ubx: Any
-    x0: Any
-    f: Any
+    x: ca.SX
+    bodies: list[ca.SX]
+    lower: Array
+    upper: Array
+    lbx: Array
+    ubx: Array
+    x0: Array
+    f: ca.SX
     maximise: bool = False
     complements: dict[int, tuple[int, int]] = field(default_factory=dict)
     row_names: list[str] = field(default_factory=list)
@@ -131,7 +132,7 @@ class _Reader:
             raise self.fault(f"{n} unknowns and {m} rows")
         names, free = _names(self.path, ".col", n), np.full(n, np.inf)
         x = ca.vertcat(*(ca.SX.sym(name) for name in names)) if names else ca.SX.sym("x", n)
-        self.values: list[Any] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
+        self.values: list[ca.SX] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
         self.rows = Rows(
             x, [ca.SX(0)] * m, np.full(m, -np.inf), np.full(m, np.inf), -free, free, np.zeros(n), ca.SX(0),
             row_names=_names(self.path, ".row", m) or [f"g[{i}]" for i in range(m)],
@@ -212,14 +213,14 @@ class _Reader:
                 return -np.inf, np.inf
         raise self.fault(f"unknown bound type {kind}")
 
-    def _expression(self) -> Any:
+    def _expression(self) -> ca.SX:
         """One expression in prefix form, with a stack of its own: sums may be thousands of levels deep."""
-        pending: list[tuple[Operation, int, list[Any]]] = []
+        pending: list[tuple[Operation, int, list[ca.SX]]] = []
         read = self.records.read
         while True:
             match self.records.key():
                 case "n":
-                    value: Any = ca.SX(read("f")[0])
+                    value = ca.SX(read("f")[0])
                 case "s" | "l" as kind:
                     value = ca.SX(read("h" if kind == "s" else "l")[0])
                 case "v":

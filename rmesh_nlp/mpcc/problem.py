@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import PlainPairs
-from rmesh_nlp.mpcc.names import of_symbol
+from rmesh_nlp.mpcc.names import Symbolic, of_symbol
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
 
@@ -65,19 +65,19 @@ class MPCC:
         length, or a bound has the wrong length, is NaN, or lies above its partner.
     """
 
-    x: Any
-    f: Any
-    g: Any
-    G: Any
-    H: Any
+    x: Symbolic
+    f: Symbolic
+    g: Symbolic
+    G: Symbolic
+    H: Symbolic
     lbx: ArrayLike = -np.inf
     ubx: ArrayLike = np.inf
     lbg: ArrayLike = -np.inf
     ubg: ArrayLike = np.inf
-    p: Any = None
+    p: Symbolic = None
     derivatives: Derivatives | None = None
     completion: ca.Function | None = None
-    parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    parts: Mapping[str, Symbolic] = field(default_factory=dict, repr=False)
     lower_level: LowerLevel | None = None
     derived: Derivatives | None = field(default=None, repr=False)
 
@@ -157,12 +157,12 @@ class MPCC:
     def extended(
         self,
         *,
-        x: Any = None,
-        p: Any = None,
-        f: Any = 0,
-        g: Any = None,
-        G: Any = None,
-        H: Any = None,
+        x: Symbolic | None = None,
+        p: Symbolic | None = None,
+        f: Symbolic = 0,
+        g: Symbolic | None = None,
+        G: Symbolic | None = None,
+        H: Symbolic | None = None,
         lbx: ArrayLike = -np.inf,
         ubx: ArrayLike = np.inf,
         lbg: ArrayLike = -np.inf,
@@ -183,7 +183,7 @@ class MPCC:
         new_x, new_p = (kind(0, 1) if part is None else ca.vertcat(part) for part in (x, p))
         rows = [kind(0, 1) if part is None else ca.vertcat(kind(part)) for part in (g, G, H)]
 
-        def longer(old: ArrayLike, new: ArrayLike, column: Any) -> Array:
+        def longer(old: ArrayLike, new: ArrayLike, column: Symbolic) -> Array:
             return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
 
         return replace(
@@ -199,11 +199,11 @@ class MPCC:
     @classmethod
     def mixed(
         cls,
-        x: Any,
-        f: Any,
-        g: Any = None,
-        G: Any = None,
-        H: Any = None,
+        x: Symbolic,
+        f: Symbolic,
+        g: Symbolic | None = None,
+        G: Symbolic | None = None,
+        H: Symbolic | None = None,
         *,
         lbG: ArrayLike = -np.inf,
         ubG: ArrayLike = np.inf,
@@ -213,7 +213,7 @@ class MPCC:
         ubx: ArrayLike = np.inf,
         lbg: ArrayLike = -np.inf,
         ubg: ArrayLike = np.inf,
-        p: Any = None,
+        p: Symbolic | None = None,
     ) -> MPCC:
         """An MPCC whose pairs have bounds of their own: ``lbG <= G <= ubG _|_ lbH <= H <= ubH``.
 
@@ -239,7 +239,9 @@ class MPCC:
         )  # fmt: skip
 
 
-def _extended_derivatives(mpcc: MPCC, x: Any, p: Any, f: Any, rows: Sequence[Any]) -> Derivatives | None:
+def _extended_derivatives(
+    mpcc: MPCC, x: Symbolic, p: Symbolic, f: Symbolic, rows: Sequence[Symbolic]
+) -> Derivatives | None:
     """Derivatives of the objective plus ``f`` and of ``(g, g', G, G', H, H')``, rows = (g', G', H')."""
     if mpcc.derivatives is None:
         return None
@@ -262,7 +264,7 @@ def _extended_derivatives(mpcc: MPCC, x: Any, p: Any, f: Any, rows: Sequence[Any
     return replace(longer, jac_g=jac_g, hess_lag=hess_lag)
 
 
-def _numbers(name: str, value: Any) -> Any:
+def _numbers(name: str, value: object) -> Array:
     """``value`` as an array of numbers."""
     if isinstance(value, ca.DM):
         return value.full()
@@ -272,7 +274,9 @@ def _numbers(name: str, value: Any) -> Any:
         raise ValueError(f"{name} must be numeric, got {value!r}"[:300]) from error
 
 
-def _values(name: str, value: ArrayLike, n: int, finite: bool = False, symbols: Any = None) -> Array:
+def _values(
+    name: str, value: ArrayLike, n: int, finite: bool = False, symbols: Symbolic | None = None
+) -> Array:
     """``value`` as a fresh array of length n without NaN, or all finite; a scalar stands for all.
 
     ``symbols`` are those whose values or bounds these are, for messages.
@@ -289,7 +293,7 @@ def _values(name: str, value: ArrayLike, n: int, finite: bool = False, symbols: 
     return array
 
 
-def _column(name: str, value: Any, kind: Any) -> Any:
+def _column(name: str, value: Any, kind: type[Symbolic] | None) -> Symbolic:
     """``value`` (None, expression, number or list of them) as one column of ``kind``."""
     if value is None:
         return kind(0, 1) if kind is not None else None
@@ -311,7 +315,7 @@ def _column(name: str, value: Any, kind: Any) -> Any:
 
 
 def _bounds(
-    name: str, lower: ArrayLike, upper: ArrayLike, n: int, symbols: Any = None
+    name: str, lower: ArrayLike, upper: ArrayLike, n: int, symbols: Symbolic | None = None
 ) -> tuple[Array, Array]:
     """Bounds as arrays of length n; raises a ValueError if there is no number between them."""
     lower = _values(f"lb{name}", lower, n, symbols=symbols)
@@ -327,7 +331,7 @@ def _bounds(
     return lower, upper
 
 
-def _refuse_free_symbols(columns: dict[str, Any]) -> None:
+def _refuse_free_symbols(columns: dict[str, Symbolic]) -> None:
     """Raise a ValueError for symbols that are neither unknowns nor parameters."""
     rows = [columns[name] for name in ("f", "g", "G", "H") if columns[name].numel() > 0]
     try:

@@ -87,7 +87,9 @@ def read(source: str | PathLike[str] | Any) -> Problem:
     return READERS[path.suffix.lower()](path)
 
 
-def _of_rows(rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int], p: Any = None) -> MPCC:
+def _of_rows(
+    rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int], p: ca.SX | None = None
+) -> MPCC:
     """The rows of a file as an MPCC: pairs, and the rows that are in none; a maximum changes its sign."""
     kept = [i for i in range(len(rows.bodies)) if i not in paired]
     return MPCC.mixed(
@@ -109,7 +111,7 @@ def read_nl(path: Path) -> Problem:
         raise ValueError(f"{path}: {error}") from error
 
 
-def mpcc_of(rows: Rows, p: Any = None) -> MPCC:
+def mpcc_of(rows: Rows, p: ca.SX | None = None) -> MPCC:
     """The rows of a ``.nl`` file as an MPCC; ``p`` are symbols in them that are not unknowns.
 
     Raises

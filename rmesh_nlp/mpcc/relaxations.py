@@ -10,9 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import casadi as ca
+
+from rmesh_nlp.mpcc.names import Symbolic
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,12 +24,16 @@ class Relaxation:
     ``signs`` says whether ``a, b >= 0`` stays beside the rows, or whether the rows replace it.
     """
 
-    rows: Any
-    penalty: Any = 0.0
+    rows: Symbolic
+    penalty: Symbolic | float = 0.0
     signs: bool = True
 
 
-def scholtes(a: Any, b: Any, t: Any) -> Relaxation:
+Relax: TypeAlias = Callable[[Symbolic, Symbolic, Symbolic], Relaxation]
+"""``(a, b, t) -> Relaxation``."""
+
+
+def scholtes(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """``a b <= t``.
 
     S. Scholtes, Convergence properties of a regularization scheme for mathematical programs with
@@ -36,7 +42,7 @@ def scholtes(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(a * b - t)
 
 
-def lin_fukushima(a: Any, b: Any, t: Any) -> Relaxation:
+def lin_fukushima(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """``a b <= s^2`` and ``(a + s)(b + s) >= s^2``, with ``s = sqrt(t)``.
 
     G.-H. Lin and M. Fukushima, A modified relaxation scheme for mathematical programs with
@@ -47,7 +53,7 @@ def lin_fukushima(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(ca.vertcat(a * b - t, -(a * b + s * (a + b))), signs=False)
 
 
-def steffensen_ulbrich(a: Any, b: Any, t: Any) -> Relaxation:
+def steffensen_ulbrich(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """``a + b <= phi(a - b)``, the kink of ``|a - b|`` rounded on ``|a - b| < s``.
 
     ``phi(z) = |z|`` outside and ``s ((2 / pi) sin(pi z / (2 s) + 3 pi / 2) + 1)`` inside;
@@ -60,7 +66,7 @@ def steffensen_ulbrich(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(a + b - ca.if_else(ca.fabs(z) < s, inside, ca.fabs(z)))
 
 
-def kanzow_schwartz(a: Any, b: Any, t: Any) -> Relaxation:
+def kanzow_schwartz(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """``phi(a - s, b - s) <= 0`` with ``s = sqrt(t)``.
 
     ``phi(u, v) = u v`` where ``u + v >= 0`` and ``-(u^2 + v^2) / 2`` elsewhere. C. Kanzow and
@@ -72,7 +78,7 @@ def kanzow_schwartz(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(ca.if_else(u + v >= 0, u * v, -(u**2 + v**2) / 2))
 
 
-def fischer_burmeister(a: Any, b: Any, t: Any) -> Relaxation:
+def fischer_burmeister(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """``a + b - sqrt(a^2 + b^2 + 2 t) <= 0``: the smoothed Fischer-Burmeister function.
 
     It vanishes exactly where ``a b = t`` with ``a, b > 0``. A. Fischer, A special Newton-type
@@ -82,7 +88,7 @@ def fischer_burmeister(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(a + b - ca.sqrt(a**2 + b**2 + 2 * t))
 
 
-def l1_penalty(a: Any, b: Any, t: Any) -> Relaxation:
+def l1_penalty(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     """Objective term ``sum(a b) / sqrt(t)``, no constraint: the l1 (elastic) exact penalty.
 
     For ``a, b >= 0`` the sum is the l1 norm of the products. The weight is the size of the multiplier
@@ -93,7 +99,7 @@ def l1_penalty(a: Any, b: Any, t: Any) -> Relaxation:
     return Relaxation(type(a).zeros(0, 1), ca.dot(a, b) / ca.sqrt(t))
 
 
-RELAXATIONS: Mapping[str, Callable[[Any, Any, Any], Relaxation]] = {
+RELAXATIONS: Mapping[str, Relax] = {
     "scholtes": scholtes,
     "lin-fukushima": lin_fukushima,
     "steffensen-ulbrich": steffensen_ulbrich,
@@ -103,7 +109,7 @@ RELAXATIONS: Mapping[str, Callable[[Any, Any, Any], Relaxation]] = {
 }
 
 
-def relaxation(name: str) -> Callable[[Any, Any, Any], Relaxation]:
+def relaxation(name: str) -> Relax:
     """Return the relaxation of that name; raises ValueError with the names there are."""
     try:
         return RELAXATIONS[name]
