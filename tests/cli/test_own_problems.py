@@ -88,23 +88,12 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
     assert "the load does not press it on them" in said.err
 
 
-@pytest.mark.parametrize(
-    ("solve", "message"),
-    [
-        ('formulation = "<svg>"', "solve.formulation: unknown formulation '<svg>'"),
-        ('objective = "energie"', "solve.objective: unknown objective 'energie'"),
-        ('formulation = "fixed"\nremesh = true', "the formulation 'fixed' takes no remesh"),
-        ("regularisation = [1, 0, 0.1]", "solve.regularisation = [1, 0, 0.1]: expected"),
-    ],
-)
 @pytest.mark.parametrize("command", ["check", "solve"])
-def test_check_refuses_what_solve_would_refuse(
-    rmesh, block: Path, command: str, solve: str, message: str
-) -> None:
-    block.write_text(f"{BLOCK}[solve]\n{solve}\n")
+def test_check_refuses_what_solve_would_refuse(rmesh, block: Path, command: str) -> None:
+    block.write_text(f'{BLOCK}[solve]\nformulation = "<svg>"\n')
     said = rmesh(f"{command} block.toml")
     assert said.code == 2
-    assert message in " ".join(said.err.split())
+    assert "solve.formulation: unknown formulation '<svg>'" in " ".join(said.err.split())
 
 
 @pytest.mark.slow

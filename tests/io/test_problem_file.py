@@ -1,6 +1,7 @@
 """Problem files: what they mean, and one line that names file, key, value and what was expected."""
 
 import json
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -9,6 +10,8 @@ import pytest
 from hypothesis import given, settings
 
 from rmesh_nlp.cli import app as cli
+from rmesh_nlp.cli.preparing import solve_options
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
@@ -19,19 +22,20 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Relative, Traction
 from support.formulations import fixed, joint
 from support.problem_edits import edited, outcome
-from support.problem_files import BROKEN, SCALAR, VALID
+from support.problem_files import FILES, PLATE, SCALAR, VALID
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 SMALL = 'mesh = { shape = "rectangle", nx = 2, ny = 2 }\n'
 LAW = 'material = { law = "laplace", source = 1 }\n'
-TWO = VALID.replace("[contact]", "[[contact]]\nboundary = 'top'\noffset = 0.1\n[[contact]]")
-PLATE = """\
-mesh = { shape = "plate-with-hole", h = 2.0 }
-material = { law = "plane-strain", young = 1000.0, poisson = 0.3 }
-dirichlet = { left = [0.0, 0.0] }
-[motion]
-delta = "none"
-[curves]
-hole = """
+MISTAKES = [
+    pytest.param(base, row[0], row[1], row[2:], id=f"{base}: {row[1][:60]!r}")
+    for base, rows in tomllib.loads(Path(__file__).with_name("problem_mistakes.toml").read_text()).items()
+    for row in rows
+]
 
 
 @pytest.fixture
@@ -126,8 +130,6 @@ def test_symmetry_units_and_point_loads(write):
     assert problem.units.stress == "N/mm²"
     (load,) = problem.point_loads
     assert (problem.mesh.p[:, load.node].tolist(), load.force) == ([2.0, 1.0], (3.0, -7.0))
-    with pytest.raises(ProblemFileError, match=r"point_loads\[1\].at = \[2.2, 1.0\]: no node is there"):
-        load_problem(write(VALID + more.replace("[2, 1]", "[2.2, 1]")))
 
 
 def test_scalar_problem_with_an_obstacle_in_the_interior(write):
@@ -141,8 +143,6 @@ def test_scalar_problem_with_an_obstacle_in_the_interior(write):
 def test_constant_expression_is_a_number(write):
     problem = load_problem(write(SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
     assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)
-    with pytest.raises(ProblemFileError, match=r"dirichlet.left = '1/0': '1 / 0' is not a finite number"):
-        load_problem(write(SCALAR.replace("left = 0", 'left = "1/0"')))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_constant_expression_is_a_number(write):
     ],
 )
 def test_nodes_slide_along_the_curve_of_their_boundary(write, curve, kind):
-    problem = load_problem(write(PLATE + curve))
+    problem = load_problem(write(PLATE.replace('"circle"', curve)))
     assert isinstance(problem.motion.curves["hole"], kind)
     free, hole = MeshMap.of(problem), problem.boundary_nodes(("hole",))
     assert np.all(free.mobility[hole] == Mobility.SLIDING)
@@ -167,77 +167,43 @@ def test_nodes_slide_along_the_curve_of_their_boundary(write, curve, kind):
     np.testing.assert_allclose(radius, 2.5, atol=1e-12 if kind is not Spline else 0.05)
 
 
+def read(path: Path) -> None:
+    """All that is checked before a solve."""
+    load_problem(path)
+    solve_options(path, None, {})
+
+
 def refused(path: Path) -> list[str]:
-    """The lines of the error, each of which names the file."""
-    with pytest.raises(ProblemFileError) as caught:
-        load_problem(path)
-    lines = caught.value.lines
-    assert all(line.startswith(f"{path}: ") and "\n" not in line for line in lines)
-    assert str(caught.value).splitlines() == lines
-    return lines
+    """The lines of the error without the name of the file, with which each begins."""
+    with pytest.raises(BadInputError) as caught:
+        read(path)
+    lines = str(caught.value).split("\n")
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    return [line.removeprefix(f"{path}: ").replace(f"{path.parent}/", "") for line in lines]
 
 
-@pytest.mark.parametrize(("old", "new", "message"), BROKEN)
-def test_broken_file_has_a_one_line_error(write, old, new, message):
-    assert old in VALID
-    lines = refused(write(VALID.replace(old, new, 1)))
-    assert any(message in line for line in lines), lines
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        # keys in the wrong table
-        ('source = "x"\n' + SMALL, "source = 'x': unknown key here: it belongs in [material]"),
-        (SMALL.replace("ny = 2", "ny = 2, friction = 1"), "belongs in [contact]"),
-        (SMALL.replace("ny = 2", "ny = 2, quadrature = 4"), "belongs at the top of the file"),
-        ('dirichlet = "left"', "dirichlet = 'left': expected a table [dirichlet]"),
-        ('contact = "bottom"', "contact = 'bottom': expected a table [contact]"),
-        (SMALL, "expected either [material] or [materials.<subdomain>]"),
-        # one of several contacts
-        (TWO.replace('"10 + x"', '"10 + z"'), "contact[2].friction = '10 + z': unknown name 'z'"),
-        (TWO.replace('"10 + x"', '"x - 9"'), "contact[2].friction = 'x - 9': the friction bound must not be"),
-        (TWO.replace('friction = "10 + x"', "coulomb = -1"), "must be finite and not negative, got -1"),
-        (TWO.replace('friction = "10 + x"', 'coulomb = "x - 9"'), "contact[2].coulomb = 'x - 9': Coulomb's"),
-        (TWO.replace('"bottom"', '"botom"'), "contact[2].boundary = 'botom': expected a boundary"),
-        (TWO.replace("offset = 0.1", "offset = 0.1\ngap = 3"), "contact[1].gap = 3: expected 'node'"),
-        (VALID.replace("friction =", "gap ="), "contact.gap = '10 + x': expected 'node' or 'edge'"),
-        # expressions without quotes
-        (VALID.replace('"-0.01*x**2"', "-0.01*x**2"), 'as in height = "-0.01*x**2"'),
-        (VALID.replace('"-30*sin(pi*x/4)"', "-30*sin(pi*x/4)"), 'as in load = [0, "-30*sin(pi*x/4)"]'),
-        (VALID.replace('"10 + x"', "10 + x"), "friction = 10 + x: expressions need quotes (line 38), as in"),
-        # curves
-        (PLATE + "{ circle = [5, 5, 2.4] }", "off its curve"),
-        (PLATE + "{ circle = [5, 5] }", "hole = {'circle': [5, 5]}: circle: expected centre and radius"),
-        (PLATE + "{ circle = [5, 5, -1] }", "expected centre and radius"),
-        (PLATE + "{ centre = [5, 5] }", "centre: unknown key"),
-        (PLATE + "{}", "expected circle = [cx, cy, r], spline = [[x, y], ...], or x, y and t = [from, to]"),
-        (PLATE + '{ x = "t" }', "expected circle"),
-        (PLATE + '"round"', "curves.hole = 'round': expected 'circle', 'spline' or a table"),
-        (PLATE + '{ x = "t", y = "z", t = [0, 1] }', "unknown name 'z'"),
-        (PLATE + '"circle"\nrim = "circle"', "curves.rim = 'circle': expected a boundary of the mesh"),
-    ],
-)  # fmt: skip
-def test_mistakes_of_structure_are_named(write, text, message):
-    lines = refused(write(text))
-    assert any(message in line for line in lines), lines
+@pytest.mark.parametrize(("base", "old", "new", "expected"), MISTAKES)
+def test_a_mistake_is_answered_by_one_line_per_error(write, base, old, new, expected):
+    assert old in FILES[base]
+    lines = refused(write(FILES[base].replace(old, new, 1)))
+    assert len(lines) == len(expected)
+    for line, said in zip(lines, expected, strict=True):
+        assert line == said or (said.endswith("...") and line.startswith(said.removesuffix("...")))
 
 
 @pytest.mark.parametrize(
-    ("good", "bad"),
+    "text",
     [
-        ("[motion]\nmin_angle = 0", "[motion]\nmin_angle = 60"),
-        ("quadrature = 50", "quadrature = 51"),
-        ("quadrature = 1", "quadrature = 0"),
-        ("[solve]\nregularisation = [1, 0]", "[solve]\nregularisation = [0, 1]"),
-        ("[motion]\nmin_area_fraction = 0.99", "[motion]\nmin_area_fraction = 1.0"),
-        ("[solve]\nremesh = true", "[solve]\nremesh = 2"),
+        "[motion]\nmin_angle = 0",
+        "quadrature = 50",
+        "quadrature = 1",
+        "[solve]\nregularisation = [1, 0]",
+        "[motion]\nmin_area_fraction = 0.99",
+        "[solve]\nremesh = true",
     ],
 )
-def test_bounds_of_numbers_are_exact(write, good, bad):
-    base = SMALL + LAW + "dirichlet = { left = 0 }\n"
-    load_problem(write(base + good))
-    assert "expected" in refused(write(base + bad))[0]
+def test_numbers_at_their_bounds_are_accepted(write, text):
+    load_problem(write(f"{SMALL}{LAW}dirichlet = {{ left = 0 }}\n{text}"))
 
 
 def test_missing_file_and_unreadable_meshes(write, tmp_path):
@@ -254,7 +220,7 @@ def test_missing_file_and_unreadable_meshes(write, tmp_path):
     ]:
         (tmp_path / "body.msh").write_text(content)
         (line,) = refused(path)
-        assert "mesh.file = 'body.msh': " in line
+        assert line.startswith("mesh.file = 'body.msh': ")
         assert message in line
 
 
@@ -271,7 +237,7 @@ def test_missing_file_and_unreadable_meshes(write, tmp_path):
 )
 def test_deep_nesting_is_one_line_with_its_place(write, line):
     path = write(f'name = "x"\n{line}\n')
-    assert refused(path) == [f"{path}: line 2: tables and lists are nested more than 20 deep"]
+    assert refused(path) == ["line 2: tables and lists are nested more than 20 deep"]
 
 
 @pytest.mark.slow
