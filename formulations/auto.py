@@ -57,6 +57,11 @@ class Auto(Chooser):
     cascade: Annotated[Cascade, Open(Cascade)] = field(default_factory=Cascade)
     regularisation: Any = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.regularisation is not None:
+            weights(self.regularisation)
+
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = problem if problem.design else with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)

@@ -14,20 +14,22 @@ class InterruptedSolveError(Exception):
     """The user interrupted a solve; the message says what is kept."""
 
 
-def unknown(what: str, name: str, known: Iterable[str]) -> BadInputError:
-    """The error for a name that is not known, with the nearest one that is."""
+def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose from none") -> BadInputError:
+    """The error for a name that is not known, with the nearest one that is, or ``otherwise`` if none is."""
     names = list(known)
+    if not names:
+        return BadInputError(f"unknown {what} {name!r}: {otherwise}")
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
-    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names) or 'none'}")
+    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}")
 
 
 class ProblemError(ValueError):
     """A problem that contradicts itself.
 
-    ``part`` names the part of the problem that is at fault: mesh, law, dirichlet, obstacle,
-    friction, motion, curves or tractions. ``name`` says which of several: of a region or a boundary, or the
-    number of an obstacle.
+    ``part`` names the part of the problem that is at fault: mesh, law, subdomain, dirichlet, boundary (of an
+    obstacle), obstacle, friction, coulomb, motion, curves, tractions, point_loads or design. ``name`` says
+    which of several: of a region or a boundary, a rule of the motion, or the number of an obstacle or a load.
     """
 
     def __init__(self, part: str, message: str, name: str | int | None = None) -> None:

@@ -193,5 +193,7 @@ def solve_options(
             said = f"{path}: the formulation {name!r} takes no {option}"
             raise BadInputError(said + nearest(option, sorted(known)))
     taken = {key: value for key, value in asked.items() if key in known}
+    with located(f"{path}: solve"):
+        checked(name, {key: value for key, value in plan.options().items() if key in known})
     with located(path):
         return name, dict(checked(name, taken))

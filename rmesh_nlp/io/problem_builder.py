@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from inspect import Parameter
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -18,18 +17,22 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.expressions import value_of
 from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.fem.objective_text import beside
-from rmesh_nlp.io import problem_messages as messages
-from rmesh_nlp.io.problem_messages import ProblemFileError, nearest, one_line
+from rmesh_nlp.io.problem_messages import Place, Source, one_line, outwards
 from rmesh_nlp.io.problem_schema import (
+    FORCES,
+    FOUNDATIONS,
+    LAWS,
+    SHAPES,
     ContactTable,
     CurveTable,
     MaterialTable,
     PointLoadTable,
     ProblemTable,
     Table,
+    arguments,
 )
 from rmesh_nlp.io.problem_values import SYMMETRY
-from rmesh_nlp.meshes import named, shapes
+from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
@@ -37,16 +40,12 @@ from rmesh_nlp.problem import (
     ContactProblem,
     DesignVariable,
     Dirichlet,
-    Laplace,
     Law,
     Motion,
     Obstacle,
     PiecewiseLinear,
-    PlaneStrain,
-    PlaneStress,
     PointLoad,
     ProblemError,
-    Relative,
     Shape,
     Traction,
     Units,
@@ -54,41 +53,26 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.lines import nodes_of
 
-if sys.version_info >= (3, 11):
-    pass
-else:
-    pass  # type: ignore[import-not-found,unused-ignore]
+T = TypeVar("T")
 
 SAME_PLACE = 1e-6
 """Distance, in units of the extent of the mesh, at which a node is at the place that a load names."""
 
-SHAPES: dict[str, tuple[Callable[..., MeshTri], tuple[str, ...], tuple[str, ...]]] = {
-    "rectangle": (shapes.rectangle, ("nx", "ny"), ("x", "y", "diagonal")),
-    "l-shape": (shapes.l_shape, ("h",), ("size",)),
-    "plate-with-hole": (shapes.plate_with_hole, ("h",), ("size", "radius")),
-    "half-disc": (shapes.half_disc, ("h",), ("radius", "contact", "h_contact")),
-    "wedge-block": (shapes.wedge_block, ("h",), ("width", "height", "rise")),
-    "polygon": (shapes.polygon, ("points", "h"), ()),
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "law": ("source", "body_force"),
+    "obstacle": ("interior", *FOUNDATIONS),
+    "boundary": ("boundary",),
+    "friction": ("friction",),
+    "coulomb": ("coulomb",),
+    "point_loads": ("force",),
+    "design": ("boundary",),
 }
-"""Function, needed keys and further keys of every shape."""
-
-ELASTIC = ("young", "poisson", "lame_lambda", "lame_mu", "body_force")
-LAW_KEYS = {"laplace": ("source", "conductivity"), "plane-strain": ELASTIC, "plane-stress": ELASTIC}
-"""Keys that a material of each law may have."""
-
-FOUNDATIONS = ("interior", "height", "offset", "points", "line", "circle", "curve")
-"""Keys of a contact that say where the foundation is."""
-
-UNNAMED = (
-    'the mesh file names none: name its curves in gmsh, Physical Curve("left") = {1};, or boundaries by '
-    "conditions under [boundaries]"
-)
-"""What to do with a file without physical groups."""
+"""Entries of a table that an error of each part of a problem may speak of, if it says of which of several."""
 
 
 def build(table: ProblemTable, path: Path) -> ContactProblem:
     """Read the mesh and put the problem together; ``path`` is where the file is."""
-    return _Builder(table, path).problem()
+    return _Builder(table, Source(path, table.data)).problem()
 
 
 @dataclass(frozen=True)
@@ -96,51 +80,27 @@ class _Builder:
     """Makes the problem of the tables of one file."""
 
     table: ProblemTable
-    path: Path
-
-    def at(self, key: str, value: Any) -> AbstractContextManager[None]:
-        return messages.at_key(self.path, key, value)
-
-    def wrong(self, key: str, value: Any, expected: str) -> ProblemFileError:
-        return messages.error_at(self.path, key, value, expected)
-
-    @cached_property
-    def contacts(self) -> dict[str, ContactTable]:
-        """By the keys that messages name; several are counted from 1."""
-        contacts = self.table.contact
-        return {
-            "contact" if len(contacts) == 1 else f"contact[{k}]": one for k, one in enumerate(contacts, 1)
-        }
+    source: Source
 
     def problem(self) -> ContactProblem:
-        table, mesh = self.table, self.mesh()
-        laws = {name: self.law(f"materials.{name}", one) for name, one in table.materials.items()}
-        law = laws or self.law("material", table.material)
-        self.check_names(mesh)
-        n = next(iter(law.values())).components if isinstance(law, dict) else law.components
-        for section, entries in (("dirichlet", table.dirichlet), ("tractions", table.tractions)):
-            for name, value in entries.items():
-                if value != SYMMETRY and len(value) != n:
-                    raise self.wrong(f"{section}.{name}", value, f"expected {n} value{'s' * (n > 1)}")
+        table, mesh, at = self.table, self.mesh(), self.source.at
+        laws = {name: self.law(spec, "materials", name) for name, spec in table.materials.items()}
+        law = laws if table.material is None else self.law(table.material, "material")
+        n = law.components if isinstance(law, Law) else next(iter(laws.values())).components
         obstacles, supports, curves = [], [], {}
-        for key, contact in self.contacts.items():
-            with self.at(key, contact):
-                obstacles.append(
-                    replace(_obstacle(contact, n), gap=contact.gap, coulomb=_or_zero(contact.coulomb))
-                )
-        loads = [self.point_load(k, load, mesh, n) for k, load in enumerate(table.point_loads, 1)]
+        for number, contact in enumerate(table.contact):
+            with at("contact", number, *contact.given("line", "circle")):
+                obstacles.append(replace(_obstacle(contact, n), gap=contact.gap))
         for name, value in table.dirichlet.items():
-            with self.at(f"dirichlet.{name}", value):
+            with at("dirichlet", name):
                 supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
         for name, curve in table.curves.items():
-            with self.at(f"curves.{name}", curve):
+            with at("curves", name):
                 curves[name] = _curve(curve, mesh, name)
-        rules = dict(table.motion)
-        if table.design.names and "motion" not in table.model_fields_set:
+        rules = table.motion.entries()
+        if self.design() and "motion" not in table.model_fields_set:
             rules["delta"] = 0.0  # a design alone
-        if isinstance(rules["delta"], dict):
-            rules["delta"] = Relative(rules["delta"]["relative"])
-        with self.at("motion", table.motion):
+        with at("motion"):
             motion = Motion(**rules, curves=curves)
         try:
             problem = ContactProblem(
@@ -151,188 +111,131 @@ class _Builder:
                 motion=motion,
                 tractions=tuple(Traction(name, value) for name, value in table.tractions.items()),
                 quadrature=table.quadrature,
-                name=table.name or self.path.stem,
+                name=table.name or self.source.path.stem,
                 size=f"{mesh.t.shape[1]} triangles",
-                point_loads=tuple(loads),
-                units=Units(table.units.length, table.units.force),
+                point_loads=tuple(self.point_load(k, load, mesh) for k, load in enumerate(table.point_loads)),
+                units=Units(**table.units.entries()),
                 order=table.order,
                 design=self.design(),
                 constraints=self.constraints(),
             )
         except ProblemError as error:
-            raise self.wrong(*self.fault(error), one_line(error)) from error
-        with self.at("motion", table.motion):
+            raise self.source.error(self.place(error), one_line(error)) from error
+        with at("motion"):
             _ = discretise(problem).validity  # the rules of the motion can be obeyed
         return problem
 
     def design(self) -> tuple[DesignVariable | Shape, ...]:
         """Design variables, and the amplitudes of shapes after them."""
-        found: list[DesignVariable | Shape] = []
+        result: list[DesignVariable | Shape] = []
         for name, variable in self.table.design.variables.items():
-            with self.at(f"design.{name}", variable):
-                found.append(DesignVariable(name, variable.start, variable.bounds))
+            with self.source.at("design", name):
+                result.append(DesignVariable(name, **variable.entries()))
         for name, shape in self.table.design.shapes.items():
-            with self.at(f"design.shapes.{name}", shape):
-                found.append(Shape(name, shape.boundary, shape.motion, shape.bounds))
-        return tuple(found)
+            with self.source.at("design", "shapes", name):
+                result.append(Shape(name, **shape.entries()))
+        return tuple(result)
 
     def constraints(self) -> tuple[Constraint, ...]:
         """What designs must keep, with values that can be read."""
-        found = []
-        for number, one in enumerate(self.table.constraints, 1):
-            with self.at(f"constraints[{number}]", one):
-                found.append(checked(Constraint(beside(one.value, self.path.parent), one.bounds)))
-        return tuple(found)
+        result = []
+        for number, constraint in enumerate(self.table.constraints):
+            with self.source.at("constraints", number):
+                value = beside(constraint.value, self.source.path.parent)
+                result.append(checked(Constraint(value, constraint.bounds)))
+        return tuple(result)
 
-    def fault(self, error: ProblemError) -> tuple[str, Any]:
-        """Key that an error of the problem speaks of, and what stands there."""
-        table, part, name = self.table, error.part, error.name
-        if part == "law":
-            key, law = "material", table.material
-            if law is None:
-                if name is None:
-                    return "materials", table.materials
-                key, law = f"materials.{name}", table.materials[str(name)]
-            if name is None:
-                return key, law
-            source = "source" if law.law == "laplace" else "body_force"
-            return f"{key}.{source}", getattr(law, source)
-        if part in ("obstacle", "friction", "coulomb"):
-            key, contact = list(self.contacts.items())[int(name or 0)]
-            if name is None:
-                return (
-                    ("contact", contact)
-                    if part == "obstacle"
-                    else (f"contact.{part}", getattr(contact, part))
-                )
-            given = contact.given(*(FOUNDATIONS if part == "obstacle" else (part,)))
-            place = [*given, "boundary"][0]
-            return f"{key}.{place}", getattr(contact, place)
-        value: Any = getattr(table, part, None)
-        if part in ("tractions", "dirichlet") and name is not None:
-            return f"{part}.{name}", value[name]
-        return part, value
+    def place(self, error: ProblemError) -> Place:
+        """Where in the file an error of the problem has its cause."""
+        part = error.part
+        which: Place = () if error.name is None else (error.name,)
+        if part in ("law", "subdomain"):
+            table: Place = ("materials", *which) if self.table.material is None else ("material",)
+        elif part in ("obstacle", "boundary", "friction", "coulomb"):
+            table = ("contact", *which)
+        elif part == "design" and which:
+            table = ("design", "shapes", *which)
+        else:
+            table = (part, *which)
+        keys = KEYS.get(part, ()) if which else ()
+        return self.source.first([*((*table, key) for key in keys), *outwards(table)])
 
     def mesh(self) -> MeshTri:
         spec = self.table.mesh
         if spec.file is not None:
-            self.refuse_others("mesh", spec, ("file",), "a mesh from a file")
-            with self.at("mesh.file", spec.file):
-                mesh = read_mesh(self.path.parent / spec.file)
+            mesh = self.made("a mesh from a file", spec, [self.read], "mesh")
         else:
-            function, needed, further = SHAPES[str(spec.shape)]
-            what = f"the shape {spec.shape!r}"
-            self.refuse_others("mesh", spec, (*needed, *further), what, besides="shape")
-            given = {key: getattr(spec, key) for key in spec.given(*needed, *further)}
-            for key in needed:
-                if key not in given:
-                    raise self.wrong(f"mesh.{key}", None, f"{what} needs it")
-            with self.at("mesh", spec):
-                mesh = function(**given)
+            mesh = self.made(f"the shape {spec.shape!r}", spec, [SHAPES[str(spec.shape)]], "mesh")
         groups = {"boundaries": self.table.boundaries, "subdomains": self.table.subdomains}
         for kind, conditions in groups.items():
             for name, condition in conditions.items():
-                with self.at(f"{kind}.{name}", condition):
+                with self.source.at(kind, name):
                     mesh = named(mesh, **{kind: {name: lambda p, c=condition: c.on(p) > 0.5}})
         return mesh
 
-    def refuse_others(
-        self, place: str, spec: Table, known: tuple[str, ...], what: str, besides: str = ""
-    ) -> None:
-        """Refuse keys of a table that do not go with its shape or law."""
-        for key in type(spec).model_fields:
-            if key in spec.model_fields_set and key not in (*known, besides):
-                raise self.wrong(f"{place}.{key}", getattr(spec, key), f"{what} takes {', '.join(known)}")
+    def read(self, file: str) -> MeshTri:
+        """The mesh of a file beside the problem file."""
+        with self.source.at("mesh", "file"):
+            return read_mesh(self.source.path.parent / file)
 
-    def law(self, key: str, spec: MaterialTable | None) -> Law:
-        assert spec is not None
-        self.refuse_others(key, spec, LAW_KEYS[spec.law], f"the law {spec.law!r}", besides="law")
-        values: dict[str, Any] = {name: getattr(spec, name) for name in spec.given(*LAW_KEYS[spec.law])}
-        with self.at(key, spec):
-            if spec.law == "laplace":
-                return Laplace(**values)
-            kind = PlaneStrain if spec.law == "plane-strain" else PlaneStress
-            force = values.pop("body_force", (0.0, 0.0))
-            if values.keys() == {"lame_lambda", "lame_mu"}:
-                return kind(**values, body_force=force)
-            if values.keys() == {"young", "poisson"}:
-                return kind.from_young(**values, body_force=force)
-            raise ValueError("expected either young and poisson, or lame_lambda and lame_mu")
+    def law(self, spec: MaterialTable, *place: str) -> Law:
+        return self.made(f"the law {spec.law!r}", spec, LAWS[spec.law], *place)
 
-    def point_load(self, number: int, load: PointLoadTable, mesh: MeshTri, components: int) -> PointLoad:
+    def made(self, what: str, table: Table, makes: list[Callable[..., T]], *place: str) -> T:
+        """The first that takes the entries of a table, called with them."""
+        entries = {name: value for name, value in table.entries().items() if name not in ("shape", "law")}
+        taken = [arguments(make) for make in makes]
+        known = list(dict.fromkeys(name for names in taken for name in names))
+        for name in entries:
+            if name not in known:
+                raise self.source.error((*place, name), f"{what} takes {', '.join(known)}")
+        needed = [
+            [name for name, argument in names.items() if argument.default is Parameter.empty]
+            for names in taken
+        ]
+        for make, names, least in zip(makes, taken, needed, strict=True):
+            if set(least) <= entries.keys() <= names.keys():
+                with self.source.at(*place):
+                    return make(**entries)
+        if len(makes) == 1:
+            missing = next(name for name in needed[0] if name not in entries)
+            raise self.source.error((*place, missing), f"{what} needs it")
+        raise self.source.error(place, f"expected either {', or '.join(map(' and '.join, needed))}")
+
+    def point_load(self, number: int, load: PointLoadTable, mesh: MeshTri) -> PointLoad:
         """The load at the node that is where the file says."""
-        key, distance = f"point_loads[{number}]", np.linalg.norm(mesh.p - np.array(load.at)[:, None], axis=0)
+        distance = np.linalg.norm(mesh.p - np.array(load.at)[:, None], axis=0)
         node = int(np.argmin(distance))
         if distance[node] > SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1))):
             x, y = mesh.p[:, node]
-            raise self.wrong(f"{key}.at", load.at, f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]")
-        if len(load.force) != components or any(callable(value) for value in load.force):
-            raise self.wrong(f"{key}.force", load.force, f"expected {components} numbers")
-        return PointLoad(node, tuple(load.force))
-
-    def check_names(self, mesh: MeshTri) -> None:
-        """Names of boundaries and subdomains, with the nearest known one in the message."""
-        table, boundaries, subdomains = (
-            self.table,
-            sorted(mesh.boundaries or {}),
-            sorted(mesh.subdomains or {}),
-        )
-        used = [
-            (f"{section}.{name}", name, value)
-            for section in ("dirichlet", "tractions", "curves")
-            for name, value in getattr(table, section).items()
-        ]
-        for rule in ("pinned", "slides", "free"):
-            places = getattr(table.motion, rule)
-            used += [(f"motion.{rule}", name, places) for name in places if isinstance(name, str)]
-        for name, shape in table.design.shapes.items():
-            used.append((f"design.shapes.{name}.boundary", shape.boundary, shape.boundary))
-        for key, contact in self.contacts.items():
-            if contact.boundary is not None:
-                used.append((f"{key}.boundary", contact.boundary, contact.boundary))
-        for key, name, value in used:
-            if name not in boundaries:
-                expected = f"expected a boundary of the mesh{nearest(name, boundaries)}"
-                if table.mesh.file and not set(boundaries) - set(table.boundaries):
-                    expected += f"; {UNNAMED}"
-                raise self.wrong(key, value, expected)
-        for name, law in table.materials.items():
-            if name not in subdomains:
-                expected = f"expected a subdomain of the mesh{nearest(name, subdomains)}"
-                raise self.wrong(f"materials.{name}", law, expected)
+            said = f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]"
+            raise self.source.error(("point_loads", number, "at"), said)
+        return PointLoad(node, load.force)
 
 
 def _obstacle(table: ContactTable, components: int) -> Obstacle:
     if table.interior is not None:
-        if table.given("friction", "coulomb"):
-            raise ValueError("friction needs contact on a boundary")
         return Obstacle.interior(table.interior)
-    boundary, friction = str(table.boundary), _or_zero(table.friction)
-    if components == 1 and table.given("circle", "curve"):
-        raise ValueError("a circle or a curve needs an elastic body")
-    if (circle := table.circle) is not None:
-        inside = circle.inside
-        return Obstacle.circle(boundary, circle.centre, circle.radius, inside=inside, friction=friction)
-    if table.curve is not None:
-        if not callable(table.curve):
-            raise ValueError("expected an expression of x and y that is zero on the curve")
-        return Obstacle.curve(boundary, table.curve, friction)
+    common = table.entries("boundary", *FORCES)
+    if table.circle is not None:
+        return Obstacle.circle(**common, **table.circle.entries())
     if table.line is not None:
-        return Obstacle.line(boundary, table.line.point, table.line.normal, friction)
+        return Obstacle.line(**common, **table.line.entries())
+    if table.curve is not None:
+        return Obstacle.curve(**common, level=table.curve)
     if table.points is not None:
-        return Obstacle.graph(boundary, PiecewiseLinear(*zip(*table.points, strict=True)), friction)
+        return Obstacle.graph(**common, height=PiecewiseLinear(*zip(*table.points, strict=True)))
     if table.height is not None:
-        return Obstacle.graph(boundary, table.height, friction)
-    normal = np.array((1.0,) if components == 1 else table.normal or (0.0, 1.0))
-    length = float(np.hypot(*normal)) if components == 2 else 1.0
+        return Obstacle.graph(**common, height=table.height)
+    normal = (1.0,) if components == 1 else _unit(table.normal or (0.0, 1.0))
+    return Obstacle(**common, **table.entries("offset"), normal=normal)
+
+
+def _unit(normal: tuple[float, float]) -> tuple[float, float]:
+    length = float(np.hypot(*normal))
     if length == 0:
-        raise ValueError("expected a normal that is not zero")
-    return Obstacle(boundary, tuple((normal / length).tolist()), _or_zero(table.offset), friction)
-
-
-def _or_zero(coefficient: Any) -> Any:
-    """What a file gives, zero where it gives nothing."""
-    return 0.0 if coefficient is None else coefficient
+        raise ValueError(f"normal must be a non-zero vector, got {normal}")
+    return normal[0] / length, normal[1] / length
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,8 @@ from pydantic import ValidationError
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_messages import ProblemFileError, one_line
-from rmesh_nlp.io.problem_schema import (
-    ProblemTable,
-)
-from rmesh_nlp.io.problem_values import design_names
-from rmesh_nlp.problem import (
-    ContactProblem,
-)
+from rmesh_nlp.io.problem_schema import ProblemTable
+from rmesh_nlp.problem import ContactProblem
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -56,7 +51,7 @@ def read_table(path: str | Path) -> ProblemTable:
     path = Path(path)
     data = read_toml(path)
     try:
-        return ProblemTable.model_validate(data, context=design_names(data))
+        return ProblemTable.of(data)
     except ValidationError as error:
         raise messages.schema_errors(path, error, data, ProblemTable) from error
 

@@ -6,16 +6,13 @@ import difflib
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
-import casadi as ca
 from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError
-
-LISTS = ("contact", "point_loads", "constraints")  # tables of which a file may have several
-NAMED = ("materials", "formulations")  # tables of tables by names
 
 
 class ProblemFileError(BadInputError):
@@ -26,39 +23,80 @@ class ProblemFileError(BadInputError):
         self.lines = lines
 
 
-@contextmanager
-def at_key(path: Path, key: str, value: Any) -> Iterator[None]:
-    """Name file, key and value in any ValueError that is not yet one of a problem file."""
-    try:
-        yield
-    except ProblemFileError:
-        raise
-    except ValueError as error:
-        raise error_at(path, key, value, one_line(error)) from error
+Place = tuple[str | int, ...]
+"""Names of nested tables and numbers in lists, from 0, down to a value: as pydantic's errors have them."""
 
 
-def error_at(path: Path, key: str, value: Any, expected: str) -> ProblemFileError:
-    """The error of one key, with what stands there."""
-    return ProblemFileError([f"{path}: {key} = {as_text(value)}: {expected}"])
+def value_at(data: Any, place: Place) -> Any:
+    """What stands at a place of nested tables; None where nothing does."""
+    value = data
+    for part in place:
+        if isinstance(part, int):  # one table may stand in the place of a list of one
+            value = value[part] if isinstance(value, list) else value
+        else:
+            value = value.get(part) if isinstance(value, dict) else None
+    return value
+
+
+def outwards(place: Place) -> list[Place]:
+    """A place, and those around it."""
+    return [place[:depth] for depth in range(len(place), 0, -1)]
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file with its tables as they stand there; its errors name places and quote what stands there."""
+
+    path: Path
+    data: Mapping[str, Any]
+
+    def value(self, place: Place) -> Any:
+        """What stands at a place."""
+        return value_at(self.data, place)
+
+    def first(self, places: list[Place]) -> Place:
+        """The first of some places where something stands, or else the last."""
+        return next((place for place in places if self.value(place) is not None), places[-1])
+
+    def key(self, place: Place) -> str:
+        """The name of a place: ``contact[2].friction``."""
+        parts = [
+            (f".{part}" if isinstance(part, str) else f"[{part + 1}]")
+            for number, part in enumerate(place)
+            if isinstance(part, str) or isinstance(self.value(place[:number]), list)
+        ]
+        return "".join(parts).removeprefix(".")
+
+    def line(self, place: Place, said: str) -> str:
+        """The line of an error: place, what stands there, and what is wrong with it."""
+        return f"{self.key(place)} = {as_text(self.value(place))}: {said}"
+
+    def error(self, place: Place, said: str) -> ProblemFileError:
+        """The error at one place."""
+        return ProblemFileError([f"{self.path}: {self.line(place, said)}"])
+
+    @contextmanager
+    def at(self, *place: str | int) -> Iterator[None]:
+        """Name file and place in any ValueError that does not yet.
+
+        An error such as "radius must be positive" is one of the entry ``radius`` there, or of a table around
+        it: classes and functions begin so where an argument is wrong.
+        """
+        try:
+            yield
+        except ProblemFileError:
+            raise
+        except ValueError as error:
+            said = one_line(error)
+            begin = re.match(r"(\w+) (?:must|is) ", said)
+            entries = [(*table, begin[1]) for table in outwards(place)] if begin else []
+            raise self.error(self.first([*entries, place]), said) from error
 
 
 def as_text(value: Any) -> str:
-    """A value as it stood in the file, cut to 60 characters."""
-    text = "nothing" if value is None else repr(_plain(value))
+    """A value as it stands in a file, cut to 60 characters."""
+    text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _plain(value: Any) -> Any:
-    """A checked value as it stood in the file."""
-    if isinstance(value, BaseModel):
-        value = value.model_dump(exclude_unset=True)
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, ca.SX):
-        return str(value)
-    if isinstance(value, (list, tuple)):
-        return ["free" if item is None else _plain(item) for item in value]
-    return getattr(value, "text", value)
 
 
 def one_line(error: Any) -> str:
@@ -70,38 +108,37 @@ def schema_errors(
     path: Path, error: ValidationError, data: dict[str, Any], file: type[BaseModel]
 ) -> ProblemFileError:
     """All of pydantic's errors, one line each; ``file`` is the model of a whole file."""
-    tables = {"": file, **dict(_tables(file))}
-    return ProblemFileError([f"{path}: {_line(item, data, tables)}" for item in error.errors()])
+    source, tables = Source(path, data), {"": file, **dict(_tables(file))}
+    return ProblemFileError([f"{path}: {_line(item, source, tables)}" for item in error.errors()])
 
 
-def _line(item: Any, data: dict[str, Any], tables: Mapping[str, type[BaseModel]]) -> str:
-    place, value = [str(part) for part in item["loc"]], as_text(item["input"])
-    if len(place) > 1 and place[0] in LISTS and place[1].isdigit():
-        number = int(place.pop(1)) + 1
-        place[0] += f"[{number}]" if isinstance(data[place[0]], list) else ""
-    key = ".".join(place)
+def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> str:
+    place = item["loc"]
     message = one_line(item["msg"]).removeprefix("Value error, ")
     if not place:
         return message
     if item["type"] == "extra_forbidden":
-        table = "materials" if place[0] == "materials" else re.sub(r"\[\d+\]", "", ".".join(place[:-1]))
-        known = list(tables.get(table, tables[""]).model_fields)
-        message = f"unknown key{_home(place[-1], tables) or nearest(place[-1], known)}"
+        names = [part for part in place[:-1] if isinstance(part, str)]
+        own, any_name = ".".join(names), ".".join([*names[:-1], "*"])
+        table = own if own in tables else any_name if any_name in tables else None
+        known = [] if table is None else list(tables[table].model_fields)
+        message = f"unknown key{_home(place[-1], table, tables) or nearest(place[-1], known)}"
     elif item["type"] == "missing":
-        value, message = "nothing", "expected, but it is missing"
+        message = "expected, but it is missing"
     elif item["type"] == "literal_error":
         message = f"expected {item['ctx']['expected']}"
     elif item["type"] in ("model_type", "dict_type", "tuple_type", "model_attributes_type"):
-        message = f"expected a table [{key}]"
-    return f"{key} = {value}: {message}"
+        message = f"expected a table [{source.key(place)}]"
+    return source.line(place, message)
 
 
 def _tables(model: type[BaseModel], head: str = "") -> Iterator[tuple[str, type[BaseModel]]]:
-    """Place and model of each table inside a table."""
+    """Place and model of each table inside a table; ``*`` stands for the names of several."""
     for name, field in model.model_fields.items():
         for kind in _models(field.annotation):
-            yield head + name, kind
-            yield from _tables(kind, f"{head}{name}.")
+            place = f"{head}{name}{'.*' if get_origin(field.annotation) is dict else ''}"
+            yield place, kind
+            yield from _tables(kind, f"{place}.")
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
@@ -111,9 +148,13 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(part)
 
 
-def _home(name: str, tables: Mapping[str, type[BaseModel]]) -> str:
-    """The end of a message about a key that stands in the wrong table; empty if no table has it."""
-    homes = [place for place, table in tables.items() if name in table.model_fields and place not in NAMED]
+def _home(name: str, table: str | None, tables: Mapping[str, type[BaseModel]]) -> str:
+    """The end of a message about a key that stands in the wrong table; empty if none near it has it."""
+    homes = [
+        place
+        for place, model in tables.items()
+        if name in model.model_fields and "*" not in place and place.rpartition(".")[0] in ("", table)
+    ]
     if inside := [place for place in homes if place]:
         return f" here: it belongs in {' or '.join(f'[{place}]' for place in inside)}"
     return " here: it belongs at the top of the file" if homes else ""
@@ -122,7 +163,7 @@ def _home(name: str, tables: Mapping[str, type[BaseModel]]) -> str:
 def nearest(name: str, known: list[str]) -> str:
     """The end of a message about an unknown name."""
     if not known:
-        return ", which has none"
+        return ""
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
     return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(known)}"
 

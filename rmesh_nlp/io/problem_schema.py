@@ -1,42 +1,81 @@
-"""The keys of a problem file and what may stand there: one pydantic model per table."""
+"""The tables of a problem file: most keys are the arguments of the class or function that a table calls."""
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from collections.abc import Callable, Mapping
+from inspect import Parameter, signature
+from typing import Annotated, Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PrivateAttr,
+    SkipValidation,
+    ValidatorFunctionWrapHandler,
+    WrapValidator,
+    create_model,
+    model_validator,
+)
+from skfem import MeshTri
 
 from rmesh_nlp.io.problem_values import (
-    Angle,
+    KINDS,
     Condition,
-    Count,
-    Delta,
-    DesignedFinite,
-    DesignedPair,
-    DesignedPoisson,
-    DesignedPositive,
-    Finite,
     Flag,
-    Fraction,
+    Forces,
     Given,
     Limits,
-    Order,
     Pair,
-    Places,
     Points,
-    Positive,
     Quadrature,
-    Remesh,
     Scalar,
     Seed,
     Text,
-    Ties,
     Triple,
     Vector,
-    Weights,
+    among,
     as_list,
-    expected,
+    design_names,
 )
+from rmesh_nlp.meshes import shapes
+from rmesh_nlp.problem import (
+    DesignVariable,
+    Elastic,
+    Laplace,
+    Law,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    PlaneStress,
+    Shape,
+    Units,
+)
+from rmesh_nlp.problem.obstacle import GAPS
+
+SHAPES: Mapping[str, Callable[..., MeshTri]] = {
+    "rectangle": shapes.rectangle,
+    "l-shape": shapes.l_shape,
+    "plate-with-hole": shapes.plate_with_hole,
+    "half-disc": shapes.half_disc,
+    "wedge-block": shapes.wedge_block,
+    "polygon": shapes.polygon,
+}
+"""The function that makes each shape."""
+
+LAWS: Mapping[str, list[Callable[..., Law]]] = {
+    "laplace": [Laplace],
+    "plane-strain": [PlaneStrain.from_young, PlaneStrain],
+    "plane-stress": [PlaneStress.from_young, PlaneStress],
+}
+"""What may make each law."""
+
+FOUNDATIONS = ("offset", "line", "circle", "curve", "height", "points")
+"""Keys of a contact that say where the foundation is."""
+
+FORCES = ("friction", "coulomb")
+"""Keys of a contact that say which friction there is."""
 
 
 class Table(BaseModel):
@@ -48,28 +87,46 @@ class Table(BaseModel):
         """Which of these keys have a value."""
         return [name for name in names if getattr(self, name) is not None]
 
+    def entries(self, *names: str) -> dict[str, Any]:
+        """The keys that the file has, with their values: all, or those among some names."""
+        known = [name for name in type(self).model_fields if name in self.model_fields_set]
+        return {name: getattr(self, name) for name in known if not names or name in names}
 
+
+T = TypeVar("T", bound=Table)
+
+
+def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
+    """The arguments that a file can give: those whose type has a kind of value, in the place of the type."""
+    types, found = get_type_hints(make), signature(make).parameters
+    return {
+        name: argument.replace(annotation=KINDS[types[name]])
+        for name, argument in found.items()
+        if types[name] in KINDS
+    }
+
+
+def taking(*makes: Callable[..., Any], without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
+    """A table with the arguments of ``make`` as further keys; of one of several each may be left out."""
+
+    def extended(table: type[T]) -> type[T]:
+        fields: dict[str, Any] = {}
+        for make in makes:
+            for name, argument in arguments(make).items():
+                if name not in without:
+                    is_needed = argument.default is Parameter.empty and len(makes) == 1
+                    fields[name] = (argument.annotation, ... if is_needed else None)
+        return create_model(table.__name__, __base__=table, **fields)
+
+    return extended
+
+
+@taking(*SHAPES.values())
 class MeshTable(Table):
-    """``[mesh]``: a file, or a shape with its own parameters."""
+    """``[mesh]``: a file, or a shape with the arguments of its function."""
 
     file: Text | None = None
-    shape: (
-        Literal["rectangle", "l-shape", "plate-with-hole", "half-disc", "wedge-block", "polygon"] | None
-    ) = None
-    nx: Count | None = None
-    ny: Count | None = None
-    x: Pair | None = None
-    y: Pair | None = None
-    diagonal: Literal["rising", "falling"] | None = None
-    h: Positive | None = None
-    size: Positive | None = None
-    radius: Positive | None = None
-    contact: Positive | None = None
-    h_contact: Positive | None = None
-    width: Positive | None = None
-    height: Positive | None = None
-    rise: Finite | None = None
-    points: Points | None = None
+    shape: Annotated[str, among(SHAPES)] | None = None
 
     @model_validator(mode="after")
     def _one_source(self) -> MeshTable:
@@ -78,32 +135,21 @@ class MeshTable(Table):
         return self
 
 
+@taking(Laplace, Elastic.from_young, Elastic)
 class MaterialTable(Table):
-    """``[material]`` or ``[materials.<subdomain>]``."""
+    """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
-    law: Literal["laplace", "plane-strain", "plane-stress"]
-    young: DesignedPositive | None = None
-    poisson: DesignedPoisson | None = None
-    lame_lambda: DesignedFinite | None = None
-    lame_mu: DesignedPositive | None = None
-    body_force: Vector | None = None
-    source: Scalar | None = None
-    conductivity: DesignedPositive | None = None
+    law: Annotated[str, among(LAWS)]
 
 
+@taking(Obstacle.line, without=("boundary", *FORCES))
 class LineTable(Table):
     """A rigid straight line."""
 
-    point: DesignedPair
-    normal: Pair
 
-
+@taking(Obstacle.circle, without=("boundary", *FORCES))
 class CircleTable(Table):
     """A rigid disc, or a round hole around the body."""
-
-    centre: DesignedPair
-    radius: DesignedPositive
-    inside: Flag = False
 
 
 class ContactTable(Table):
@@ -120,17 +166,19 @@ class ContactTable(Table):
     interior: Scalar | None = None
     friction: Scalar | None = None
     coulomb: Scalar | None = None
-    gap: Literal["node", "edge"] = "node"
+    gap: Annotated[str, among(GAPS)] = "node"
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
         if len(self.given("boundary", "interior")) != 1:
             raise ValueError("expected either a boundary or interior")
-        kinds = self.given("offset", "line", "circle", "curve", "height", "points")
+        kinds = self.given(*FOUNDATIONS)
         if len(kinds) > 1 or (kinds and self.interior is not None):
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
         if self.normal is not None and kinds not in ([], ["offset"]):
             raise ValueError("expected normal only together with offset")
+        if self.interior is not None and self.given(*FORCES):
+            raise ValueError("friction needs contact on a boundary")
         return self
 
 
@@ -138,22 +186,17 @@ class PointLoadTable(Table):
     """One of ``[[point_loads]]``: a force at the node at a place."""
 
     at: Pair
-    force: Vector
+    force: Forces
 
 
+@taking(DesignVariable, without=("name",))
 class VariableTable(Table):
     """One of ``[design]``: a number that is optimised."""
 
-    start: Finite
-    bounds: Pair
 
-
+@taking(Shape, without=("name",))
 class ShapeTable(Table):
     """One of ``[design.shapes]``: a motion of a boundary times an amplitude."""
-
-    boundary: Text
-    motion: Vector
-    bounds: Pair
 
 
 class DesignTable(BaseModel):
@@ -169,11 +212,6 @@ class DesignTable(BaseModel):
         """All but the shapes."""
         return self.__pydantic_extra__
 
-    @property
-    def names(self) -> list[str]:
-        """Of all."""
-        return [*self.variables, *self.shapes]
-
 
 class ConstraintTable(Table):
     """One of ``[[constraints]]``."""
@@ -182,23 +220,14 @@ class ConstraintTable(Table):
     bounds: Limits
 
 
+@taking(Units)
 class UnitsTable(Table):
     """``[units]``: names that are written beside numbers and axes; nothing is converted."""
 
-    length: Text = ""
-    force: Text = ""
 
-
+@taking(Motion)
 class MotionTable(Table):
     """``[motion]``."""
-
-    delta: Delta = None
-    pinned: Places = ()
-    slides: Places = ()
-    free: Places = ()
-    tied: Ties = ()
-    min_area_fraction: Fraction = 0.01
-    min_angle: Angle = 0.0
 
 
 class CurveTable(Table):
@@ -220,27 +249,13 @@ class CurveTable(Table):
         return self
 
 
-def _curve(value: Any) -> CurveTable | str:
-    """A table, or the word for what is fitted to the nodes; one sentence says what is wrong."""
+def _curve(value: Any, read: ValidatorFunctionWrapHandler) -> CurveTable | str:
+    """A table, or the word for what is fitted to the nodes."""
+    if isinstance(value, dict):
+        return read(value)
     if value in ("circle", "spline"):
         return str(value)
-    if not isinstance(value, dict):
-        raise ValueError
-    try:
-        return CurveTable.model_validate(value)
-    except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
-        text = "unknown key" if first["type"] == "extra_forbidden" else first["msg"]
-        text = text.removeprefix("Value error, ")
-        raise ValueError(f"{key}: {text}" if key else text) from None
-
-
-FittedCurve = Annotated[
-    Any,
-    BeforeValidator(_curve),
-    expected("'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}"),
-]
+    raise ValueError("expected 'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}")
 
 
 class SolveTable(BaseModel):
@@ -252,9 +267,7 @@ class SolveTable(BaseModel):
     objective: Text = "energy"
     seed: Seed | None = None
     starts: Seed = 0
-    regularisation: Weights | None = None
-    remesh: Remesh = False
-    certify: bool = False
+    certify: Flag = False
 
     @model_validator(mode="after")
     def _starts_alone(self) -> SolveTable:
@@ -264,15 +277,14 @@ class SolveTable(BaseModel):
 
     def options(self) -> dict[str, Any]:
         """Those that are not the defaults."""
-        given = self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
-        return {name: value for name, value in given.items() if value is not None}
+        return self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
 
 
 class ProblemTable(Table):
     """A whole problem file."""
 
     name: Text | None = None
-    order: Order = 1
+    order: SkipValidation[int] = 1
     quadrature: Quadrature = "auto"
     mesh: MeshTable
     boundaries: dict[str, Condition] = Field(default_factory=dict)
@@ -287,8 +299,21 @@ class ProblemTable(Table):
     constraints: tuple[ConstraintTable, ...] = ()
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
-    curves: dict[str, FittedCurve] = Field(default_factory=dict)
+    curves: dict[str, Annotated[CurveTable, WrapValidator(_curve)]] = Field(default_factory=dict)
     solve: SolveTable = SolveTable()
+    _data: Mapping[str, Any] = PrivateAttr(default_factory=dict)
+
+    @classmethod
+    def of(cls, data: Mapping[str, Any]) -> ProblemTable:
+        """The tables of a file, checked."""
+        table = cls.model_validate(data, context=design_names(data))
+        table._data = data
+        return table
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """The tables as they stand in the file."""
+        return self._data
 
     @model_validator(mode="after")
     def _one_material(self) -> ProblemTable:

@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
+
+from rmesh_nlp.errors import unknown
+
+NAMELESS = {
+    "boundary": ("curves", "Curve", "boundaries"),
+    "subdomain": ("surfaces", "Surface", "subdomains"),
+}
+"""What gmsh and problem files call the parts that boundaries and subdomains are made of."""
 
 
 def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
@@ -47,3 +57,15 @@ def overlapping(triangles: NDArray) -> tuple[int, int] | None:
 def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
     """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
     return replace(mesh, doflocs=np.ascontiguousarray(nodes))
+
+
+def members_of(kind: str, name: str, groups: Mapping[str, Any] | None) -> NDArray[np.int64]:
+    """Numbers of the facets of a named boundary, or of the elements of a subdomain.
+
+    A BadInputError names what there is if the mesh has no such name.
+    """
+    if not groups or name not in groups:
+        parts, physical, table = NAMELESS[kind]
+        advice = f"the mesh names none: name its {parts} in gmsh, Physical {physical}({name!r}) = {{1}};, or "
+        raise unknown(kind, name, groups or {}, f"{advice}{table} by conditions under [{table}] in a file")
+    return np.asarray(groups[name])

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
-from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import overlapping, signed_areas
+from rmesh_nlp.meshes.geometry import members_of, overlapping, signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
+from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.obstacle import NO_NORMAL, Place
 from rmesh_nlp.problem.rigid import NO_MOTION, rigid_motions, seen_by_contact
 
@@ -72,21 +73,26 @@ def _check_names(problem: ProblemData) -> None:
     if not problem.dirichlet and not problem.obstacles:
         said = "at least one boundary must be held (dirichlet), or the energy has no minimum"
         raise ProblemError("dirichlet", said)
-    boundaries = problem.mesh.boundaries or {}
-    used = [("dirichlet", d if isinstance(d, str) else d.boundary) for d in problem.dirichlet]
-    used += [("tractions", t.boundary) for t in problem.tractions]
-    used += [("curves" if n in problem.motion.curves else "motion", n) for n in problem.motion.names]
-    used += [("obstacle", o.boundary) for o in problem.obstacles if isinstance(o.boundary, str)]
-    for part, name in used:
-        _check_known(part, "boundary", name, boundaries)
-        if np.size(boundaries[name]) == 0:
-            raise ProblemError(part, f"the boundary {name!r} of the mesh is empty")
+    motion, places = problem.motion, [obstacle.boundary for obstacle in problem.obstacles]
+    used: list[tuple[str, str | int, Any]] = [
+        *(("dirichlet", support.boundary, support.boundary) for support in problem.supports),
+        *(("tractions", traction.boundary, traction.boundary) for traction in problem.tractions),
+        *(("curves", name, name) for name in motion.curves),
+        *(("motion", rule, place) for rule in RULES for place in getattr(motion, rule)),
+        *(("boundary", number, place) for number, place in enumerate(places)),
+    ]
+    named = [(part, which, name) for part, which, name in used if isinstance(name, str)]
+    for part, which, name in named:
+        if _members(part, which, "boundary", name, problem.mesh.boundaries).size == 0:
+            raise ProblemError(part, f"the boundary {name!r} of the mesh is empty", which)
 
 
-def _check_known(part: str, kind: str, name: str, groups: Mapping[str, Any]) -> None:
-    if name not in groups:
-        has = ", ".join(sorted(groups)) or "none"
-        raise ProblemError(part, f"the mesh has no {kind} named {name!r}; it has {has}")
+def _members(part: str, which: str | int, kind: str, name: str, groups: Any) -> NDArray[np.int64]:
+    """Numbers of the facets of a boundary, or the elements of a subdomain, that a part of a problem names."""
+    try:
+        return members_of(kind, name, groups)
+    except BadInputError as error:
+        raise ProblemError(part, str(error), which) from error
 
 
 def _check_laws(problem: ProblemData) -> None:
@@ -94,8 +100,7 @@ def _check_laws(problem: ProblemData) -> None:
         return
     count = np.zeros(problem.mesh.t.shape[1], dtype=int)
     for name in problem.law:
-        _check_known("law", "subdomain", name, problem.mesh.subdomains or {})
-        count[np.asarray(problem.mesh.subdomains[name])] += 1
+        count[_members("subdomain", name, "subdomain", name, problem.mesh.subdomains)] += 1
     for element in np.flatnonzero(count != 1):
         said = f"element {element} has {count[element]} laws: every element needs exactly one"
         raise ProblemError("law", said)
@@ -108,23 +113,34 @@ def _check_components(problem: ProblemData) -> None:
     for node in problem.motion.numbers:
         if not 0 <= node <= last:
             raise ProblemError("motion", f"the motion names node {node}; nodes run from 0 to {last}")
-    for load in problem.point_loads:
+    for number, load in enumerate(problem.point_loads):
         if not 0 <= load.node <= last:
-            raise ProblemError("tractions", f"a point load names node {load.node}, which the mesh has not")
+            said = f"a point load names node {load.node}, which the mesh has not"
+            raise ProblemError("point_loads", said, number)
         if not np.all(np.isfinite(load.force)):
-            raise ProblemError("tractions", f"the point load {load.force} at node {load.node} is not finite")
-    given: list[tuple[str, str, Sequence[Any]]] = [
-        *(("obstacle", f"the contact normal {o.normal}", o.normal) for o in problem.obstacles),
-        *(("tractions", f"the point load {p.force}", p.force) for p in problem.point_loads),
-        *(("tractions", f"the traction {t.value} on {t.boundary!r}", t.value) for t in problem.tractions),
+            said = f"the point load {load.force} at node {load.node} is not finite"
+            raise ProblemError("point_loads", said, number)
+    for number, obstacle in enumerate(problem.obstacles):
+        if n == 1 and obstacle.level is not None:
+            raise ProblemError("obstacle", "a circle or a curve needs an elastic body", number)
+    normals = [obstacle.normal for obstacle in problem.obstacles]
+    forces = [load.force for load in problem.point_loads]
+    given: list[tuple[str, str | int, str, Sequence[Any]]] = [
+        *(("obstacle", k, f"the contact normal {normal}", normal) for k, normal in enumerate(normals)),
+        *(("point_loads", k, f"the point load {force}", force) for k, force in enumerate(forces)),
         *(
-            ("dirichlet", f"the displacement {s.value} given on {s.boundary!r}", s.value)
+            ("tractions", t.boundary, f"the traction {t.value} on {t.boundary!r}", t.value)
+            for t in problem.tractions
+        ),
+        *(
+            ("dirichlet", s.boundary, f"the displacement {s.value} given on {s.boundary!r}", s.value)
             for s in problem.supports
         ),
     ]
-    for part, what, values in given:
+    for part, which, what, values in given:
         if len(values) != n:
-            raise ProblemError(part, f"{what} has {len(values)} components: it needs {n} values")
+            said = f"{what} has {len(values)} components: it needs {n} value{'s' * (n > 1)}"
+            raise ProblemError(part, said, which)
 
 
 def _check_functions(problem: ProblemData) -> None:

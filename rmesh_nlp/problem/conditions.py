@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.meshes.geometry import members_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
 
 SAME_PLACE = 1e-9
@@ -112,7 +113,8 @@ def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
     ValueError
         If the boundary is not parallel to an axis of coordinates.
     """
-    extent = np.ptp(mesh.p[:, np.unique(mesh.facets[:, mesh.boundaries[boundary]])], axis=1)
+    edges = mesh.facets[:, members_of("boundary", boundary, mesh.boundaries)]
+    extent = np.ptp(mesh.p[:, np.unique(edges)], axis=1)
     flat = extent <= SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1)))
     if not np.any(flat):
         raise ValueError(

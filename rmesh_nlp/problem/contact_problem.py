@@ -14,10 +14,10 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.display import Rows, bounds_in_words, describe, figure, html_table, plain_table, rich_table
-from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.geometry import counter_clockwise, members_of
 from rmesh_nlp.problem.checks import check
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
@@ -99,8 +99,7 @@ class ContactProblem(ProblemData):
             every = () if given is None and not needed else as_tuple(given)
             wrong = [one for one in every if not isinstance(one, kinds)]
             if wrong or isinstance(given, Mapping):
-                part = "tractions" if name == "point_loads" else name
-                raise ProblemError(part, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
+                raise ProblemError(name, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
                 object.__setattr__(self, name, every)
         if self.design:
@@ -129,11 +128,11 @@ class ContactProblem(ProblemData):
             if obstacle.boundary in self.motion.curves and (used := names_in(obstacle)):
                 said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"
                 raise ProblemError("design", f"{said} on a design variable yet, as {used[0]!r} does")
-        known = self.mesh.boundaries or {}
         for shape in self.shapes:
-            if shape.boundary not in known:
-                said = f"the shape {shape.name!r} moves an unknown boundary {shape.boundary!r}"
-                raise ProblemError("design", f"{said}: choose from {', '.join(known)}")
+            try:
+                members_of("boundary", shape.boundary, self.mesh.boundaries)
+            except BadInputError as error:
+                raise ProblemError("design", f"{shape.name}: {error}", shape.name) from error
         self.at_design()
 
     @cached_property

@@ -22,7 +22,7 @@ from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
-BY_VALIDITY = Motion(delta=None)
+BY_VALIDITY = Motion()
 """Motion limited by element validity alone."""
 
 CLASH = 1e-12

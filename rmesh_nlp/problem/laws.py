@@ -35,7 +35,7 @@ class Laplace:
 
     def __post_init__(self) -> None:
         if is_number(self.conductivity) and not (np.isfinite(self.conductivity) and self.conductivity > 0):
-            raise ValueError(f"the conductivity must be positive, got {self.conductivity}")
+            raise ValueError(f"conductivity must be positive, got {self.conductivity}")
 
     @property
     def load(self) -> tuple[Coefficient, ...]:
@@ -74,8 +74,10 @@ class Elastic(ABC):
             raise ValueError(f"the body force needs 2 components, got {self.body_force}")
 
     def _check(self, lame_lambda: float, lame_mu: float) -> None:
+        if not lame_mu > 0:
+            raise ValueError(f"lame_mu must be positive, got {lame_mu}")
         finite = np.isfinite(lame_mu) and np.isfinite(lame_lambda)
-        if not (finite and lame_mu > 0 and self.in_plane_lambda + lame_mu > 0):
+        if not (finite and self.in_plane_lambda + lame_mu > 0):
             raise ValueError(
                 f"Lamé coefficients lambda={lame_lambda}, mu={lame_mu} are not those of an elastic "
                 "solid: mu > 0 and lambda + mu > 0 are needed"
@@ -90,9 +92,9 @@ class Elastic(ABC):
     ) -> E:
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
         if is_number(young) and not (np.isfinite(young) and young > 0):
-            raise ValueError(f"Young's modulus must be positive, got {young}")
+            raise ValueError(f"young must be positive, got {young}")
         if is_number(poisson) and not -1 < poisson < 0.5:
-            raise ValueError(f"Poisson's ratio must lie between -1 and 0.5, got {poisson}")
+            raise ValueError(f"poisson must lie between -1 and 0.5, got {poisson}")
         lame_lambda, lame_mu = lame_parameters(young, poisson)
         return cls(lame_lambda, lame_mu, body_force)
 

@@ -20,6 +20,7 @@ from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.geometry import members_of
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import motions
 
@@ -38,7 +39,7 @@ EXACT = 1e-14
 
 def nodes_of(mesh: MeshTri, name: str) -> Index:
     """Sorted numbers of the nodes on a named boundary."""
-    return np.unique(mesh.facets[:, np.asarray(mesh.boundaries[name])]).astype(np.int64)
+    return np.unique(mesh.facets[:, members_of("boundary", name, mesh.boundaries)]).astype(np.int64)
 
 
 def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = False) -> MeshTri:

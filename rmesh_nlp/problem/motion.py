@@ -46,7 +46,7 @@ class Motion:
     ----------
     delta : float, (float, float), Relative or None
         Move limits: half-widths around each initial position, in units of length; 0 where no node is
-        relocated, None for no limits, so that only element validity limits the motion.
+        relocated, None, the default, for no limits: only element validity limits the motion.
     pinned, slides, free : tuples of str or int, or one alone
         Names of boundaries, or node numbers; none by default. Rules for names apply first, then those for
         numbers; among equals ``pinned`` beats ``slides`` beats ``free``. A node slides only
@@ -65,7 +65,7 @@ class Motion:
         mesh is refined along them. Move limits are then measured along the curve.
     """
 
-    delta: float | tuple[float, float] | Relative | None
+    delta: float | tuple[float, float] | Relative | None = None
     pinned: tuple[Where, ...] = ()
     min_area_fraction: float = 0.01
     slides: tuple[Where, ...] = ()

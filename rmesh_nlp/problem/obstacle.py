@@ -101,9 +101,9 @@ class Obstacle:
         if not abs(length - 1) <= 1e-12:
             raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
         if is_number(self.friction) and not self.friction >= 0:
-            raise ValueError(f"the friction bound must not be negative, got {self.friction}")
+            raise ValueError(f"friction must not be negative, got {self.friction}")
         if is_number(self.coulomb) and not 0 <= self.coulomb < np.inf:
-            raise ValueError(f"Coulomb's coefficient must be finite and not negative, got {self.coulomb}")
+            raise ValueError(f"coulomb must be finite and not negative, got {self.coulomb}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
         if self.gap not in GAPS:
@@ -124,7 +124,7 @@ class Obstacle:
         """
         length = float(np.hypot(*normal))
         if not 0 < length < np.inf:
-            raise ValueError(f"the normal of the rigid line must be a non-zero vector, got {normal}")
+            raise ValueError(f"normal must be a non-zero vector, got {normal}")
         n = (normal[0] / length, normal[1] / length)
 
         def distance(x: Expression, y: Expression) -> Expression:
@@ -161,6 +161,8 @@ class Obstacle:
         The gap is measured along the curve's normal at the undeformed node, the slip along its tangent
         there, both linearly in the displacement. Scale and kind of ``level`` do not matter to first order.
         """
+        if not callable(level):
+            raise ValueError(f"curve must be an expression of x and y that is zero on it, got {level}")
         return cls(boundary, friction=friction, level=level, fixed_in_space=True, coulomb=coulomb)
 
     @classmethod
@@ -180,9 +182,9 @@ class Obstacle:
         undeformed node; both are exact, the dependence on the displacement is linear.
         """
         if is_number(radius) and not 0 < radius < np.inf:
-            raise ValueError(f"the radius of the circle must be positive, got {radius}")
+            raise ValueError(f"radius must be positive, got {radius}")
         if not all(np.isfinite(value) for value in centre if is_number(value)):
-            raise ValueError(f"the centre of the circle must be finite, got {centre}")
+            raise ValueError(f"centre must be finite, got {centre}")
         sign = -1.0 if inside else 1.0
 
         def distance(x: Expression, y: Expression) -> Expression:

@@ -13,10 +13,15 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationEr
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import schema_errors
 from rmesh_nlp.io.problem_schema import Table
-from rmesh_nlp.io.problem_values import Count, Positive, Quadrature, Seed, Text
+from rmesh_nlp.io.problem_values import LARGEST, Quadrature, Seed, Text, expected
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
+
+Count = Annotated[int, Field(strict=True, ge=1, le=10_000), expected("a whole number from 1 to 10000")]
+Positive = Annotated[
+    float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False), expected("a positive number")
+]
 
 
 def _size(value: Any) -> tuple[int, int] | int:

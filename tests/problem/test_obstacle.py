@@ -166,8 +166,8 @@ def test_interior_obstacle_and_friction() -> None:
         (lambda: Obstacle(Place.INTERIOR, friction=1.0), "two displacement components"),
         (lambda: Obstacle("a", gap="nodes"), "gap must be 'node' or 'edge', got 'nodes'"),
         (lambda: Obstacle.line("a", (0, 0), (0, 0)), "non-zero vector"),
-        (lambda: Obstacle.circle("a", (0, 0), 0.0), "radius of the circle must be positive, got 0.0"),
-        (lambda: Obstacle.circle("a", (0, np.inf), 1.0), "centre of the circle must be finite"),
+        (lambda: Obstacle.circle("a", (0, 0), 0.0), "radius must be positive, got 0.0"),
+        (lambda: Obstacle.circle("a", (0, np.inf), 1.0), "centre must be finite"),
     ],
 )
 def test_bad_obstacles_are_named(make: Callable, message: str) -> None:
