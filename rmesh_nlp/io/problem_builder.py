@@ -210,7 +210,7 @@ class _Builder:
             x, y = mesh.p[:, node]
             said = f"no node is there; the nearest is at [{x:.6g}, {y:.6g}]"
             raise self.source.error(("point_loads", number, "at"), said)
-        return PointLoad(node, load.force)
+        return PointLoad(node, **load.entries("force"))
 
 
 def _obstacle(table: ContactTable, components: int) -> Obstacle:

@@ -50,26 +50,22 @@ class Source:
     path: Path
     data: Mapping[str, Any]
 
-    def value(self, place: Place) -> Any:
-        """What stands at a place."""
-        return value_at(self.data, place)
-
     def first(self, places: list[Place]) -> Place:
         """The first of some places where something stands, or else the last."""
-        return next((place for place in places if self.value(place) is not None), places[-1])
+        return next((place for place in places if value_at(self.data, place) is not None), places[-1])
 
     def key(self, place: Place) -> str:
         """The name of a place: ``contact[2].friction``."""
         parts = [
             (f".{part}" if isinstance(part, str) else f"[{part + 1}]")
             for number, part in enumerate(place)
-            if isinstance(part, str) or isinstance(self.value(place[:number]), list)
+            if isinstance(part, str) or isinstance(value_at(self.data, place[:number]), list)
         ]
         return "".join(parts).removeprefix(".")
 
     def line(self, place: Place, said: str) -> str:
         """The line of an error: place, what stands there, and what is wrong with it."""
-        return f"{self.key(place)} = {as_text(self.value(place))}: {said}"
+        return f"{self.key(place)} = {as_text(value_at(self.data, place))}: {said}"
 
     def error(self, place: Place, said: str) -> ProblemFileError:
         """The error at one place."""

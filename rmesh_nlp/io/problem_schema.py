@@ -24,7 +24,6 @@ from rmesh_nlp.io.problem_values import (
     KINDS,
     Condition,
     Flag,
-    Forces,
     Given,
     Limits,
     Pair,
@@ -49,6 +48,7 @@ from rmesh_nlp.problem import (
     Obstacle,
     PlaneStrain,
     PlaneStress,
+    PointLoad,
     Shape,
     Units,
 )
@@ -182,11 +182,11 @@ class ContactTable(Table):
         return self
 
 
+@taking(PointLoad, without=("node",))
 class PointLoadTable(Table):
     """One of ``[[point_loads]]``: a force at the node at a place."""
 
     at: Pair
-    force: Forces
 
 
 @taking(DesignVariable, without=("name",))

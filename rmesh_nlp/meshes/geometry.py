@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.errors import unknown
+from rmesh_nlp.errors import ProblemError, unknown
 
-NAMELESS = {
-    "boundary": ("curves", "Curve", "boundaries"),
-    "subdomain": ("surfaces", "Surface", "subdomains"),
-}
-"""What gmsh and problem files call the parts that boundaries and subdomains are made of."""
+NAMELESS = (
+    'the mesh names none: name groups in gmsh, such as Physical Curve("left") = {1};, '
+    "or give conditions under [boundaries] and [subdomains] in a file"
+)
+"""What to do with a mesh without names."""
 
 
 def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
@@ -59,13 +59,13 @@ def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
     return replace(mesh, doflocs=np.ascontiguousarray(nodes))
 
 
-def members_of(kind: str, name: str, groups: Mapping[str, Any] | None) -> NDArray[np.int64]:
-    """Numbers of the facets of a named boundary, or of the elements of a subdomain.
+def members_of(
+    kind: str, name: str, groups: Mapping[str, Any] | None, part: str = "mesh", which: str | int | None = None
+) -> NDArray[np.int64]:
+    """Numbers of the facets of a boundary, or of the elements of a subdomain, by its name.
 
-    A BadInputError names what there is if the mesh has no such name.
+    If the mesh has no such name, a ProblemError says that ``which`` of a ``part`` of the problem is wrong.
     """
     if not groups or name not in groups:
-        parts, physical, table = NAMELESS[kind]
-        advice = f"the mesh names none: name its {parts} in gmsh, Physical {physical}({name!r}) = {{1}};, or "
-        raise unknown(kind, name, groups or {}, f"{advice}{table} by conditions under [{table}] in a file")
+        raise ProblemError(part, str(unknown(kind, name, groups or {}, NAMELESS)), which)
     return np.asarray(groups[name])

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
-from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import members_of, overlapping, signed_areas
@@ -43,7 +43,7 @@ def check(problem: ProblemData) -> None:
     if type(problem.order) is not int or problem.order not in ORDERS:
         raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
     _check_mesh(problem)
-    _check_names(problem)
+    check_names(problem)
     _check_laws(problem)
     _check_components(problem)
     _check_functions(problem)
@@ -69,7 +69,8 @@ def _check_mesh(problem: ProblemData) -> None:
         raise ProblemError("mesh", wrong)
 
 
-def _check_names(problem: ProblemData) -> None:
+def check_names(problem: ProblemData) -> None:
+    """Raise a ProblemError if a part of the problem names a boundary that the mesh has not."""
     if not problem.dirichlet and not problem.obstacles:
         said = "at least one boundary must be held (dirichlet), or the energy has no minimum"
         raise ProblemError("dirichlet", said)
@@ -77,22 +78,15 @@ def _check_names(problem: ProblemData) -> None:
     used: list[tuple[str, str | int, Any]] = [
         *(("dirichlet", support.boundary, support.boundary) for support in problem.supports),
         *(("tractions", traction.boundary, traction.boundary) for traction in problem.tractions),
+        *(("design", shape.name, shape.boundary) for shape in problem.shapes),
         *(("curves", name, name) for name in motion.curves),
         *(("motion", rule, place) for rule in RULES for place in getattr(motion, rule)),
         *(("boundary", number, place) for number, place in enumerate(places)),
     ]
     named = [(part, which, name) for part, which, name in used if isinstance(name, str)]
     for part, which, name in named:
-        if _members(part, which, "boundary", name, problem.mesh.boundaries).size == 0:
+        if members_of("boundary", name, problem.mesh.boundaries, part, which).size == 0:
             raise ProblemError(part, f"the boundary {name!r} of the mesh is empty", which)
-
-
-def _members(part: str, which: str | int, kind: str, name: str, groups: Any) -> NDArray[np.int64]:
-    """Numbers of the facets of a boundary, or the elements of a subdomain, that a part of a problem names."""
-    try:
-        return members_of(kind, name, groups)
-    except BadInputError as error:
-        raise ProblemError(part, str(error), which) from error
 
 
 def _check_laws(problem: ProblemData) -> None:
@@ -100,7 +94,7 @@ def _check_laws(problem: ProblemData) -> None:
         return
     count = np.zeros(problem.mesh.t.shape[1], dtype=int)
     for name in problem.law:
-        count[_members("subdomain", name, "subdomain", name, problem.mesh.subdomains)] += 1
+        count[members_of("subdomain", name, problem.mesh.subdomains, "subdomain", name)] += 1
     for element in np.flatnonzero(count != 1):
         said = f"element {element} has {count[element]} laws: every element needs exactly one"
         raise ProblemError("law", said)

@@ -14,11 +14,11 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.display import Rows, bounds_in_words, describe, figure, html_table, plain_table, rich_table
-from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise, members_of
-from rmesh_nlp.problem.checks import check
+from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.problem.checks import check, check_names
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
@@ -128,11 +128,7 @@ class ContactProblem(ProblemData):
             if obstacle.boundary in self.motion.curves and (used := names_in(obstacle)):
                 said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"
                 raise ProblemError("design", f"{said} on a design variable yet, as {used[0]!r} does")
-        for shape in self.shapes:
-            try:
-                members_of("boundary", shape.boundary, self.mesh.boundaries)
-            except BadInputError as error:
-                raise ProblemError("design", f"{shape.name}: {error}", shape.name) from error
+        check_names(self)
         self.at_design()
 
     @cached_property

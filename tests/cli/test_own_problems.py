@@ -159,7 +159,7 @@ def test_check_says_what_to_do_about_missing_names(rmesh) -> None:
     )
     said = rmesh("check my.toml")
     assert said.code == 2
-    assert "the mesh names none: name its curves in gmsh" in said.err
+    assert "the mesh names none: name groups in gmsh" in said.err
 
 
 @pytest.mark.slow
