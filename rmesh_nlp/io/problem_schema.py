@@ -267,6 +267,7 @@ class SolveTable(BaseModel):
     objective: Text = "energy"
     seed: Seed | None = None
     starts: Seed = 0
+    remesh: SkipValidation[bool | int] = False
     certify: Flag = False
 
     @model_validator(mode="after")

@@ -61,7 +61,7 @@ def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSo
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
 
 
-IN_FILE = {"regularisation": (0.1, 0.02), "remesh": 50, "seed": 4}
+IN_FILE = {"regularisation": [0.1, 0.02], "remesh": 50, "seed": 4}
 TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
 
 
