@@ -111,8 +111,8 @@ def traction_energy(value: tuple[Coefficient, ...], curve: Curve, degree: int, o
     u = arc.kind.sym("u", len(value), size(order, 2))
     work = arc.kind(0)
     for s, weight in zip(*_shares(max(degree, DEGREE)), strict=True):
-        here = u @ ca.DM(functions(order, np.array([1 - s, s])))
-        work += weight * arc.length_per_s(s) * ca.dot(vector(value, arc.point(s)), here)
+        displacement = u @ ca.DM(functions(order, np.array([1 - s, s])))
+        work += weight * arc.length_per_s(s) * ca.dot(vector(value, arc.point(s)), displacement)
     return ca.Function("arc_traction_energy", [arc.t, ca.vec(u)], [-work, arc.kind(0, 1)], OPEN)
 
 

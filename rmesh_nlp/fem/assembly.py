@@ -65,7 +65,7 @@ class Summed(PythonFunction):
 
     def __init__(self, name: str, inputs: list[ca.MX], numeric: Numeric) -> None:
         self._numeric = numeric
-        outputs = [one.pattern for one in numeric.sums]
+        outputs = [sums.pattern for sums in numeric.sums]
         super().__init__(name, [symbol.sparsity() for symbol in inputs], outputs)
 
     def has_eval_buffer(self) -> bool:
@@ -74,8 +74,8 @@ class Summed(PythonFunction):
 
     def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview | None]) -> int:
         """Evaluate on flat buffers of all nonzeros; an argument None is zero, a result None is not wanted."""
-        found = self._numeric(*(None if a is None else np.frombuffer(a) for a in arg))
-        for result, values in zip(res, found, strict=True):
+        nonzeros = self._numeric(*(None if a is None else np.frombuffer(a) for a in arg))
+        for result, values in zip(res, nonzeros, strict=True):
             if result is not None:
                 np.frombuffer(result)[:] = values
         return 0
@@ -195,9 +195,9 @@ def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Arr
     evaluate = [columnwise(plain(group.function, group.at_points), group.size) for group in groups]
 
     def values(x: Array) -> list[Array]:
-        found = []
+        by_group = []
         for columns, group in zip(evaluate, groups, strict=True):
-            found.append(columns([field.values(x) for field in group.arguments])[0].ravel())
-        return found
+            by_group.append(columns([field.values(x) for field in group.arguments])[0].ravel())
+        return by_group
 
     return values

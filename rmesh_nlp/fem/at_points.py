@@ -92,8 +92,8 @@ class PointValues:
     def values(self, columns: list[Expression]) -> Expression:
         """The argument of an element function, from its other ones."""
         # by the function itself, which may have free symbols
-        found = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in self._points(columns)))
-        return ca.vec(found if self.weights is None else found @ ca.DM(self.weights.T))
+        values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in self._points(columns)))
+        return ca.vec(values if self.weights is None else values @ ca.DM(self.weights.T))
 
     def _points(self, columns: list[Expression]) -> list[Expression]:
         return list(ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares)))
@@ -101,8 +101,8 @@ class PointValues:
     def expressions(self, columns: list[Expression], order: int) -> list[Expression]:
         """What :meth:`evaluated` returns, from the other arguments of an element function."""
         derivatives = _derivatives(self.function.serialize(), order)
-        found = [derivatives.call(ca.vertsplit(point)) for point in self._points(columns)]
-        parts = [ca.horzcat(*(results[k] for results in found)).T for k in range(order + 1)]
+        by_point = [derivatives.call(ca.vertsplit(point)) for point in self._points(columns)]
+        parts = [ca.horzcat(*(results[k] for results in by_point)).T for k in range(order + 1)]
         if self.weights is not None:
             parts = [ca.DM(matrix) @ part for matrix, part in zip(self._matrices, parts, strict=False)]
         return [ca.vec(part) for part in parts]
@@ -126,9 +126,9 @@ class PointValues:
         for first in range(0, n, size):
             part = slice(min(first, n - size), min(first + size, n))
             points = [(self.shares.T @ X[k::2, part]).reshape(1, -1) for k in range(2)]
-            for matrix, found, result in zip(self._matrices, columns(points), results, strict=False):
-                found = found.reshape(len(found), count, size)
-                result[..., part] = found if self.weights is None else matrix @ found
+            for matrix, values, result in zip(self._matrices, columns(points), results, strict=False):
+                values = values.reshape(len(values), count, size)
+                result[..., part] = values if self.weights is None else matrix @ values
         return [result.reshape(-1, n) for result in results]
 
     def symbols(self, kind: Kind) -> list[Expression]:
@@ -138,7 +138,7 @@ class PointValues:
 
     def chain(self, symbols: list[Expression]) -> Chain:
         """How the values change with X, from :meth:`symbols`."""
-        parts = [ca.reshape(one, -1, (k + 1) * self.length) for k, one in enumerate(symbols)]
+        parts = [ca.reshape(symbol, -1, (k + 1) * self.length) for k, symbol in enumerate(symbols)]
         if self.weights is None:
             parts = [ca.sparsify(ca.DM(m)) @ part for m, part in zip(self._matrices, parts, strict=True)]
         values, first, second = parts
@@ -186,8 +186,8 @@ class Chain:
                 for row in range(self._length)
             )
             for (b, c), value in zip(self._pairs, ca.vertsplit(of_pairs), strict=True):
-                for one, other in ((2 * b + i, 2 * c + j), (2 * b + j, 2 * c + i)):
-                    total[one, other] = total[other, one] = value
+                for first, second in ((2 * b + i, 2 * c + j), (2 * b + j, 2 * c + i)):
+                    total[first, second] = total[second, first] = value
         return total
 
 

@@ -70,11 +70,11 @@ class ConstraintRows:
     def combined(self, sums: Array) -> tuple[Array, Array]:
         """(rows,) the functions of ``sums`` (m,), and their derivatives (rows, m)."""
         value, slope, first = np.zeros(self.size), np.zeros((self.size, sums.size)), 0
-        for row, one in enumerate(self.values):
-            n = len(one.sums)
+        for row, functional in enumerate(self.values):
+            n = len(functional.sums)
             if n:
-                found, gradient = one.function(sums[first : first + n])
-                value[row], slope[row, first : first + n] = float(found), gradient.full().ravel()
+                result, gradient = functional.function(sums[first : first + n])
+                value[row], slope[row, first : first + n] = float(result), gradient.full().ravel()
             first += n
         return value, slope
 
@@ -84,18 +84,20 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
     values: list[Functional] = []
     nodal: list[ElementGroup] = []
     bounds, names = [], []
-    at_nodes = [one for one in constraints if boundary_of(one) is not None]
-    for one in constraints:
-        if boundary_of(one) is None:
-            unit = _unit(one)
-            values.append(parse_objective(one.value).on(fields).scaled(1 / unit))
-            bounds.append((one.bounds[0] / unit, one.bounds[1] / unit, unit))
-            names.append(str(one.value))
-    for one in at_nodes:
-        groups, size, unit = _pressure_rows(fields, str(boundary_of(one)), one.bounds[1], len(bounds))
+    at_nodes = [constraint for constraint in constraints if boundary_of(constraint) is not None]
+    for constraint in constraints:
+        if boundary_of(constraint) is None:
+            unit = _unit(constraint)
+            values.append(parse_objective(constraint.value).on(fields).scaled(1 / unit))
+            bounds.append((constraint.bounds[0] / unit, constraint.bounds[1] / unit, unit))
+            names.append(str(constraint.value))
+    for constraint in at_nodes:
+        groups, size, unit = _pressure_rows(
+            fields, str(boundary_of(constraint)), constraint.bounds[1], len(bounds)
+        )
         nodal += groups
         bounds += [(-np.inf, 0.0, unit)] * size
-        names += [str(one.value)] * size
+        names += [str(constraint.value)] * size
     groups, first, unit = _given_gaps(fields, len(bounds))
     nodal += groups
     bounds += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]

@@ -117,11 +117,12 @@ def given_gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
 
     Of positions and displacement. On a mesh as given they are a matter of the problem; designs change them.
     """
-    terms, first, one = [], 0, np.ones(1)
+    terms, first, shares = [], 0, np.ones(1)
     for part in space.problem.contact_sets:
         nodes = space.problem.given_gaps(part)[0]
         if nodes.size:
-            function, rows = gap_function(part.obstacle, space.problem.components, one), np.arange(nodes.size)
+            function = gap_function(part.obstacle, space.problem.components, shares)
+            rows = np.arange(nodes.size)
             places = nodes[None], space.number[nodes][None]
             terms.append(ElementTerm(function, places, first + rows[None]))
             first += nodes.size

@@ -186,9 +186,9 @@ def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
     groups: dict[tuple[bool, int], list[tuple[int, list[int]]]] = defaultdict(list)
     for which, vertices, _ in space.kinds(part.nodes):
         for row, ends in zip(which.tolist(), vertices.T.tolist(), strict=True):
-            found = others[tuple(sorted(ends))]
-            count = len(found) if len(ends) == 2 else len(found) // 2
-            groups[len(ends) == 2, count].append((row, [*ends, *found]))
+            around = others[tuple(sorted(ends))]
+            count = len(around) if len(ends) == 2 else len(around) // 2
+            groups[len(ends) == 2, count].append((row, [*ends, *around]))
     for (at_edge, count), members in groups.items():
         rows, patches = zip(*members, strict=True)
         cells = tuple((0, 1, 2 + i) if at_edge else (0, 1 + 2 * i, 2 + 2 * i) for i in range(count))

@@ -30,7 +30,7 @@ def with_design(function: ca.Function, at_points: PointValues | None) -> tuple[c
     Values at points are put in; without such variables it is returned as it is.
     """
     parts = (function,) if at_points is None else (function, at_points.function)
-    free = {one.name(): one for part in parts if part.has_free() for one in part.free_sx()}
+    free = {symbol.name(): symbol for part in parts if part.has_free() for symbol in part.free_sx()}
     if not free:
         return function, ()
     whole, names = plain(function, at_points), tuple(sorted(free))
@@ -133,8 +133,8 @@ class Differentiated:
                 jacobian += ca.jacobian(g, values) @ slope
                 hessian += mixed + mixed.T + slope.T @ ca.hessian(lagrangian, values)[0] @ slope
                 hessian[X, X] += chain.curvature(by_value)
-            found = ca.substitute([f, g, gradient, jacobian, hessian], [values], [chain.values])
-            f, g, gradient, jacobian, hessian = found
+            expressions = ca.substitute([f, g, gradient, jacobian, hessian], [values], [chain.values])
+            f, g, gradient, jacobian, hessian = expressions
         if f.is_zero():
             f = kind(1, 1)  # without nonzeros: nothing to evaluate
         results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}

@@ -146,14 +146,14 @@ def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curv
         owner[elements] = number
         local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise, the arc first
         vertices[:, elements] = np.take_along_axis(vertices[:, elements], local, axis=0)
-    found = []
+    regions = []
     for law, elements in problem.regions:
         of = owner[elements]
         beside = [
             (problem.curves[k], (k, vertices[:, elements[of == k]])) for k in np.unique(of[of >= 0]).tolist()
         ]
-        found.append((law, elements[of == CONSTANT], beside))
-    return found
+        regions.append((law, elements[of == CONSTANT], beside))
+    return regions
 
 
 def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertices: Index) -> ElementTerm:

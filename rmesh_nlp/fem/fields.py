@@ -45,8 +45,8 @@ class Bends:
         """Values of the field where its affine part has the values ``t``, or their derivatives by that."""
         result = np.ones(t.shape) if slopes else np.array(t)
         for number, function in enumerate(self._slopes if slopes else self.functions):
-            here = self.which == number
-            result[here] = on_values(function, t[here])
+            mask = self.which == number
+            result[mask] = on_values(function, t[mask])
         return result
 
 

@@ -74,9 +74,9 @@ def fit(
         Of the squares; 1 by default.
     name : str
     """
-    places, found = np.asarray(points, dtype=float), np.atleast_2d(np.asarray(values, dtype=float))
+    places, displacements = np.asarray(points, dtype=float), np.atleast_2d(np.asarray(values, dtype=float))
     sizes = np.ones(places.shape[-1]) if weights is None else np.asarray(weights, dtype=float)
-    measured = Measurements(places, found, sizes)
+    measured = Measurements(places, displacements, sizes)
     return _objective(lambda: measured, name)
 
 
@@ -100,34 +100,38 @@ def read_measurements(path: Path) -> Measurements:
     own = ("u",) if "u" in names else ("ux", "uy")
     if set(names) - {"weight"} != {"x", "y", *own} or len(set(names)) < len(names):
         raise ValueError(f"{path}: expected the columns x, y, u or ux, uy, and perhaps weight, got {names}")
-    table = {one: np.full(len(lines) - 1, np.nan) for one in names}
+    table = {name: np.full(len(lines) - 1, np.nan) for name in names}
     for k, (line, row) in enumerate(lines[1:]):
         if len(row) != len(names):
             raise ValueError(f"{path}: line {line} has {len(row)} cells, expected {len(names)}")
-        for one, cell in zip(names, row, strict=True):
+        for name, cell in zip(names, row, strict=True):
             try:
-                table[one][k] = float(cell) if cell.strip() or one not in own else np.nan
+                table[name][k] = float(cell) if cell.strip() or name not in own else np.nan
             except ValueError:
-                what = f"line {line}: {one} = {cell.strip()!r}"
+                what = f"line {line}: {name} = {cell.strip()!r}"
                 raise ValueError(f"{path}: {what} is not a number") from None
     weights = table.get("weight", np.ones(len(lines) - 1))
     try:
         points = np.stack([table["x"], table["y"]])
-        return Measurements(points, np.stack([table[one] for one in own]), weights)
+        return Measurements(points, np.stack([table[name] for name in own]), weights)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
 def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
     def quantity(on: Fields) -> list[ElementGroup]:
-        found, components = measured(), on.problem.components
-        if len(found.values) != components:
+        measurements, components = measured(), on.problem.components
+        if len(measurements.values) != components:
             wanted = " and ".join(DISPLACEMENTS[components])
             raise ValueError(f"{name}: the displacement of {on.problem.name!r} is {wanted}")
-        triangles = _located(on, found.points, name)
-        is_measured = ~np.isnan(found.values)
+        triangles = _located(on, measurements.points, name)
+        is_measured = ~np.isnan(measurements.values)
         data = np.vstack(
-            [found.points, np.where(is_measured, found.values, 0.0), is_measured * found.weights]
+            [
+                measurements.points,
+                np.where(is_measured, measurements.values, 0.0),
+                is_measured * measurements.weights,
+            ]
         )
         local = on.positions.at(triangles), on.displacement.at(on.space.nodes_of(triangles))
         function = _misfit(components, on.space.order)
@@ -145,7 +149,7 @@ def _misfit(components: int, order: int) -> ca.Function:
     second = slopes @ (point - X[:, 0]) / det
     shares = [1 - ca.sum1(second), *ca.vertsplit(second)]
     if order == 2:
-        shares = [*(one**2 for one in shares), *(2 * shares[a] * shares[b] for a, b in SIDES[3])]
+        shares = [*(share**2 for share in shares), *(2 * shares[a] * shares[b] for a, b in SIDES[3])]
     error = u @ ca.vertcat(*shares) - value
     columns = [ca.vec(X), ca.vec(u), ca.vertcat(point, value, weight)]
     return ca.Function("misfit", columns, [ca.dot(weight, error**2), NO_ROWS])
@@ -154,11 +158,11 @@ def _misfit(components: int, order: int) -> ca.Function:
 def _located(on: Fields, points: Array, name: str) -> Index:
     """(3, points) vertices of the triangles that the points are in, whatever the outer variables are."""
     positions, triangles = on.positions, on.problem.triangles
-    here = positions.values(np.zeros(max(int(positions.index.max(initial=0)) + 1, _last(positions))))
-    moved = _corners(positions, here, on.problem)
-    found = []
+    nodes = positions.values(np.zeros(max(int(positions.index.max(initial=0)) + 1, _last(positions))))
+    moved = _corners(positions, nodes, on.problem)
+    vertices = []
     for x in points.T:
-        shares = _areas(here[:, None], triangles, x)
+        shares = _areas(nodes[:, None], triangles, x)
         shares /= shares.sum(axis=0)
         least = shares.min(axis=0)
         inside = np.flatnonzero(least >= -WITHIN)
@@ -170,26 +174,26 @@ def _located(on: Fields, points: Array, name: str) -> Index:
             raise ValueError(
                 f"{at} may pass into another triangle: pin the nodes beside it, or lower their move limits"
             )
-        found.append(triangles[:, kept[0]])
-    return np.array(found).T
+        vertices.append(triangles[:, kept[0]])
+    return np.array(vertices).T
 
 
 def _areas(corners: Array, triangles: Index, x: Array) -> Array:
     """(3, triangles) twice the areas of the parts into which a point cuts triangles, opposite each vertex."""
     a, b, c = (corners[:, 0, vertices] - x[:, None] for vertices in triangles)
-    return np.stack([one[0] * two[1] - one[1] * two[0] for one, two in ((b, c), (c, a), (a, b))])
+    return np.stack([p[0] * q[1] - p[1] * q[0] for p, q in ((b, c), (c, a), (a, b))])
 
 
 def _stays(moved: Array, vertices: Index, x: Array) -> bool:
     """Whether a point stays in a triangle for all corners of the limits of its vertices."""
     a, b, c = (moved[:, :, vertex] - x[:, None] for vertex in vertices)
-    size = max(float(np.max(np.abs(one))) for one in (a, b, c)) ** 2
+    size = max(float(np.max(np.abs(offset))) for offset in (a, b, c)) ** 2
     with np.errstate(invalid="ignore"):  # infinite corners are not a number, and do not stay
         crossed = [np.outer(p[0], q[1]) - np.outer(p[1], q[0]) for p, q in ((a, b), (b, c), (c, a))]
         return all(bool(np.all(part >= -WITHIN * size)) for part in crossed)
 
 
-def _corners(positions: Field, here: Array, problem: ContactProblem) -> Array:
+def _corners(positions: Field, nodes: Array, problem: ContactProblem) -> Array:
     """(2, 4, nodes) the corners of the limits of each node, infinite where there are none."""
     reach = np.where(positions.index == CONSTANT, 0.0, positions.scale)
     if problem.motion.delta is None:
@@ -199,10 +203,10 @@ def _corners(positions: Field, here: Array, problem: ContactProblem) -> Array:
     if positions.modes is not None:
         reach = np.where(np.any(positions.modes.motions != 0, axis=0), np.inf, reach)
     alike = positions.index[0] == positions.index[1]  # one outer variable moves both coordinates
-    found = []
-    for one, two in product((-1.0, 1.0), repeat=2):
-        found.append(here + reach * np.array([np.full(alike.shape, one), np.where(alike, one, two)]))
-    return np.stack(found, axis=1)
+    limits = []
+    for x, y in product((-1.0, 1.0), repeat=2):
+        limits.append(nodes + reach * np.array([np.full(alike.shape, x), np.where(alike, x, y)]))
+    return np.stack(limits, axis=1)
 
 
 def _last(positions: Field) -> int:

@@ -58,7 +58,7 @@ def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expressio
     for i in range(3):
         (ax, ay), (bx, by), (cx, cy) = edges[i - 1], edges[i - 2], edges[i]
         w = [xx * ax * bx + xy * (ax * by + ay * bx) + yy * ay * by for xx, xy, yy in second]
-        size = sum(one**2 for one in w) * (cx**2 + cy**2)  # the gradient of lambda_i is (-cy, cx) / (2 area)
+        size = sum(wi**2 for wi in w) * (cx**2 + cy**2)  # the gradient of lambda_i is (-cy, cx) / (2 area)
         if isinstance(law, Elastic):
             total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[1] * cx - w[0] * cy) ** 2
         else:
@@ -80,7 +80,7 @@ def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Express
         slopes = []
         for bubble in bubbles:  # twice the area times the gradient of the error of each component
             by_lambda = [
-                sum(BUBBLE_SLOPES[m, k, point] * one for m, one in enumerate(bubble)) for k in range(3)
+                sum(BUBBLE_SLOPES[m, k, point] * value for m, value in enumerate(bubble)) for k in range(3)
             ]
             slopes.append(
                 (
@@ -93,7 +93,7 @@ def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Express
             shear = law.lame_mu * (2 * a * a + 2 * d * d + (b + c) ** 2)
             density = law.in_plane_lambda * (a + d) ** 2 + shear
         else:
-            density = law.conductivity * sum(one**2 for one in slopes[0])
+            density = law.conductivity * sum(value**2 for value in slopes[0])
         total += weight * density
     return total / (4 * double)  # area * 1/2 / (2 area)^2
 
@@ -107,14 +107,14 @@ def _third(D: Expression, a: Expression, b: Expression, c: Expression) -> Expres
 
 def _bubble_slopes(shares: Array) -> Array:
     """(4 bubbles, 3, points) derivatives by the barycentric coordinates of those in the module's text."""
-    zero, found = np.zeros(shares.shape[1]), []
+    zero, rows = np.zeros(shares.shape[1]), []
     for i in range(3):
-        one, two = shares[i - 2], shares[i - 1]
+        a, b = shares[i - 2], shares[i - 1]
         by = [zero] * 3
-        by[i - 2], by[i - 1] = two * (2 * one - two), one * (one - 2 * two)
-        found.append(by)
-    found.append([shares[1] * shares[2], shares[2] * shares[0], shares[0] * shares[1]])
-    return np.array(found)
+        by[i - 2], by[i - 1] = b * (2 * a - b), a * (a - 2 * b)
+        rows.append(by)
+    rows.append([shares[1] * shares[2], shares[2] * shares[0], shares[0] * shares[1]])
+    return np.array(rows)
 
 
 _POINTS, _WEIGHTS = get_quadrature_tri(4)
@@ -154,8 +154,8 @@ def best_shapes(
             [errors(law, stretched(point[0], point[1], turn), derivatives) for turn in TURNS], axis=0
         )
 
-    (stretch, angle), found = _descended(value, np.stack([stretch, angle]), largest_aspect)
-    return stretch, angle, found
+    (stretch, angle), phi = _descended(value, np.stack([stretch, angle]), largest_aspect)
+    return stretch, angle, phi
 
 
 def least_errors(law: Law, derivatives: Array, stretch: Array, angle: Array) -> Array:
@@ -168,14 +168,14 @@ def least_errors(law: Law, derivatives: Array, stretch: Array, angle: Array) -> 
         return errors(law, stretched(point[0], point[1], point[2]), derivatives)
 
     starts = [
-        np.stack([stretch + more, angle + off, np.full(angle.size, turn)])
+        np.stack([stretch + added, angle + off, np.full(angle.size, turn)])
         for turn in TURNS
-        for more in (0.0, np.log(3) / 4)  # of an equilateral triangle it makes a right one
+        for added in (0.0, np.log(3) / 4)  # of an equilateral triangle it makes a right one
         for off in (0.0, np.pi / 4, np.pi / 2)
     ]
     derivatives = np.tile(derivatives, len(starts))
-    _, found = _descended(value, np.hstack(starts), LARGEST_ASPECT, repeats=2)
-    return np.asarray(found.reshape(len(starts), -1).min(axis=0))
+    _, phi = _descended(value, np.hstack(starts), LARGEST_ASPECT, repeats=2)
+    return np.asarray(phi.reshape(len(starts), -1).min(axis=0))
 
 
 def isotropic_errors(law: Law, derivatives: Array) -> Array:
@@ -190,7 +190,7 @@ def _squares(derivatives: Array) -> tuple[Array, Array, Array]:
     by_x, by_y = derivatives[:, :-1], derivatives[:, 1:]
     times = np.array([comb(degree - 1, k) for k in range(degree)])[:, None]
     pairs = (by_x, by_x), (by_x, by_y), (by_y, by_y)
-    xx, xy, yy = (np.sum(times * one * other, axis=(0, 1)) for one, other in pairs)
+    xx, xy, yy = (np.sum(times * first * second, axis=(0, 1)) for first, second in pairs)
     return xx, xy, yy
 
 
@@ -198,14 +198,14 @@ def _descended(
     value: Callable[[Array], Array], point: Array, largest_aspect: float, repeats: int = 1
 ) -> tuple[Array, Array]:
     """Pattern searches from many points (variables, n) at once: the ends, and the values (n,) there."""
-    found, most = value(point), np.log(largest_aspect) / 2
+    best, most = value(point), np.log(largest_aspect) / 2
     for halving in np.repeat(np.arange(HALVINGS), repeats):
         for variable, step in enumerate(STEPS[: len(point)]):
             for sign in (1, -1):
                 tried = np.array(point)
                 tried[variable] += sign * step * 0.5**halving
                 tried[0] = np.clip(tried[0], 0.0, most)
-                there = value(tried)
-                lower = there < found
-                point, found = np.where(lower, tried, point), np.where(lower, there, found)
-    return point, found
+                values = value(tried)
+                lower = values < best
+                point, best = np.where(lower, tried, point), np.where(lower, values, best)
+    return point, best

@@ -63,8 +63,10 @@ class LocalKernels:
         results = [self._entries(name, leading) for name in RESULTS[which]]
         kept = None
         if leading is not None:  # many results go nowhere
-            used = [np.flatnonzero(np.any((one.row >= 0) & (one.column >= 0), axis=1)) for one in results]
-            results = [one.some(rows) for one, rows in zip(results, used, strict=True)]
+            used = [
+                np.flatnonzero(np.any((result.row >= 0) & (result.column >= 0), axis=1)) for result in results
+            ]
+            results = [result.some(rows) for result, rows in zip(results, used, strict=True)]
             kept = tuple(tuple(rows.tolist()) for rows in used)
         local, size = self._local, self.group.size
         function = local.function(which, kept, whole=whole, for_few=size <= FEW)
@@ -148,11 +150,11 @@ class Numeric:
     """The sums over element groups as a function of arrays."""
 
     def __init__(self, shapes: list[Shape], parts: Sequence[Mapped]) -> None:
-        self._parts = [part for part in parts if any(one.row.size for one in part.entries)]
+        self._parts = [part for part in parts if any(entries.row.size for entries in part.entries)]
         self.sums = [
             Sums(shape, [part.entries[number] for part in self._parts]) for number, shape in enumerate(shapes)
         ]
-        self._results = [np.zeros(one.n_local) for one in self.sums]
+        self._results = [np.zeros(total.n_local) for total in self.sums]
         self._views: list[list[Array]] = [[] for _ in self._parts]
         for number, whole in enumerate(self._results):
             first = 0
@@ -173,7 +175,7 @@ class Numeric:
         """Nonzeros of each result at x, p, lam_f and lam_g, as many of them as it takes."""
         for part, views in zip(self._parts, self._views, strict=True):
             part(inputs, views)
-        return [one(results) for one, results in zip(self.sums, self._results, strict=True)]
+        return [total(results) for total, results in zip(self.sums, self._results, strict=True)]
 
 
 class _Gather:
@@ -197,49 +199,51 @@ class _Gather:
 
 def merged(groups: Sequence[ElementGroup]) -> list[ElementGroup]:
     """The groups, those of the same elements as one: what their functions have in common is done once."""
-    found: list[ElementGroup] = []
+    distinct: list[ElementGroup] = []
     for group in groups:
-        place = next((k for k, other in enumerate(found) if _alike(other, group)), None)
+        place = next((k for k, other in enumerate(distinct) if _alike(other, group)), None)
         if place is None:
-            found.append(group)
+            distinct.append(group)
         else:
-            found[place] = _joined(found[place], group)
-    return found
+            distinct[place] = _joined(distinct[place], group)
+    return distinct
 
 
-def _alike(one: ElementGroup, other: ElementGroup) -> bool:
+def _alike(first: ElementGroup, second: ElementGroup) -> bool:
     """Whether two groups have the same elements, as far as a shared argument says, and can be joined."""
-    same = one.size == other.size and any(_equal(a, b) for a in one.arguments for b in other.arguments)
-    kinds = {group.function.class_name() for group in (one, other)}
-    return same and len(kinds) == 1 and (one.at_points is None or other.at_points is None)
+    shared = first.size == second.size and any(
+        _equal(a, b) for a in first.arguments for b in second.arguments
+    )
+    kinds = {group.function.class_name() for group in (first, second)}
+    return shared and len(kinds) == 1 and (first.at_points is None or second.at_points is None)
 
 
-def _joined(one: ElementGroup, other: ElementGroup) -> ElementGroup:
+def _joined(group: ElementGroup, other: ElementGroup) -> ElementGroup:
     """The group of the sum of two objectives, with the rows of both."""
-    arguments, places = list(one.arguments), []
+    arguments, places = list(group.arguments), []
     for argument in other.arguments:
-        place = next((k for k, known in enumerate(one.arguments) if _equal(known, argument)), len(arguments))
+        place = next((k for k, own in enumerate(group.arguments) if _equal(own, argument)), len(arguments))
         arguments += [argument] if place == len(arguments) else []
         places.append(place)
-    kind = ca.SX if one.function.is_a("SXFunction") else ca.MX
+    kind = ca.SX if group.function.is_a("SXFunction") else ca.MX
     columns = [kind.sym(f"a{i}", argument.shape[0]) for i, argument in enumerate(arguments)]
-    at_points = one.at_points or other.at_points
+    at_points = group.at_points or other.at_points
     values: list[Expression] = [] if at_points is None else [kind.sym("values", at_points.size)]
-    first = one.function(*columns[: len(one.arguments)], *(values if one.at_points else ()))
+    first = group.function(*columns[: len(group.arguments)], *(values if group.at_points else ()))
     second = other.function(*(columns[k] for k in places), *(values if other.at_points else ()))
     results = [first[0] + second[0], ca.vertcat(first[1], second[1])]
-    function = ca.Function(one.function.name(), [*columns, *values], results)
+    function = ca.Function(group.function.name(), [*columns, *values], results)
     if at_points is not None and at_points is other.at_points:
         at_points = replace(at_points, place=places[at_points.place])
-    return ElementGroup(function, tuple(arguments), np.concatenate([one.rows, other.rows]), at_points)
+    return ElementGroup(function, tuple(arguments), np.concatenate([group.rows, other.rows]), at_points)
 
 
-def _equal(one: Values, other: Values) -> bool:
-    if isinstance(one, LocalField) and isinstance(other, LocalField) and one.nodal is other.nodal:
-        return np.array_equal(one.nodes, other.nodes)
+def _equal(first: Values, second: Values) -> bool:
+    if isinstance(first, LocalField) and isinstance(second, LocalField) and first.nodal is second.nodal:
+        return np.array_equal(first.nodes, second.nodes)
     return (
-        one.parameter == other.parameter
-        and np.array_equal(one.index, other.index)
-        and np.array_equal(one.scale, other.scale)
-        and np.array_equal(one.offset, other.offset)
+        first.parameter == second.parameter
+        and np.array_equal(first.index, second.index)
+        and np.array_equal(first.scale, second.scale)
+        and np.array_equal(first.offset, second.offset)
     )

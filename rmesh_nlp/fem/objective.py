@@ -80,14 +80,14 @@ class Fields(NamedTuple):
         X, u = corners(len(cells), self.problem.components, kind, order)
         tangent, total = X[:, 1] - X[:, 0], kind(0)
         size = ca.norm_2(tangent)
-        more = ca.vertcat(tangent[1], -tangent[0]) / size
+        extra = ca.vertcat(tangent[1], -tangent[0]) / size
         points, weights = triangle_rule(degree) if len(cells) == 3 else line_rule(degree)
         for point, weight in zip(points.T, weights, strict=True):
             if len(cells) == 3:
                 det, scaled = affine(X, u @ ca.DM(slopes(order, point)))
-                size, more = det / 2, scaled / det
+                size, extra = det / 2, scaled / det
             x, y = ca.vertsplit(X @ point)
-            total += weight * density(x, y, u @ functions(order, point), more)
+            total += weight * density(x, y, u @ functions(order, point), extra)
         return self.group(name, X, u, total * size * factor, cells, self.space.nodes_of(cells))
 
 
@@ -128,8 +128,8 @@ class Term:
 
     def on(self, fields: Fields) -> Functional:
         """Its value on these fields."""
-        found = self.groups(fields)
-        return found if isinstance(found, Functional) else Functional(found)
+        value = self.groups(fields)
+        return value if isinstance(value, Functional) else Functional(value)
 
 
 @dataclass(frozen=True)

@@ -98,8 +98,8 @@ def _term(text: str, whole: str) -> Objective:
     kind, bracket, rest = text.partition("(")
     if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
         return QUANTITIES[kind.strip()](text, _split(rest[:-1], ","))
-    known = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
-    raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(known)}")
+    choices = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
+    raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(choices)}")
 
 
 def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) -> Callable[..., Expression]:
@@ -196,7 +196,7 @@ def _fit(text: str, arguments: list[str]) -> Objective:
 
 def beside(text: str, folder: Path) -> str:
     """The text with relative files of measurements taken to be in a folder, that of the file it stands in."""
-    return re.sub(r"\bfit\(\s*([^()]*?)\s*\)", lambda found: f"fit({folder / found[1]})", text)
+    return re.sub(r"\bfit\(\s*([^()]*?)\s*\)", lambda match: f"fit({folder / match[1]})", text)
 
 
 QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {

@@ -173,17 +173,17 @@ def _patches(
 ) -> Iterator[tuple[Index, Index, list[tuple[int, int]]]]:
     """The contact edges around contact nodes: which nodes, vertices (k, n), and the edges between these."""
     edges = contact_edges(space.problem, part.obstacle)
-    one, other = np.hstack([edges, edges[::-1]])
-    order = np.argsort(one, kind="stable")
-    one, other = one[order], other[order]
+    nodes, neighbours = np.hstack([edges, edges[::-1]])
+    order = np.argsort(nodes, kind="stable")
+    nodes, neighbours = nodes[order], neighbours[order]
     for which, carriers, shares in space.kinds(part.nodes):
         if shares.size == 2:
             yield which, carriers, [(0, 1)]
             continue
-        first, last = (np.searchsorted(one, carriers[0], side) for side in ("left", "right"))
+        first, last = (np.searchsorted(nodes, carriers[0], side) for side in ("left", "right"))
         for n in np.unique(last - first).tolist():
             chosen = np.flatnonzero(last - first == n)
-            ends = other[first[chosen] + np.arange(n)[:, None]]
+            ends = neighbours[first[chosen] + np.arange(n)[:, None]]
             yield which[chosen], np.vstack([carriers[:, chosen], ends]), [(0, k + 1) for k in range(n)]
 
 
@@ -203,8 +203,8 @@ def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
     if parts:
         raise ValueError(f"{boundary!r} may meet {len(parts)} obstacles: give each a boundary of its own")
     every = space.problem.obstacles
-    known = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
-    raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(known) or 'none'}")
+    names = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
+    raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(names) or 'none'}")
 
 
 def _forces_on(on: Fields, boundary: str) -> Forces:

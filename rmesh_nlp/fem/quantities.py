@@ -198,8 +198,8 @@ def at_point(
         if not distance[node] <= tolerance * float(np.max(np.ptp(p, axis=1))):
             near = tuple(float(c) for c in p[:, node])
             raise ValueError(f"{name}: no node at {tuple(point)}; the nearest is node {node} at {near}")
-        one = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
-        return one.on(on)
+        at_node = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
+        return at_node.on(on)
 
     return quantity
 
@@ -209,13 +209,13 @@ def of_design(value: ca.SX, *, name: str = "design") -> Objective:
 
     @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
-        known = on.positions.design
-        rest = substituted(value, on.problem.numbers if known is None else {})
+        design = on.positions.design
+        rest = substituted(value, on.problem.numbers if design is None else {})
         names = names_in(rest)
-        for one in names:
-            if known is None or one not in known.names:
-                raise ValueError(f"{name}: {one!r} is no design variable")
-        local = constant_field(np.zeros((1, 1))) if known is None else known.of(names, 1)
+        for variable in names:
+            if design is None or variable not in design.names:
+                raise ValueError(f"{name}: {variable!r} is no design variable")
+        local = constant_field(np.zeros((1, 1))) if design is None else design.of(names, 1)
         symbols = ca.vertcat(*map(symbol, names)) if names else ca.SX.sym("none")
         function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
         return [element_group(function, on.positions, (local,))]
@@ -240,7 +240,7 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
         raise ValueError(f"the square of {of.text!r} needs a finite value, got {value}")
 
     def quantity(on: Fields) -> Functional:
-        return of.on(on).then(lambda found: (found - value) ** 2)
+        return of.on(on).then(lambda result: (result - value) ** 2)
 
     term = Term(
         name or f"square({of.text} - {value:g})",
@@ -259,10 +259,10 @@ def _length(problem: ContactProblem, edges: Index) -> float:
 
 def _named(problem: ContactProblem, kind: str, name: str) -> Index:
     """Numbers of the facets of a boundary, or of the elements of a subdomain."""
-    known = (problem.mesh.boundaries if kind == "boundary" else problem.mesh.subdomains) or {}
-    if name not in known:
-        raise ValueError(f"the mesh has no {kind} {name!r}: choose from {', '.join(known) or 'none'}")
-    return np.asarray(known[name])
+    groups = (problem.mesh.boundaries if kind == "boundary" else problem.mesh.subdomains) or {}
+    if name not in groups:
+        raise ValueError(f"the mesh has no {kind} {name!r}: choose from {', '.join(groups) or 'none'}")
+    return np.asarray(groups[name])
 
 
 def _scalar(value: Expression, name: str) -> Expression:

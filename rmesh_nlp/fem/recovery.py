@@ -84,21 +84,23 @@ def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tu
 
     ``nodes`` (2, vertices) are positions, ``coefficients`` (components, nodes) the displacement.
     """
-    found, points, values = [], points_of(space, nodes), space.values(coefficients)
+    regions, points, values = [], points_of(space, nodes), space.values(coefficients)
     for law, elements in space.problem.regions:
         used, flat = np.unique(space.problem.triangles[:, elements], return_inverse=True)
         at_nodes, own = np.unique(space.elements[:, elements], return_inverse=True)
         triangles, own = flat.reshape(3, -1), own.reshape(-1, elements.size)
         centres = own[:3].ravel()[np.unique(triangles, return_index=True)[1]]
         fits = _Fits(points[:, at_nodes], values[:, at_nodes], centres, space.order + 1)
-        found.append(Recovered(law, elements, used, triangles, fits.over(triangles, own)))
-    return tuple(found)
+        regions.append(Recovered(law, elements, used, triangles, fits.over(triangles, own)))
+    return tuple(regions)
 
 
 def interpolation_error(nodes: Array, triangles: Index, regions: Sequence[Recovered]) -> float:
     """Estimated error of the energy of the mesh that derivatives were recovered on."""
     corners = nodes[:, triangles]
-    return float(sum(errors(one.law, corners[:, :, one.elements], one.in_elements).sum() for one in regions))
+    return float(
+        sum(errors(part.law, corners[:, :, part.elements], part.in_elements).sum() for part in regions)
+    )
 
 
 class _Fits:
@@ -115,20 +117,20 @@ class _Fits:
         around = sp.csr_array((np.ones(place[0].size), place), shape=(n, self._points.shape[1]))
         around.sum_duplicates()
         near = sp.csr_array(around[:, self._centres])
-        found, todo, reach = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n), near
+        result, todo, reach = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n), near
         for _ in range(RINGS - 1):
             patch, failed = sp.csr_array(reach @ around), []
             for first in range(0, todo.size, CHUNK):
-                here = todo[first : first + CHUNK]
-                good, derivatives = self._fit(self._centres[here], patch[first : first + CHUNK])
-                found[:, :, here[good]] = derivatives[:, :, good]
+                chunk = todo[first : first + CHUNK]
+                good, derivatives = self._fit(self._centres[chunk], patch[first : first + CHUNK])
+                result[:, :, chunk[good]] = derivatives[:, :, good]
                 failed.append(~good)
             rest = np.concatenate(failed)
             todo = todo[rest]
             if todo.size == 0:
                 break
             reach = sp.csr_array(reach[np.flatnonzero(rest)] @ near)
-        return found
+        return result
 
     def _fit(self, nodes: Index, patch: sp.csr_array) -> tuple[NDArray[np.bool_], Array]:
         """Whether polynomials around nodes are determined, and their derivatives (c, degree + 1, nodes).
@@ -156,17 +158,17 @@ class _Fits:
         rise, unknowns = values[:, of] - values[:, nodes[row]], len(terms)
         matrix = np.empty((nodes.size, unknowns, unknowns))
         right = np.empty((nodes.size, unknowns, len(values)))
-        for i, one in enumerate(terms):
+        for i, term in enumerate(terms):
             for j in range(i, unknowns):
-                matrix[:, i, j] = matrix[:, j, i] = total(near * one * terms[j])
-            right[:, i] = total(near * one * rise).T
+                matrix[:, i, j] = matrix[:, j, i] = total(near * term * terms[j])
+            right[:, i] = total(near * term * rise).T
         good = (count >= unknowns) & (np.linalg.cond(matrix) < CONDITION[degree])
         solution = np.zeros_like(right)
         solution[good] = np.linalg.solve(matrix[good], right[good])
         solution[np.abs(solution) <= self._least] = 0.0
         # by x and y: back to dx and dy
         highest, f, g, h = solution[:, -degree - 1 :].T, 1 / a, -b / (a * c), 1 / c
-        found = [
+        derivatives = [
             h**j
             * sum(
                 comb(degree - j, k) * f ** (degree - j - k) * g**k * highest[:, j + k]
@@ -174,4 +176,4 @@ class _Fits:
             )
             for j in range(degree + 1)
         ]
-        return good, np.stack(found, axis=1)
+        return good, np.stack(derivatives, axis=1)

@@ -70,13 +70,13 @@ def _cut(cells: Index, n_nodes: int, halvings: int) -> Pieces:
     for _ in range(halvings):
         cells, finer = _halved(cells, weights.shape[0])
         weights = finer @ weights
-    small = np.stack([cells[list(one)] for one in SMALL[len(cells)]], axis=-1)
+    small = np.stack([cells[list(piece)] for piece in SMALL[len(cells)]], axis=-1)
     return Pieces(small.reshape(3, -1), weights)
 
 
 def _halved(cells: Index, n: int) -> tuple[Index, csr_array]:
     """Four cells of each, (6, 4 elements), and the weights (nodes, n) of the values at their nodes."""
-    children = np.stack([cells[list(one)] for one in SMALL[6]], axis=-1).astype(np.int64)
+    children = np.stack([cells[list(piece)] for piece in SMALL[6]], axis=-1).astype(np.int64)
     ends = children[np.array(SIDES[3])]  # (side, end, element, child)
     names = ends.min(axis=1) * n + ends.max(axis=1)
     _, first, number = np.unique(names, return_index=True, return_inverse=True)
@@ -98,8 +98,8 @@ def _nodes() -> Array:
 def centres(cells: Index) -> Array:
     """(3, pieces) barycentric coordinates of the centres of the pieces of each cell."""
     n = len(cells)
-    one = _cut(np.arange(n)[:, None], n, _halvings(cells))
-    return np.asarray(one(_nodes()[:, :n])[:, one.triangles].mean(axis=1))
+    cut = _cut(np.arange(n)[:, None], n, _halvings(cells))
+    return np.asarray(cut(_nodes()[:, :n])[:, cut.triangles].mean(axis=1))
 
 
 def edges_of(cells: Index, *, outer: bool = False) -> Index:
@@ -108,7 +108,7 @@ def edges_of(cells: Index, *, outer: bool = False) -> Index:
     First their ends, then their middle.
     """
     middle = [[3 + number] for number in range(3)] if len(cells) == 6 else [[]] * 3
-    edges = np.hstack([cells[[a, b, *more]] for (a, b), more in zip(SIDES[3], middle, strict=True)])
+    edges = np.hstack([cells[[a, b, *inner]] for (a, b), inner in zip(SIDES[3], middle, strict=True)])
     edges[:2] = np.sort(edges[:2], axis=0)
     _, first, times = np.unique(edges[:2], axis=1, return_index=True, return_counts=True)
     return np.asarray(edges[:, first[times == 1] if outer else first])

@@ -70,11 +70,11 @@ class DisplacementSpace:
         sides = SIDES[len(cells)] if self.order == 2 else ()
         return np.vstack([at_vertices, *(self.nodes_at(cells[a], cells[b])[None] for a, b in sides)])
 
-    def nodes_at(self, one: Index, other: Index) -> Index:
+    def nodes_at(self, first: Index, second: Index) -> Index:
         """Nodes (n,) at the edges between vertices (n,), of order 2."""
         names, order = self._edge_names
-        found = np.searchsorted(names, _names(one, other, self.n_vertices), sorter=order)
-        return np.asarray(self.number[self.n_vertices + order[found]])
+        place = np.searchsorted(names, _names(first, second, self.n_vertices), sorter=order)
+        return np.asarray(self.number[self.n_vertices + order[place]])
 
     def kinds(self, nodes: Index) -> Iterator[tuple[Index, Index, Array]]:
         """Nodes by the vertices that carry them: ``(which, vertices, shares)`` for each kind of node.
@@ -97,8 +97,8 @@ class DisplacementSpace:
         if self.order == 1:
             return np.asarray(values[:, self._carrier])
         ends = self.problem.mesh.facets
-        found = np.hstack([values, (values[:, ends[0]] + values[:, ends[1]]) / 2])
-        return np.asarray(found[:, self._carrier])
+        at_nodes = np.hstack([values, (values[:, ends[0]] + values[:, ends[1]]) / 2])
+        return np.asarray(at_nodes[:, self._carrier])
 
     def at_vertices(self, coefficients: Array) -> Array:
         """(components, vertices) values at vertices of the field with coefficients (components, nodes)."""
@@ -140,9 +140,9 @@ class DisplacementSpace:
             for i, coefficient in enumerate(support.value):
                 if coefficient is None:
                     continue
-                there = on_points(coefficient, middle, f"the displacement given on {support.boundary!r}")
+                given = on_points(coefficient, middle, f"the displacement given on {support.boundary!r}")
                 held[i, edges.facets] = True
-                value[i, edges.facets] = 2 * there - np.sum(at_vertices[i, edges.ends], axis=0) / 2
+                value[i, edges.facets] = 2 * given - np.sum(at_vertices[i, edges.ends], axis=0) / 2
         return held, value
 
     @cached_property
@@ -210,9 +210,9 @@ class DisplacementSpace:
         return names, np.argsort(names)
 
 
-def _names(one: NDArray, other: NDArray, n: int) -> Index:
+def _names(first: NDArray, second: NDArray, n: int) -> Index:
     """A number for each edge between two of n vertices."""
-    return np.minimum(one, other).astype(np.int64) * n + np.maximum(one, other)
+    return np.minimum(first, second).astype(np.int64) * n + np.maximum(first, second)
 
 
 def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:

@@ -21,12 +21,12 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
     """
     group = _with_modes(group)
     bends = [field.bends for field in group.arguments]
-    if all(one is None for one in bends) or group.size == 0:
+    if all(bend is None for bend in bends) or group.size == 0:
         return [group]
     which = np.vstack(
         [
-            np.full(field.shape, STRAIGHT) if one is None else one.which
-            for field, one in zip(group.arguments, bends, strict=True)
+            np.full(field.shape, STRAIGHT) if bend is None else bend.which
+            for field, bend in zip(group.arguments, bends, strict=True)
         ]
     )
     sorts, member = np.unique(which, axis=1, return_inverse=True)
@@ -66,7 +66,7 @@ def _with_modes(group: ElementGroup) -> ElementGroup:
 def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     """The group as a function of the affine values behind its arguments."""
     function = _alone(group).function
-    bends = [one.functions if one else () for one in (field.bends for field in group.arguments)]
+    bends = [bend.functions if bend else () for bend in (field.bends for field in group.arguments)]
     used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
     kind: Kind = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
     columns = [kind.sym(f"a{i}", field.shape[0]) for i, field in enumerate(group.arguments)]
