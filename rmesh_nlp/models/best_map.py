@@ -66,9 +66,9 @@ def best_map(problem: ContactProblem, nodes: Array, regions: Sequence[Recovered]
         X = positions.values(q)
         if not np.min(signed_areas(X, triangles)) > 0:
             return np.inf, q
-        found = [part(X, unit) for part in parts]
-        slope = (np.sum([one[2] for one in found], axis=0) * positions.slopes(q))[moving]
-        whole = sum(one[1] for one in found)
+        results = [part(X, unit) for part in parts]
+        slope = (np.sum([result[2] for result in results], axis=0) * positions.slopes(q))[moving]
+        whole = sum(result[1] for result in results)
         return whole / given, np.bincount(positions.index[moving], slope, q.size) / given
 
     q = np.zeros(mesh_map.n)
@@ -91,15 +91,15 @@ def _minimiser(value: Callable[[Array], tuple[float, Array]], x: Array) -> Array
         d *= float(s @ y) / max(float(y @ y), 1e-300)
         for (s, y), part in zip(pairs, reversed(parts), strict=True):
             d += (part - float(y @ d) / float(s @ y)) * s
-        step, (there, slope) = 1.0, value(x - d)
-        while not there <= f - 1e-4 * step * float(g @ d):
+        step, (trial, slope) = 1.0, value(x - d)
+        while not trial <= f - 1e-4 * step * float(g @ d):
             step /= 2
             if step < 1e-6:
                 return x
-            there, slope = value(x - step * d)
+            trial, slope = value(x - step * d)
         if float(d @ (g - slope)) > 0:
             pairs.append((-step * d, slope - g))
-        x, g, fall, f = x - step * d, slope, f - there, there
+        x, g, fall, f = x - step * d, slope, f - trial, trial
         if fall < ENOUGH * f:
             break
     return x
@@ -131,11 +131,11 @@ class _Part:
         centres = X[:, t].mean(axis=1)
         vertices, weights = located(self._nodes, self._region.triangles, centres)
         H = second[:, :, vertices].reshape(-1, *vertices.shape)  # (entries, 3, elements)
-        here, units = np.einsum("hvk,vk->hk", H, weights), np.full((1, t.shape[1]), unit)
-        error, whole, by_corners, by_second = self._evaluate([_columns(X, t), here, self._given, units])
+        at_centres, units = np.einsum("hvk,vk->hk", H, weights), np.full((1, t.shape[1]), unit)
+        error, whole, by_corners, by_second = self._evaluate([_columns(X, t), at_centres, self._given, units])
         (a, b), (c, d) = (self._nodes[:, vertices[i]] - self._nodes[:, vertices[0]] for i in (1, 2))
-        one, two = H[:, 1] - H[:, 0], H[:, 2] - H[:, 0]
-        slope = np.stack([d * one - b * two, a * two - c * one]) / (a * d - b * c)
+        along_1, along_2 = H[:, 1] - H[:, 0], H[:, 2] - H[:, 0]
+        slope = np.stack([d * along_1 - b * along_2, a * along_2 - c * along_1]) / (a * d - b * c)
         by_corner = by_corners.reshape(3, 2, -1).transpose(1, 0, 2)
         by_corner = by_corner + np.einsum("xhk,hk->xk", slope, by_second)[:, None] / 3
         slopes = [np.bincount(t.ravel(), part.ravel(), X.shape[1]) for part in by_corner]

@@ -94,12 +94,12 @@ class Branches:
         lifted = lift(reduced.mpcc(self._unit))
         origin, weight = np.zeros(lifted.nlp.n_x), np.ones(1)
         lin = linearise(lifted, origin, weight, ZERO, ZERO)
-        found = stationarity(lifted, lin, self.tolerance / lin.scale)
-        if found.direction is None:
-            return BranchLabel(found.label, found.b_stationary, 0.0, undecided.direction, reduced.pairs)
-        step, decrease = found.direction.step[: point.q.size], found.direction.decrease
+        result = stationarity(lifted, lin, self.tolerance / lin.scale)
+        if result.direction is None:
+            return BranchLabel(result.label, result.b_stationary, 0.0, undecided.direction, reduced.pairs)
+        step, decrease = result.direction.step[: point.q.size], result.direction.decrease
         size = float(np.max(np.abs(step), initial=0.0)) or 1.0
-        return BranchLabel(found.label, found.b_stationary, decrease / size, step / size, reduced.pairs)
+        return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, reduced.pairs)
 
 
 def _none() -> IntArray:
@@ -214,8 +214,8 @@ def _reduced(
         return np.concatenate([of[:n] - of_q.T @ w, w[inner + pairs]])
 
     def whole(numbers: IntArray) -> Array:
-        found = [total(jacobian[[number]].toarray().ravel()) for number in numbers]
-        return np.array(found).reshape(-1, n + pairs.size)
+        totals = [total(jacobian[[number]].toarray().ravel()) for number in numbers]
+        return np.array(totals).reshape(-1, n + pairs.size)
 
     # those of elements are functions of the outer variables alone
     own = rows[rows < program.constraints.size]
@@ -223,11 +223,11 @@ def _reduced(
     areas = sp.hstack([areas, sp.csr_array((areas.shape[0], pairs.size))])
     constraints = sp.vstack([sp.csr_array(whole(inner + own)), areas])
     bounds = x[:n] - np.asarray(mpcc.lbx)[:n] <= tolerance, np.asarray(mpcc.ubx)[:n] - x[:n] <= tolerance
-    found = total(slope), whole(n_g + n_pairs + pairs)
-    if not all(np.all(np.isfinite(part)) for part in (*found, constraints.data)):
+    derivatives = total(slope), whole(n_g + n_pairs + pairs)
+    if not all(np.all(np.isfinite(part)) for part in (*derivatives, constraints.data)):
         return None
     signed = sp.csr_array(sp.diags_array(np.where(low[rows], 1.0, -1.0)) @ constraints)
-    return _Reduced(*found, signed, (low & high)[rows], *bounds, pairs)
+    return _Reduced(*derivatives, signed, (low & high)[rows], *bounds, pairs)
 
 
 def _casadi(matrix: sp.csc_array) -> ca.DM:

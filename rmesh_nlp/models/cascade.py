@@ -112,7 +112,10 @@ class CascadeSettings(Settings):
         super().__post_init__()
         regularised(1.0, 1.0, self.distortion)
         kinds = (tuple, list)
-        if not (isinstance(self.schedules, kinds) and all(isinstance(one, kinds) for one in self.schedules)):
+        if not (
+            isinstance(self.schedules, kinds)
+            and all(isinstance(schedule, kinds) for schedule in self.schedules)
+        ):
             raise BadInputError(f"schedules must be lists of weights, got {self.schedules!r}")
         for schedule in self.schedules:
             weights((*schedule, self.final(1)), "a schedule of the cascade")
@@ -223,16 +226,16 @@ def cascade(
     budget.check()
     final_weight = chosen.final(problem.order)
     run = _Descents(chosen, final_weight, on_step, budget)
-    sizes = [one.mesh.p.shape[1] for one in problems]
+    sizes = [current.mesh.p.shape[1] for current in problems]
 
-    def solver_of(here: ContactProblem) -> ContactSolver:
-        return solver if solver is not None and here is problem else ContactSolver(here)
+    def solver_of(current: ContactProblem) -> ContactSolver:
+        return solver if solver is not None and current is problem else ContactSolver(current)
 
     coarsest = solver_of(problems[0])
     powers = np.array(sizes, dtype=float) ** problem.order
     errors = gain_estimate(coarsest).value * powers[0] / powers
     shift, levels, built = np.zeros((2, 0)), [], None
-    for number, here in enumerate(problems):
+    for number, current in enumerate(problems):
         run.error = float(errors[number])
         before = taken = float("nan")
         if number == 0:
@@ -240,21 +243,21 @@ def cascade(
             energy, q, status = run.searched(coarsest, chosen.starts(sizes[0], sizes[-1]))
         else:
             coarse = problems[number - 1]
-            energy = run.energy(solver_of(here), final_weight)
+            energy = run.energy(solver_of(current), final_weight)
             prolonged_q = prolonged(coarse.mesh.p, coarse.triangles, shift, energy.relocation)
             q, taken = accepted(energy, prolonged_q)
             if energy.is_defined(prolonged_q):
                 before = energy(prolonged_q).equilibrium.energy
             # what is not a correction of a map takes more than a few iterations
-            brief = here is problem and taken == 1
-            nested = here.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
+            brief = current is problem and taken == 1
+            nested = current.mesh.t.shape[1] == 4 * coarse.mesh.t.shape[1]
             q, status = run.descend(energy, q, chosen.end, chosen.limit(brief, nested))
-        shift = energy.relocation.nodes(q) - here.mesh.p
+        shift = energy.relocation.nodes(q) - current.mesh.p
         levels.append(run.level(energy, q, before, taken))
         if number == len(problems) - 1:
             built = None if run.stopped else energy
         elif run.late():
-            q = prolonged(here.mesh.p, here.triangles, shift, discretise(problem))
+            q = prolonged(current.mesh.p, current.triangles, shift, discretise(problem))
             break
     final = float(errors[-1])
     objective = regularised(final, final_weight, chosen.distortion)

@@ -61,9 +61,9 @@ def edge_gains(problem: ContactProblem) -> Array:
 
     gain = np.zeros(n_facets)
     for i in range(problem.components):
-        plus, here, minus = (energy(i, step) for step in (scale, 0.0, -scale))
+        plus, zero, minus = (energy(i, step) for step in (scale, 0.0, -scale))
         # the energy is quadratic in each value
-        rates = (plus - minus) / (2 * scale), (plus - 2 * here + minus) / scale**2
+        rates = (plus - minus) / (2 * scale), (plus - 2 * zero + minus) / scale**2
         slope, curvature = (np.bincount(facet_of.ravel(), rate, n_facets) for rate in rates)
         part = np.where(curvature > 0, slope**2 / (2 * np.maximum(curvature, 1e-300)), 0.0)
         gain += np.where(free[i], part, 0.0)
@@ -98,14 +98,14 @@ class ElementEnergies:
         """Energies of ``triangles`` (3, n) in the places of ``elements`` (n,)."""
         result, law = np.zeros(triangles.shape[1]), self._law[elements]
         for number, functions in enumerate(self._functions):
-            here = np.flatnonzero(law == number)
-            if here.size == 0:
+            members = np.flatnonzero(law == number)
+            if members.size == 0:
                 continue
             # (3 * components, n) values of both fields, node by node
             columns = [
-                np.moveaxis(field[:, triangles[:, here]], 0, 1).reshape(-1, here.size)
+                np.moveaxis(field[:, triangles[:, members]], 0, 1).reshape(-1, members.size)
                 for field in (self._nodes, self._values)
             ]
             for function in functions:
-                result[here] += columnwise(function, here.size)(columns)[0].ravel()
+                result[members] += columnwise(function, members.size)(columns)[0].ravel()
         return result

@@ -179,11 +179,11 @@ def bilevel(
     n_equations, area_bound = n_u + n_s + n_sums, parts.validity.bound
     groups += [group.shifted(n_equations) for group in constraints.groups]
     first_of = len(outer.sums)
-    for row, one in enumerate(constraints.values):
-        if one.sums:
-            own = _part(of_sums, first_of, len(one.sums))
-            groups.append(as_row(one.combined(own), n_equations + row))
-            first_of += len(one.sums)
+    for row, functional in enumerate(constraints.values):
+        if functional.sums:
+            own = _part(of_sums, first_of, len(functional.sums))
+            groups.append(as_row(functional.combined(own), n_equations + row))
+            first_of += len(functional.sums)
     groups.append(parts.validity.upright_group.shifted(n_equations + constraints.size))
     n_g = n_equations + constraints.size + area_bound.size
     pairs = [
@@ -241,5 +241,5 @@ def _part(field: Field, first: int, size: int) -> Field:
 def _by_name(x: ca.MX, sizes: tuple[int, ...]) -> dict[str, ca.MX]:
     """The unknowns in the units of the model; those of friction and of sums only if there are any."""
     names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
-    found = zip(names, sizes, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True)
-    return {name: part for name, size, part in found if size or name in names[:3]}
+    parts = zip(names, sizes, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True)
+    return {name: part for name, size, part in parts if size or name in names[:3]}

@@ -45,11 +45,11 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         return _on(problem, coarse, least)
     for turn in TURNS if problem.motion.curves else TURNS[:1]:
         try:
-            found = _on(problem, _decimated(problem, turn), least)
+            candidate = _on(problem, _decimated(problem, turn), least)
         except ValueError:
             continue  # nothing is left of a boundary or a subdomain
-        if found is not None:
-            return found
+        if candidate is not None:
+            return candidate
     return None
 
 
@@ -66,7 +66,7 @@ def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem |
     number = {int(old): new for new, old in enumerate(coarse.nodes)}
     motion, triangles = problem.motion, f"{coarse.mesh.t.shape[1]} triangles"
     places: dict[str, Any] = {
-        name: tuple(one if isinstance(one, str) else number[one] for one in getattr(motion, name))
+        name: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, name))
         for name in ("pinned", "slides", "free")
     }
     tied = tuple((number[a], number[b]) for a, b in motion.tied)
@@ -76,12 +76,12 @@ def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem |
     motion = replace(motion, delta=delta, tied=tied, **places)
     loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
     try:
-        found = replace(
+        coarser = replace(
             problem, mesh=coarse.mesh, motion=motion, point_loads=loads, size=triangles, reference=None
         )
     except ProblemError:
         return None  # too coarse for what the problem says
-    return found if Body(found, found.mesh.p).is_upright() else None  # too coarse for its curves
+    return coarser if Body(coarser, coarser.mesh.p).is_upright() else None  # too coarse for its curves
 
 
 def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array, turn: float) -> NDArray[np.int64]:
@@ -113,8 +113,8 @@ def _decimated(problem: ContactProblem, turn: float) -> Coarse:
         boundaries[name] = number[np.unique(np.sort(ends[:, ends[0] != ends[1]], axis=0), axis=1)].T
     subdomains = {}
     for name, elements in (mesh.subdomains or {}).items():
-        there = place[np.asarray(elements)]
-        subdomains[name] = there[there >= 0]
+        members = place[np.asarray(elements)]
+        subdomains[name] = members[members >= 0]
     coarse = from_arrays(mesh.p[:, nodes].T, number[result.triangles].T, boundaries, subdomains)
     return Coarse(coarse, nodes)
 
@@ -230,8 +230,8 @@ def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
     curved = any(part.level is not None for part in rel.problem.obstacles) or bool(rel.problem.motion.curves)
 
     def measured(q: Array) -> float:
-        found = energy(q).equilibrium
-        return energy.assessor.solve(rel.nodes(q), found.active).energy if curved else found.energy
+        state = energy(q).equilibrium
+        return energy.assessor.solve(rel.nodes(q), state.active).energy if curved else state.energy
 
     given = energy.assessor.initial.energy if curved else energy.given.energy
     for part in (0.5**k for k in range(HALVINGS)):

@@ -197,16 +197,16 @@ def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Neste
     function = problem.function
     if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
         most = settings.iterations or 200
-        found = descend(
+        result = descend(
             function, start, gain_tolerance=TIGHT_REGULARISED, max_iterations=most, on_step=monitor
         )
     elif settings.enough is not None and problem.constraints is None:
-        found = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
+        result = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
     elif problem.nlp.n_g:
         return interior(problem, start, monitor, settings)
     else:
-        found = _descend(problem, start, monitor, settings)
-    return OuterResult(found.x, found.status, found.iterations)
+        result = _descend(problem, start, monitor, settings)
+    return OuterResult(result.x, result.status, result.iterations)
 
 
 def _counted_on(monitor: Monitor, before: int) -> Monitor:
@@ -243,7 +243,7 @@ def _descend(
         max_iterations=settings.iterations or 200,
         constraints=function.energy.validity if nlp.n_g else None,
         settings=settings.newton,
-        on_step=lambda iteration, q, here: monitor(iteration, q, here.value),
+        on_step=lambda iteration, q, evaluation: monitor(iteration, q, evaluation.value),
     )
 
 

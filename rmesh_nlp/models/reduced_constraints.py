@@ -52,32 +52,33 @@ class ReducedConstraints:
         values, nonzeros = self._numeric(kkt_unknowns(point.q, point.equilibrium, point.system, rows), None)
         sums, value = np.split(values, [self._n_sums])
         slope = sp.csr_array(self._block(nonzeros))
-        more, of_sums = self.rows.combined(sums)
+        added, of_sums = self.rows.combined(sums)
         slopes = (slope[self._n_sums :] + sp.csr_array(of_sums) @ slope[: self._n_sums]).toarray()
-        jacobian = np.array([self._function.total(point, one) for one in slopes])
-        found = ConstraintPoint(value + more, jacobian.reshape(self.rows.size, point.q.size))
-        self._last = point, found
-        return found
+        jacobian = np.array([self._function.total(point, row) for row in slopes])
+        result = ConstraintPoint(value + added, jacobian.reshape(self.rows.size, point.q.size))
+        self._last = point, result
+        return result
 
     def values(self, point: ReducedPoint) -> list[tuple[str, float, float, float]]:
         """Text, value, lower and upper bound of each constraint of the problem, in its own units."""
-        rel, found, names = self._function.energy.relocation, self.at(point).value, np.array(self.rows.names)
+        rel, names = self._function.energy.relocation, np.array(self.rows.names)
+        reached = self.at(point).value
         design = rel.discretisation.mesh_map.design(point.q).tolist()
         named = dict(zip(rel.problem.start, design, strict=True))
-        values, known = [], dict.fromkeys(self.rows.names, 0)
+        values, used = [], dict.fromkeys(self.rows.names, 0)
         for constraint in rel.problem.constraints:
             text, lower, upper = str(constraint.value), constraint.bounds[0], constraint.bounds[1]
             upper = float(upper if is_number(upper) else at_design(upper, named))
-            boundary, rows = boundary_of(constraint), np.flatnonzero(names == text)[known[text] :]
+            boundary, rows = boundary_of(constraint), np.flatnonzero(names == text)[used[text] :]
             if boundary is None:
-                value = (found * self.rows.unit)[rows[0]]
-                known[text] += 1
+                value = (reached * self.rows.unit)[rows[0]]
+                used[text] += 1
             else:  # rows are forces less the level times the weights
                 space = rel.discretisation.space
                 part = contact_on(space, boundary)
                 weights, rows = space.weights(rel.nodes(point.q))[part.rows], rows[: part.rows.size]
-                value = upper + np.max((found * self.rows.unit)[rows] / weights)
-                known[text] += rows.size
+                value = upper + np.max((reached * self.rows.unit)[rows] / weights)
+                used[text] += rows.size
             values.append((text, float(value), lower, upper))
         return values
 
@@ -88,8 +89,8 @@ class ReducedConstraints:
 
     def linearised(self, point: ReducedPoint) -> Linearised:
         """All finite bounds as rows ``c >= 0``."""
-        found, lower, upper = self.at(point), self.rows.lower, self.rows.upper
+        evaluated, lower, upper = self.at(point), self.rows.lower, self.rows.upper
         low, high = np.isfinite(lower), np.isfinite(upper)
-        slack = np.concatenate([(found.value - lower)[low], (upper - found.value)[high]])
-        jacobian = np.vstack([found.jacobian[low], -found.jacobian[high]])
+        slack = np.concatenate([(evaluated.value - lower)[low], (upper - evaluated.value)[high]])
+        jacobian = np.vstack([evaluated.jacobian[low], -evaluated.jacobian[high]])
         return Linearised(slack, slack, sp.csr_array(jacobian))

@@ -218,8 +218,8 @@ class ReducedObjective:
         (value,), slope = self._outer(x, None)
         if self.functional.sums:
             sums, nonzeros = self._sums(x, None)
-            (more,), weights = self._combine(sums)
-            value, slope = value + more, slope + self._of_sums(nonzeros).T @ weights
+            (added,), weights = self._combine(sums)
+            value, slope = value + added, slope + self._of_sums(nonzeros).T @ weights
         return replace(inner, value=float(value), gradient=self.total(inner, slope), is_energy=False)
 
     def total(self, inner: ReducedPoint, slope: Array) -> Array:

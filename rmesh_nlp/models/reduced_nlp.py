@@ -140,8 +140,8 @@ class _Rows(PythonFunction):
                 np.full(self._constraints.rows.size, np.nan),
                 np.zeros((self._constraints.rows.size, q.size)),
             ]
-        found = self._constraints.at(self._function(q))
-        return [found.value, found.jacobian]
+        evaluated = self._constraints.at(self._function(q))
+        return [evaluated.value, evaluated.jacobian]
 
 
 class _Oracle(PythonFunction):
@@ -149,8 +149,8 @@ class _Oracle(PythonFunction):
 
     def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
         self._function, self._scale, self._relocation = function, scale, relocation
-        one, n = ca.Sparsity.dense(1), ca.Sparsity.dense(relocation.n_q)
-        super().__init__("reduced_objective", [n], [one, n])
+        scalar, n = ca.Sparsity.dense(1), ca.Sparsity.dense(relocation.n_q)
+        super().__init__("reduced_objective", [n], [scalar, n])
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
         q, rel = arg[0].full().ravel(), self._relocation
@@ -214,13 +214,13 @@ def lifted(problem: ReducedNLP) -> NLP:
     if not isinstance(function, ReducedEnergy):
         raise TypeError("only the energy's second derivatives are lifted")
     curvature, pattern = Curvature(function), _pattern(function.relocation)
-    known = _keys(pattern)
+    pattern_keys = _keys(pattern)
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, _: Array) -> Array:
-        matrix, result = _upper(curvature.at(function(q)).lifted(), factor, rows), np.zeros(known.size)
+        matrix, result = _upper(curvature.at(function(q)).lifted(), factor, rows), np.zeros(pattern_keys.size)
         keys = _keys(matrix)
-        place = np.minimum(np.searchsorted(known, keys), known.size - 1)
-        inside = known[place] == keys
+        place = np.minimum(np.searchsorted(pattern_keys, keys), pattern_keys.size - 1)
+        inside = pattern_keys[place] == keys
         if np.any(matrix.data[~inside]):
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
         result[place[inside]] = matrix.data[inside]
@@ -233,18 +233,18 @@ def lifted(problem: ReducedNLP) -> NLP:
     return _with(larger, _SecondOracle(problem, sparsity, values), problem.nlp.n_x)
 
 
-def _upper(found: Lifted, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
+def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
     """The upper triangle over all unknowns of a lifted Hessian, times a factor, and that of the rows."""
-    outer = factor * found.outer
+    outer = factor * hessian.outer
     if rows is not None:
         outer = outer + rows
     size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
-    unit = sp.diags_array(np.sqrt(STIFF * size / found.stiffness.diagonal()))
-    stiffness, mixed = unit @ found.stiffness @ unit, np.sqrt(factor) * (unit @ found.mixed)
-    diagonal = np.full(found.n_u, STIFF * size)  # of unknowns that contact determines
-    diagonal[found.free] = 0.0
-    put = sp.csc_array(_incidence(found.free, np.arange(found.free.size), found.n_u, found.free.size))
+    unit = sp.diags_array(np.sqrt(STIFF * size / hessian.stiffness.diagonal()))
+    stiffness, mixed = unit @ hessian.stiffness @ unit, np.sqrt(factor) * (unit @ hessian.mixed)
+    diagonal = np.full(hessian.n_u, STIFF * size)  # of unknowns that contact determines
+    diagonal[hessian.free] = 0.0
+    put = sp.csc_array(_incidence(hessian.free, np.arange(hessian.free.size), hessian.n_u, hessian.free.size))
     corner, mixed = put @ stiffness @ put.T + sp.diags_array(diagonal), put @ mixed
     matrix = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, corner]])))
     matrix.sum_duplicates()
@@ -310,18 +310,18 @@ def _elements(space: DisplacementSpace) -> sp.csr_array:
 def _followed(space: DisplacementSpace) -> sp.csr_array:
     """(nodes, nodes) At which other nodes the positions are that the gap of a node depends on."""
     problem, n = space.problem, space.n_nodes
-    found = sp.csr_array((n, n))
+    pattern = sp.csr_array((n, n))
     for part in space.contact_sets:
         for which, vertices, _ in space.kinds(part.nodes):
             nodes = np.tile(part.nodes[which], len(vertices))
-            found = found + _incidence(nodes, space.number[vertices].ravel(), n, n)
+            pattern = pattern + _incidence(nodes, space.number[vertices].ravel(), n, n)
         if holds_along_edges(problem, part.obstacle):
             for vertices in problem.triangles if part.obstacle.boundary is Place.INTERIOR else ():
                 beside = np.tile(space.number[vertices], len(space.elements))
-                found = found + _incidence(space.elements.ravel(), beside, n, n)
-            one, two = space.number[Body(problem, problem.mesh.p).edges_of(part.obstacle).ends]
-            found = found + _incidence(np.append(one, two), np.append(two, one), n, n)
-    return found
+                pattern = pattern + _incidence(space.elements.ravel(), beside, n, n)
+            first, second = space.number[Body(problem, problem.mesh.p).edges_of(part.obstacle).ends]
+            pattern = pattern + _incidence(np.append(first, second), np.append(second, first), n, n)
+    return pattern
 
 
 def _to_unknowns(index: Index, n: int) -> sp.csr_array:

@@ -49,17 +49,17 @@ def gain_estimate(problem: ContactProblem | ContactSolver) -> GainEstimate:
     new nodes on edges estimate it.
     """
     solver = problem if isinstance(problem, ContactSolver) else ContactSolver(problem)
-    here = admissible(solver.discretisation, start=solver.given.active)
-    there = _refined(here)
-    floor = LEAST_GAIN * max(abs(here.energy), 1e-300)
-    if there is not None and there.status is Status.CONVERGED and there.energy < here.energy:
-        return GainEstimate(here.energy, max(EXTRAPOLATION * (here.energy - there.energy), floor))
-    return GainEstimate(here.energy, max(float(edge_gains(solver.problem).sum()), floor))
+    given = admissible(solver.discretisation, start=solver.given.active)
+    refined = _refined(given)
+    floor = LEAST_GAIN * max(abs(given.energy), 1e-300)
+    if refined is not None and refined.status is Status.CONVERGED and refined.energy < given.energy:
+        return GainEstimate(given.energy, max(EXTRAPOLATION * (given.energy - refined.energy), floor))
+    return GainEstimate(given.energy, max(float(edge_gains(solver.problem).sum()), floor))
 
 
-def _refined(here: Admissible) -> Admissible | None:
+def _refined(given: Admissible) -> Admissible | None:
     try:
-        return on_refined(here)
+        return on_refined(given)
     except ProblemError:  # new nodes on a curve fold a thin element
         return None
 

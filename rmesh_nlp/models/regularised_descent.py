@@ -89,7 +89,7 @@ def descend(
             preconditioner,
         ),
         settings=replace(LOCAL, forcing=forcing),
-        on_step=None if on_step is None else lambda i, x, here: on_step(i, x, here.value),
+        on_step=None if on_step is None else lambda i, x, evaluation: on_step(i, x, evaluation.value),
     )
 
 
@@ -119,9 +119,9 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
     The area is quadratic along the step; its first root is computed without cancellation.
     """
     triangles = relocation.problem.triangles
-    here = relocation.nodes(q)
-    move = (relocation.nodes(q + step) - here)[:, triangles]
-    X = here[:, triangles]
+    nodes = relocation.nodes(q)
+    move = (relocation.nodes(q + step) - nodes)[:, triangles]
+    X = nodes[:, triangles]
     a, b, u, v = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0], move[:, 1] - move[:, 0], move[:, 2] - move[:, 0]
     constant = (1 - KEPT) * (a[0] * b[1] - a[1] * b[0])
     linear = a[0] * v[1] - a[1] * v[0] + u[0] * b[1] - u[1] * b[0]
@@ -161,21 +161,21 @@ def finished(
     ``reference`` is the value above which a decrease is a gain; the descent stops if ``on_step`` returns
     True.
     """
-    here, factorisations = float("inf"), 0
+    norm, factorisations = float("inf"), 0
 
     def report(iteration: int, x: Array, value: float) -> bool:
-        nonlocal here
-        here = residual(energy(x))
+        nonlocal norm
+        norm = residual(energy(x))
         stop = on_step is not None and on_step(iteration, x, value)
-        return bool(stop) or here <= tolerance
+        return bool(stop) or norm <= tolerance
 
     def factorised(model: Hessian, width: Array) -> Shifted | None:
         nonlocal factorisations
-        if here > NEAR:
+        if norm > NEAR:
             return None
-        found = positive_definite(*model.joint(width))
-        factorisations += 0 if found is None else found.factorisations
-        return found
+        shifted = positive_definite(*model.joint(width))
+        factorisations += 0 if shifted is None else shifted.factorisations
+        return shifted
 
     result = descend(
         energy,
@@ -187,23 +187,23 @@ def finished(
         forcing=FORCING,
         preconditioner=factorised,
     )
-    q, status, here = result.x, result.status, residual(energy(result.x))
-    if status in (Status.CONVERGED, Status.STALLED) and tolerance < here <= NEAR:
-        q, here, more = _polished(energy, q, residual, here, tolerance)
-        factorisations += more
-    if here <= tolerance:
+    q, status, norm = result.x, result.status, residual(energy(result.x))
+    if status in (Status.CONVERGED, Status.STALLED) and tolerance < norm <= NEAR:
+        q, norm, count = _polished(energy, q, residual, norm, tolerance)
+        factorisations += count
+    if norm <= tolerance:
         status = Status.CONVERGED
     elif status is Status.CONVERGED:
         status = Status.STALLED
-    return FinishedDescent(replace(result, x=q, value=energy(q).value, status=status), here, factorisations)
+    return FinishedDescent(replace(result, x=q, value=energy(q).value, status=status), norm, factorisations)
 
 
 def _polished(
-    energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], here: float, tolerance: float
+    energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], norm: float, tolerance: float
 ) -> tuple[Array, float, int]:
     """Newton steps that are accepted by the residual: decreases of the value are rounding by now."""
     curvature, free, count = Curvature(energy), energy.relocation.mesh_map, 0
-    while here > tolerance and count < POLISH:
+    while norm > tolerance and count < POLISH:
         model, width = curvature.at(energy(q)), node_widths(energy.relocation, q)
         factor = positive_definite(*model.joint(width))
         if factor is None:
@@ -213,8 +213,8 @@ def _polished(
         low = np.maximum((free.lower - q) / width, -1.0)
         high = np.minimum((free.upper - q) / width, 1.0)
         y, _ = step.within(low, high, EXACT_FORCING)
-        there = free.clipped(q + width * y)
-        if not energy.is_defined(there) or not residual(energy(there)) < here:
+        trial = free.clipped(q + width * y)
+        if not energy.is_defined(trial) or not residual(energy(trial)) < norm:
             break
-        q, here = there, residual(energy(there))
-    return q, here, count
+        q, norm = trial, residual(energy(trial))
+    return q, norm, count

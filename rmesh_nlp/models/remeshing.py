@@ -90,13 +90,13 @@ class Solved:
 
     def active_near(self, other: ContactSolver) -> ActiveSet | None:
         """The active set of the nearest contact nodes; None without contact."""
-        here, there = (
-            one.discretisation.space.points(np.asarray(one.problem.mesh.p))[:, one.contact_nodes].T
-            for one in (self.solver, other)
+        own, others = (
+            solver.discretisation.space.points(np.asarray(solver.problem.mesh.p))[:, solver.contact_nodes].T
+            for solver in (self.solver, other)
         )
-        if not here.size or not there.size:
+        if not own.size or not others.size:
             return None
-        nearest, active = cKDTree(here).query(there)[1], self.state.active
+        nearest, active = cKDTree(own).query(others)[1], self.state.active
         sliding = active.sliding[nearest] if active.sliding.size else active.sliding
         return ActiveSet(active.touching[nearest], sliding)
 
@@ -139,46 +139,46 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     budget = budget or Budget()
     if first.problem.has_coulomb:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
-    here, ratio, best, off = first, float("nan"), None, sagitta(first.problem)
+    current, ratio, best, off = first, float("nan"), None, sagitta(first.problem)
     done: list[Solved] = []
     for size in _sizes(first.problem.mesh.p.shape[1], nodes):
         tolerance = EXACT if size == nodes else ROUGH
         budget.check()
         try:
-            problem, ratio = remeshed_problem(here.problem, here.regions, size, ratio, tolerance, off)
-            there = _solved(problem, here)
+            problem, ratio = remeshed_problem(current.problem, current.regions, size, ratio, tolerance, off)
+            solved = _solved(problem, current)
         except (BadInputError, ProblemError):
             if best is None:
                 raise
             break
-        done.append(there)
+        done.append(solved)
         if size == nodes:
-            fall = np.inf if best is None else best.state.energy - there.state.energy
-            best = there if fall > 0 else best
-            least = WORTHWHILE * there.error + ROUNDING * abs(there.state.energy)
+            fall = np.inf if best is None else best.state.energy - solved.state.energy
+            best = solved if fall > 0 else best
+            least = WORTHWHILE * solved.error + ROUNDING * abs(solved.state.energy)
             if budget.is_over() or fall <= least:
                 break
-        here = there
+        current = solved
     assert best is not None
-    counts = tuple(int(one.problem.mesh.p.shape[1]) for one in done)
-    return MetricStart(best, counts, tuple(one.state.energy for one in done))
+    counts = tuple(int(solved.problem.mesh.p.shape[1]) for solved in done)
+    return MetricStart(best, counts, tuple(solved.state.energy for solved in done))
 
 
 def _solved(problem: ContactProblem, near: Solved) -> Solved:
-    found = Solved.of(problem, near)
-    if found.state.status is not Status.CONVERGED:
+    solved = Solved.of(problem, near)
+    if solved.state.status is not Status.CONVERGED:
         count = problem.mesh.p.shape[1]
         raise ProblemError("mesh", f"the contact problem was not solved on a new mesh of {count} nodes")
-    return found
+    return solved
 
 
 def _sizes(now: int, last: int) -> list[int]:
     """Numbers of nodes of the rounds."""
-    found = []
+    sizes = []
     while now * GROWTH < last:
         now = int(now * GROWTH)
-        found.append(now)
-    return [*found, *[last] * ROUNDS]
+        sizes.append(now)
+    return [*sizes, *[last] * ROUNDS]
 
 
 def remeshed_problem(
@@ -203,9 +203,9 @@ def remeshed_problem(
     if np.isnan(ratio):
         ratio = problem.mesh.t.shape[1] / X.shape[1]
     while True:
-        found, ratio = _with_nodes(problem, metric, nodes, ratio, tolerance, off)
-        if angle == 0 or np.min(least_angles(found.mesh.p, found.triangles)) >= angle:
-            return found, ratio
+        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, tolerance, off)
+        if angle == 0 or np.min(least_angles(candidate.mesh.p, candidate.triangles)) >= angle:
+            return candidate, ratio
         if even == 0:
             raise BadInputError(
                 f"Mmg makes no mesh of {nodes} nodes with angles of {angle:g} degrees or more"
@@ -222,18 +222,18 @@ def _with_nodes(
     problem: ContactProblem, metric: Metric, nodes: int, ratio: float, tolerance: float, off: float
 ) -> tuple[ContactProblem, float]:
     """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
-    found: list[tuple[int, float, ContactProblem]] = []
+    candidates: list[tuple[int, float, ContactProblem]] = []
     below = above = float("nan")
     for trial in range(TRIALS):
         made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
         count = int(made.mesh.p.shape[1])
-        found.append((abs(count - nodes), ratio, made))
+        candidates.append((abs(count - nodes), ratio, made))
         if abs(count - nodes) <= tolerance * nodes:
             break
         below, above = (ratio, above) if count < nodes else (below, ratio)
         between = (below + above) / 2
         ratio = ratio * nodes / count if trial < TRIALS // 2 or np.isnan(between) else between
-    off, ratio, best = min(found, key=lambda one: one[0])
+    off, ratio, best = min(candidates, key=lambda candidate: candidate[0])
     if off > max(ROUGH * nodes, FEW):
         nearest = best.mesh.p.shape[1]
         raise BadInputError(f"Mmg makes no mesh of {nodes} nodes of this domain: the nearest has {nearest}")
@@ -249,24 +249,24 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactPro
     for closer in CLOSER if off else CLOSER[:1]:
         new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off)
         try:
-            found = _carried_over(problem, new, numbers)
+            carried = _carried_over(problem, new, numbers)
         except ProblemError as error:
             said = f"no problem on Mmg's mesh of {new.p.shape[1]} nodes: {error}"
             continue
-        if Body(found, np.asarray(found.mesh.p)).is_upright() and sagitta(found) <= off + 1e-9 * size:
-            return found
+        if Body(carried, np.asarray(carried.mesh.p)).is_upright() and sagitta(carried) <= off + 1e-9 * size:
+            return carried
         said = f"Mmg's mesh of {new.p.shape[1]} nodes is too coarse for the curves: take more"
     raise BadInputError(said)
 
 
 def _carried_over(problem: ContactProblem, new: MeshTri, numbers: Index) -> ContactProblem:
     """The problem on a new mesh, which has the nodes of the old one with these ``numbers``."""
-    motion, there = problem.motion, np.zeros(0, dtype=np.int64)
+    motion, nodes = problem.motion, np.zeros(0, dtype=np.int64)
     if numbers.size:
-        there = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)[1]
-    number = dict(zip(numbers.tolist(), map(int, there), strict=True))
+        nodes = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)[1]
+    number = dict(zip(numbers.tolist(), map(int, nodes), strict=True))
     places: dict[str, Any] = {
-        rule: tuple(one if isinstance(one, str) else number[one] for one in getattr(motion, rule))
+        rule: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, rule))
         for rule in RULES
     }
     tied = tuple((number[a], number[b]) for a, b in motion.tied)
