@@ -97,17 +97,17 @@ class Continuous:
         gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
         offset = np.concatenate([np.zeros(0), *gaps])
         for cells in self.cells:  # at edges coefficients, on the arc if there is one
-            rows, found = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
-            offset[rows[rows >= 0]] = found[rows >= 0]
+            rows, at_nodes = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
+            offset[rows[rows >= 0]] = at_nodes[rows >= 0]
         along = np.sum(directions.normals(nodes) * self.given[:, space.contact_nodes], axis=0)
         frictional = np.zeros(along.size, dtype=bool)
         frictional[space.friction_rows] = True
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
-            here = np.zeros(space.n_nodes)
+            friction = np.zeros(space.n_nodes)
             shares = shape_integrals(edges.at, edges.size, part.obstacle.friction, space.order)[0]
-            np.add.at(here, space.nodes_of(edges.ends), shares)
-            bounds[part.rows] = here[part.nodes]
+            np.add.at(friction, space.nodes_of(edges.ends), shares)
+            bounds[part.rows] = friction[part.nodes]
         rigid = self.parts.rigid_motions(nodes)
         order = None
         if space.n_nodes > LARGE:
@@ -132,13 +132,13 @@ class Continuous:
 
     def solve(self, start: ActiveSet | None = None) -> Admissible:
         """The admissible displacement of least energy, friction bounded from above."""
-        standoff, left = self.first_standoff(), 0.0
+        standoff, violation = self.first_standoff(), 0.0
         system = self.system(standoff)
         state = _solved(system, start)
         curved = any(part.obstacle.level is not None for part in self.space.contact_sets)
         if np.any(standoff) or curved:
-            state, standoff, left = self._safe(system, state, standoff)
-            tighten = left == 0 and not self.problem.has_coulomb
+            state, standoff, violation = self._safe(system, state, standoff)
+            tighten = violation == 0 and not self.problem.has_coulomb
             closer = tightened(system, state, self.cells, self.field) if tighten else None
             if closer is not None and closer.energy < state.energy:
                 gap = self._bare.normals @ closer.u + self._bare.offset
@@ -153,7 +153,7 @@ class Continuous:
             values, wrong = friction_energy(edges, part.obstacle, ends)
             friction, doubt = friction + float(np.sum(values)), doubt + float(np.sum(wrong))
         energies = strain - work + friction, strain, work, friction, doubt
-        return Admissible(self.parts, self.body, system, state, displacement, standoff, *energies, left)
+        return Admissible(self.parts, self.body, system, state, displacement, standoff, *energies, violation)
 
     def _safe(
         self, system: ContactSystem, state: Equilibrium, standoff: Array
@@ -161,15 +161,15 @@ class Continuous:
         """Stand-offs raised until no violation is left where normals vary; what is left else."""
         for _ in range(REPEATS):
             displacement = self.field.values(state.u)
-            more = self._raised([cells.missing(displacement) for cells in self.cells])
-            left = float(np.max(more, initial=0.0))
+            raised = self._raised([cells.missing(displacement) for cells in self.cells])
+            violation = float(np.max(raised, initial=0.0))
             size = np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0)
-            if left <= SLACK * size:
+            if violation <= SLACK * size:
                 return state, standoff, 0.0
-            standoff = standoff + 1.1 * more
-            system = replace(system, offset=system.offset - 1.1 * more)
+            standoff = standoff + 1.1 * raised
+            system = replace(system, offset=system.offset - 1.1 * raised)
             state = _solved(system, state.active)
-        return state, standoff, left
+        return state, standoff, violation
 
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""
@@ -178,18 +178,18 @@ class Continuous:
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by the height of the foundations without displacement."""
-        found = []
+        heights = []
         for cells in self.cells:
             off, size = cells.off(self.given_along(cells)), np.max(np.abs(cells.distance), initial=0.0)
-            found.append(np.where(off > SLACK * 1e-3 * size, off, 0.0))
-        return self._raised(found)
+            heights.append(np.where(off > SLACK * 1e-3 * size, off, 0.0))
+        return self._raised(heights)
 
     def _raised(self, off: Sequence[Array]) -> Array:
         """(gaps,) the largest ``off`` (m,) of the cells at each free node."""
         standoff = np.zeros(self.space.contact_nodes.size)
-        for cells, one in zip(self.cells, off, strict=True):
+        for cells, height in zip(self.cells, off, strict=True):
             for rows in cells.rows:
-                np.maximum.at(standoff, rows[rows >= 0], one[rows >= 0])
+                np.maximum.at(standoff, rows[rows >= 0], height[rows >= 0])
         return standoff
 
 
@@ -202,20 +202,20 @@ def admissible(
     contact to begin with.
     """
     for _ in range(REFINEMENTS):
-        here = Continuous(problem, nodes)
-        inside = [cells for cells in here.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
-        cut = [cells.number[cells.unreachable(here.given_along(cells))] for cells in inside]
+        continuous = Continuous(problem, nodes)
+        inside = [cells for cells in continuous.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
+        cut = [cells.number[cells.unreachable(continuous.given_along(cells))] for cells in inside]
         elements = np.concatenate([np.zeros(0, dtype=np.int64), *cut])
         if elements.size == 0:
             break
-        moved = here.problem
+        moved = continuous.problem
         if nodes is not None:
             moved = replace(moved, mesh=relocated_mesh(moved.mesh, nodes))
         problem, nodes, start = locally_refined(moved, elements), None, None
-    return here.solve(start)
+    return continuous.solve(start)
 
 
 def _solved(system: ContactSystem, start: ActiveSet | None) -> Equilibrium:
     """From a set that touched on this mesh or on a similar one; from a guess if that fails."""
-    found = solve(system, start)
-    return found if found.status is Status.CONVERGED or start is None else solve(system)
+    state = solve(system, start)
+    return state if state.status is Status.CONVERGED or start is None else solve(system)

@@ -57,13 +57,13 @@ def coulomb_residual(
     if total == 0 or size == 0:
         return 0.0
     length = float(np.sum(weights[rows][force[rows] > PRESSING * np.max(force[rows])]))
-    body, found = Body(space.problem, nodes), 0.0
+    body, integral = Body(space.problem, nodes), 0.0
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))
         stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
         fields = np.vstack([space.coefficients(stresses), displacement])
-        found += _integral(body, space, part, fields, total / length / size)
-    return found / total
+        integral += _integral(body, space, part, fields, total / length / size)
+    return integral / total
 
 
 def _integral(

@@ -64,8 +64,8 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     problem = body.problem
     load, doubt = np.zeros((2, space.n_nodes, problem.components))
 
-    def add(i: int, nodes: Index, found: tuple[Array, Array]) -> None:
-        for target, shares in zip((load, doubt), found, strict=True):
+    def add(i: int, nodes: Index, integrals: tuple[Array, Array]) -> None:
+        for target, shares in zip((load, doubt), integrals, strict=True):
             np.add.at(target[:, i], nodes, shares)
 
     for law, elements in problem.regions:
@@ -76,8 +76,8 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
-                found = shape_integrals(edges.at, edges.size, coefficient, space.order)
-                add(i, space.nodes_of(edges.ends), found)
+                integrals = shape_integrals(edges.at, edges.size, coefficient, space.order)
+                add(i, space.nodes_of(edges.ends), integrals)
     for point in problem.point_loads:
         load[space.number[point.node]] += point.force
     return load.ravel(), doubt.ravel()
@@ -173,9 +173,9 @@ def _zeros(slip: Callable[[Array], Array], begin: Array, end: Array, bend: Array
         slope = rise - curved  # at the lower end
         inner = np.copysign(np.sqrt(np.maximum(slope**2 - 4 * curved * at_low, 0.0)), rise)
         middle = np.where(changes, np.clip(low - 2 * at_low * width / (slope + inner), low, high), middle)
-        here = slip(middle)
-        same = here * at_low > 0
-        low, at_low = np.where(same, middle, low), np.where(same, here, at_low)
-        high, at_high = np.where(same, high, middle), np.where(same, at_high, here)
-        changes = changes & (here != 0)
+        at_middle = slip(middle)
+        is_low = at_middle * at_low > 0
+        low, at_low = np.where(is_low, middle, low), np.where(is_low, at_middle, at_low)
+        high, at_high = np.where(is_low, high, middle), np.where(is_low, at_high, at_middle)
+        changes = changes & (at_middle != 0)
     return middle

@@ -84,8 +84,8 @@ def _interval(low: float, high: float, digits: int = 3) -> str:
         return f"at least {low:.{digits}g}"
     if low == 0:
         return f"at most {figure(high)}"
-    one, two = (f"{value:.{digits}g}" for value in (low, high))
-    return one if one == two else f"{one} to {two}"
+    least, most = (f"{value:.{digits}g}" for value in (low, high))
+    return least if least == most else f"{least} to {most}"
 
 
 def error_reduction(
@@ -111,26 +111,26 @@ def error_reduction(
     low, high = bounds
     size = int(after.body.nodes.shape[1])
     factors = 1 + fall / high, 1 + fall / low
-    found = ErrorReduction((low + fall, high + fall), bounds, *factors, source, size, contact_solves)
-    return found, finest
+    reduction = ErrorReduction((low + fall, high + fall), bounds, *factors, source, size, contact_solves)
+    return reduction, finest
 
 
 def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | None]:
     """Lower and upper bound of the error of the energy; the admissible displacement on the finest mesh."""
-    here, falls = last, []
+    finest, falls = last, []
     for _ in range(2 if last.body.nodes.shape[1] <= FEW else 1):
         try:
-            finer = on_refined(here)
+            finer = on_refined(finest)
         except ProblemError:  # new nodes on a curve would fold a thin element
             return None, None
         if finer.status is not Status.CONVERGED:
             return None, None
-        falls.append(here.energy - finer.energy)
-        here = finer
+        falls.append(finest.energy - finer.energy)
+        finest = finer
     if not min(falls) > 0 or any(b >= UNRESOLVED * a for a, b in pairwise(falls)):
-        return None, here
-    known, rest, fastest = sum(falls[:-1]), falls[-1], FASTEST[last.problem.order]
-    return (known + rest / (1 - 1 / fastest), known + rest / (1 - 1 / SLOWEST)), here
+        return None, finest
+    earlier, rest, fastest = sum(falls[:-1]), falls[-1], FASTEST[last.problem.order]
+    return (earlier + rest / (1 - 1 / fastest), earlier + rest / (1 - 1 / SLOWEST)), finest
 
 
 def on_refined(last: Admissible) -> Admissible:
@@ -148,17 +148,17 @@ def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: Displacemen
     touching = np.zeros(fine.contact_nodes.size, dtype=bool)
     sliding = np.zeros(touching.size if active.sliding.size else 0, dtype=np.int8)
     facets = coarse.problem.mesh.facets
-    for one, two in zip(coarse.contact_sets, fine.contact_sets, strict=True):
+    for coarse_set, fine_set in zip(coarse.contact_sets, fine.contact_sets, strict=True):
         for old, new in ((active.touching, touching), (active.sliding, sliding)):
             if old.size:
                 at_nodes = np.zeros(coarse.n_nodes, dtype=old.dtype)
-                at_nodes[one.nodes] = old[one.rows]
+                at_nodes[coarse_set.nodes] = old[coarse_set.rows]
                 at_vertices, at_edges = np.split(at_nodes[coarse.number], [coarse.n_vertices])
                 if not at_edges.size:
                     a, b = at_vertices[facets]
                     at_edges = np.where(a == b, a, 0)
                 finer = fine.of_linear(np.append(at_vertices, at_edges)[None].astype(float))
-                new[two.rows] = np.trunc(finer[0, two.nodes])
+                new[fine_set.rows] = np.trunc(finer[0, fine_set.nodes])
     return ActiveSet(touching, sliding)
 
 

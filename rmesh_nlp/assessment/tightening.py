@@ -66,14 +66,14 @@ def tightened(
     u, pressing, friction = state.u.copy(), np.zeros(chosen.shape[1]), state.tangential_force[slips.number]
     before = np.inf
     for _ in range(ROUNDS):
-        found = solver.minimised(u, pressing, friction)
-        if found is None:
+        minimiser = solver.minimised(u, pressing, friction)
+        if minimiser is None:
             return None
-        u = found
+        u = minimiser
         pressing, friction, open_by = solver.updated(u, pressing, friction)
-        more = _violated(cells, field.values(u), chosen)
-        if more.size:
-            chosen, pressing = np.hstack([chosen, more]), np.append(pressing, np.zeros(more.shape[1]))
+        violated = _violated(cells, field.values(u), chosen)
+        if violated.size:
+            chosen, pressing = np.hstack([chosen, violated]), np.append(pressing, np.zeros(violated.shape[1]))
             order = np.argsort(chosen[0], kind="stable")  # part by part
             chosen, pressing = chosen[:, order], pressing[order]
             solver = _Multipliers(system, _points(cells, chosen, field, margin, u), slips, solver.penalty)
@@ -169,24 +169,24 @@ def _slips(system: ContactSystem) -> _Slips:
 
 def _closed(cells: Sequence[Cells], displacement: Array, state: Equilibrium) -> Index:
     """(3, n) part, cell and point of least gap of the cells whose nodes press on the foundation."""
-    found = [np.zeros((3, 0), dtype=np.int64)]
+    closed = [np.zeros((3, 0), dtype=np.int64)]
     for number, part in enumerate(cells):
         presses, free = np.zeros(part.rows.shape, dtype=bool), part.rows >= 0
         presses[free] = state.normal_force[part.rows[free]] > 0
         cell = np.flatnonzero(np.any(presses, axis=0))
         point = np.argmin(part.gaps(displacement)[cell], axis=1)
-        found.append(np.stack([np.full(cell.size, number), cell, point]))
-    return np.hstack(found)
+        closed.append(np.stack([np.full(cell.size, number), cell, point]))
+    return np.hstack(closed)
 
 
 def _violated(cells: Sequence[Cells], displacement: Array, chosen: Index) -> Index:
     """(3, n) the worst points of cells where the gap is violated, those that are chosen already left out."""
-    known, new = set(zip(*chosen.tolist(), strict=True)), []
+    taken, new = set(zip(*chosen.tolist(), strict=True)), []
     for number, part in enumerate(cells):
         gap = part.gaps(displacement)
         worst = np.argmin(gap, axis=1)
         for cell in np.flatnonzero(np.min(gap, axis=1) < 0).tolist():
-            if (number, cell, int(worst[cell])) not in known:
+            if (number, cell, int(worst[cell])) not in taken:
                 new.append((number, cell, int(worst[cell])))
     return np.array(new, dtype=np.int64).reshape(-1, 3).T
 
@@ -218,9 +218,9 @@ def _equilibrium(
 ) -> Equilibrium:
     force, tangential = np.zeros(system.offset.size), np.zeros(system.slip_bound.size)
     for number, part in enumerate(cells):
-        here = chosen[0] == number
-        cell, point = chosen[1:, here]
-        part.share(force, cell, point, pressing[here])
+        own = chosen[0] == number
+        cell, point = chosen[1:, own]
+        part.share(force, cell, point, pressing[own])
     tangential[slips] = friction
     slides = np.abs(tangential) >= system.slip_bound * (1 - 1e-9)
     sliding = np.where(slides, -np.sign(tangential), 0).astype(np.int8)
