@@ -102,7 +102,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     effort = PRODUCTS[problem.components] if products is None else products
     field = build(problem, skeleton, conditions, load, guess, effort)
     balance, strain = field.balance, float(np.sum(field.energy))
-    found = potential(problem, skeleton, conditions, load, float(np.sum(field.computed)), u)
+    primal = potential(problem, skeleton, conditions, load, float(np.sum(field.computed)), u)
     r = oscillation(skeleton, load.remainder, conditions.traction_oscillation, field.gradient_by_energy)
     spread = field.variation * r + r**2 / 2
     resultant = balance.pressure * skeleton.lengths[conditions.contact]
@@ -113,12 +113,12 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     doubt = (  # what quadrature of all data may have changed in the bounds
         load.doubtful_work(u, skeleton)
         + field.obstacle_doubt
-        + found.traction_doubt
+        + primal.traction_doubt
         + float(np.sum(resultant * conditions.offset_doubt))
         + abs(balance.reaction_work) * conditions.given_doubt
     )
-    lower, upper = dual - float(np.sum(spread)) - doubt - rounding, found.energy
-    contact = _contact_gap(skeleton, conditions, field, u, found.friction)
+    lower, upper = dual - float(np.sum(spread)) - doubt - rounding, primal.energy
+    contact = _contact_gap(skeleton, conditions, field, u, primal.friction)
     local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
     if problem.order > conditions.degree:
         local = local - _unbalanced(skeleton, conditions, load, u)
@@ -127,8 +127,10 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
         why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
     if not residual <= TOLERANCE:
         why = (f"lower: the field is out of equilibrium by {residual:.1e} of the largest force", *why)
-    known, also = (not any(reason.startswith(side) for reason in why) for side in ("lower", "upper"))
-    return Bracket(lower, upper, known, also, why, local, field.values, found.norm, residual)
+    lower_holds, upper_holds = (
+        not any(reason.startswith(side) for reason in why) for side in ("lower", "upper")
+    )
+    return Bracket(lower, upper, lower_holds, upper_holds, why, local, field.values, primal.norm, residual)
 
 
 def _contact_gap(
@@ -186,10 +188,10 @@ def refined_bracket(
     """
     count = problem.mesh.t.shape[1]
     if refinements is None:
-        found = refined_bracket(problem, nodes, guess, int(count <= FEW))
+        refined = refined_bracket(problem, nodes, guess, int(count <= FEW))
         # on needles rounding grows with refinement
-        plain = found if found.guaranteed_lower or count > FEW else bracket(problem, nodes, guess)
-        return plain if plain.guaranteed_lower else found
+        plain = refined if refined.guaranteed_lower or count > FEW else bracket(problem, nodes, guess)
+        return plain if plain.guaranteed_lower else refined
     if refinements == 0:
         return bracket(problem, nodes, guess)
     guess, mesh = guess.by_mesh(), relocated_mesh(problem.mesh, nodes)
@@ -197,10 +199,10 @@ def refined_bracket(
     for _ in range(refinements):
         coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))
         guess = guess.on_refined(DisplacementSpace.of(coarse), DisplacementSpace.of(finer))
-    found = bracket(finer, np.asarray(finer.mesh.p), guess, products=FINER_PRODUCTS)
+    refined = bracket(finer, np.asarray(finer.mesh.p), guess, products=FINER_PRODUCTS)
     children = 4**refinements
     return replace(
-        found,
-        local=found.local.reshape(children, count).sum(axis=0),
-        field=found.field.reshape(-1, children, count).mean(axis=1),
+        refined,
+        local=refined.local.reshape(children, count).sum(axis=0),
+        field=refined.field.reshape(-1, children, count).mean(axis=1),
     )

@@ -85,13 +85,13 @@ def penetration(
     between samples is added.
     """
     inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
-    found = [(o, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS) for o in inside]
+    parts = [(o, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS) for o in inside]
     along_edges = skeleton.along(skeleton.order)
     for part in conditions.parts:
-        found.append((part.obstacle, skeleton.ends[:, part.edges], along_edges[:, part.edges], SAMPLE_POINTS))
+        parts.append((part.obstacle, skeleton.ends[:, part.edges], along_edges[:, part.edges], SAMPLE_POINTS))
     size = float(np.max(np.abs(displacement), initial=0.0))
     depths = [0.0]
-    for obstacle, cells, nodes, points in found:
+    for obstacle, cells, nodes, points in parts:
         if cells.size:
             along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, nodes])
             depths.append(_depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
@@ -123,9 +123,9 @@ def _bends(samples: Array) -> tuple[Array, Array]:
     if len(samples) == SAMPLE_POINTS.shape[1]:
         bends = np.diff(samples, 2, axis=0)
         return bends, bends
-    one, two, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
-    mixed = (one + two - across) / 2
-    return bends, (one + two) / 2 + np.hypot((one - two) / 2, mixed)  # larger eigenvalue
+    first, second, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
+    mixed = (first + second - across) / 2
+    return bends, (first + second) / 2 + np.hypot((first - second) / 2, mixed)  # larger eigenvalue
 
 
 def _nodes(points: Array) -> list[int]:

@@ -75,9 +75,9 @@ class Guess:
         node = ends = np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])
         if coarse.order == 2:
             P, Q = np.hstack([np.tile(np.arange(finer.p.shape[1]), (2, 1)), finer.facets])
-            one, other = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
-            node, between = one.astype(np.int64), one != other
-            node[between] = coarse.nodes_at(one[between], other[between])
+            first, second = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
+            node, between = first.astype(np.int64), first != second
+            node[between] = coarse.nodes_at(first[between], second[between])
             node = node.reshape(4, -1)
         return self._picked(lambda values: values[..., node].mean(axis=-2))
 
@@ -114,34 +114,34 @@ class EquilibratedField:
     obstacle_doubt: float = 0.0
 
 
-def balance(found: Hybrid, guess: Guess, products: int) -> Balance:
+def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
     """Equilibrate the elements with each other and with the contact forces.
 
     These begin with those of the guess, cut to what contact and friction allow, and are improved by
     ``products`` back-substitutions. With an obstacle in the interior the problem is solved exactly, for its
     forces are as many as the elements; at order 2 too, where a few products leave most of the gap.
     """
-    skeleton, contact = found.skeleton, found.conditions.contact
-    degree, edge = found.conditions.degree, skeleton.lengths[contact]
+    skeleton, contact = assembled.skeleton, assembled.conditions.contact
+    degree, edge = assembled.conditions.degree, skeleton.lengths[contact]
     along = skeleton.along(degree)[:, contact]
     pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
-    if found.inside or skeleton.order == 2:
-        inside = guess.pressure[skeleton.inside(degree)].T.ravel()[: found.inside]
+    if assembled.inside or skeleton.order == 2:
+        inside = guess.pressure[skeleton.inside(degree)].T.ravel()[: assembled.inside]
         touching = np.append(inside, pressure) > 0
-        solved = _solved(found, touching, friction)
-        if found.inside or solved.status is Status.CONVERGED:
+        solved = _solved(assembled, touching, friction)
+        if assembled.inside or solved.status is Status.CONVERGED:
             force = np.maximum(solved.normal_force, 0.0)
-            return balanced(found, solved.u, force, solved.tangential_force)
-    return balanced(found, *_improved(found, pressure, friction, products))
+            return balanced(assembled, solved.u, force, solved.tangential_force)
+    return balanced(assembled, *_improved(assembled, pressure, friction, products))
 
 
-def _solved(found: Hybrid, touching: NDArray[np.bool_], friction: Array) -> Equilibrium:
+def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> Equilibrium:
     """The contact problem of the traces by an active set that begins with the contact of a guess, or cold."""
-    system, bound = found.system, found.system.slip_bound
+    system, bound = assembled.system, assembled.system.slip_bound
     friction = friction[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     # friction turns where the slip is zero, and traces are counted from those of the base
-    base = system.tangents.T @ contact_start(found)[: bound.size]
+    base = system.tangents.T @ contact_start(assembled)[: bound.size]
     from_zero = replace(system, load=system.load + system.stiffness @ base)
     solved = solve(from_zero, ActiveSet(touching, sliding), WARM)
     if solved.status is not Status.CONVERGED:
@@ -149,29 +149,31 @@ def _solved(found: Hybrid, touching: NDArray[np.bool_], friction: Array) -> Equi
     return replace(solved, u=solved.u - base)
 
 
-def balanced(found: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
+def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     """What the free traces and the contact forces say of elements and edges."""
-    contact, W = found.conditions.contact, found.traces(u)
-    edge, shape = found.skeleton.lengths[contact], found.conditions.offset.shape
-    reaction = found.reaction(W)[found.held] @ (W + found.start)[found.held]
-    functions = 3 * found.conditions.degree  # Bernstein's on a triangle
-    inside = force[: found.inside] if found.inside else np.zeros(len(found.numbers) * functions)
+    contact, W = assembled.conditions.contact, assembled.traces(u)
+    edge, shape = assembled.skeleton.lengths[contact], assembled.conditions.offset.shape
+    reaction = assembled.reaction(W)[assembled.held] @ (W + assembled.start)[assembled.held]
+    functions = 3 * assembled.conditions.degree  # Bernstein's on a triangle
+    inside = force[: assembled.inside] if assembled.inside else np.zeros(len(assembled.numbers) * functions)
     return Balance(
-        traces=found.of_elements(W),
-        pressure=force[found.inside :].reshape(shape) / edge,
+        traces=assembled.of_elements(W),
+        pressure=force[assembled.inside :].reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
         obstacle_force=inside.reshape(-1, functions),
     )
 
 
-def _improved(found: Hybrid, pressure: Array, friction: Array, products: int) -> tuple[Array, Array, Array]:
+def _improved(
+    assembled: Hybrid, pressure: Array, friction: Array, products: int
+) -> tuple[Array, Array, Array]:
     """The unknowns of the system under feasible contact forces better than the given ones, and these.
 
     One step of projected conjugate gradients: the dual function is quadratic.
     """
-    dual = DualEnergy(found.system, contact_start(found))
-    bound = found.system.slip_bound
+    dual = DualEnergy(assembled.system, contact_start(assembled))
+    bound = assembled.system.slip_bound
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])
     y = np.clip(np.concatenate([pressure, friction[: bound.size]]), lower, upper)

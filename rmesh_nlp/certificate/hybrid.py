@@ -105,7 +105,7 @@ def hybrid(
         turn = sp.block_diag([turn, sp.eye_array(added.size)])
     matrix = turn @ _assembled(numbers, local[0], held.size) @ turn.T
     source = turn @ np.bincount(numbers.ravel(), local[1].ravel(), held.size)
-    known = np.where(held, given - start, 0.0)
+    fixed = np.where(held, given - start, 0.0)
     free = np.flatnonzero(~held)
     # contact on the boundary, function by function
     along = [_contact_traces(conditions, axis).ravel() for axis in range(n)]
@@ -118,18 +118,18 @@ def hybrid(
         gaps = np.concatenate([interior.gap.ravel(), gaps])
     elif np.any(conditions.friction > 0):
         tangents, bound = unit[along[0]], np.where(held[along[0]], 0.0, conditions.friction.ravel() * edge)
-    load = (applied + source - matrix @ known)[free]
+    load = (applied + source - matrix @ fixed)[free]
     matrix = sp.csc_array(matrix)
     stiffness = sp.csc_array(matrix[free][:, free])
     system = ContactSystem(stiffness, load, 0.0, sp.csr_array(normals), sp.csr_array(tangents), gaps, bound)
     return Hybrid(
-        skeleton, conditions, system, matrix, source, numbers, turn, held, start, known, applied, added.size
+        skeleton, conditions, system, matrix, source, numbers, turn, held, start, fixed, applied, added.size
     )
 
 
-def contact_start(found: Hybrid) -> Array:
+def contact_start(assembled: Hybrid) -> Array:
     """(k contact edges,) traces of the base along the first row of ``conditions.axes``, edges fastest."""
-    return np.asarray(found.start[_contact_traces(found.conditions, 0).ravel()])
+    return np.asarray(assembled.start[_contact_traces(assembled.conditions, 0).ravel()])
 
 
 def _contact_traces(conditions: Conditions, axis: int) -> Index:
@@ -156,9 +156,9 @@ def _turn(conditions: Conditions, edges: int) -> sp.csr_array:
     blocks[conditions.contact] = conditions.axes
     data = np.repeat(blocks, k, axis=0)
     rows = sp.bsr_array((data, np.arange(k * edges), np.arange(k * edges + 1)))
-    found = sp.csr_array(rows)
-    found.eliminate_zeros()
-    return found
+    turn = sp.csr_array(rows)
+    turn.eliminate_zeros()
+    return turn
 
 
 def _assembled(numbers: Index, S: Array, size: int) -> sp.csr_array:

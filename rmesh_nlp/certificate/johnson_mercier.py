@@ -99,16 +99,16 @@ def jumps(stress: Array, corners: Array) -> list[Array]:
 
     Takes stresses (3 thirds, 6 nodes, 3 values, ...) and the corners (2, 3, ...) of the triangles.
     """
-    found, centre, normals = [], corners.mean(axis=1), edge_normals(corners)
+    result, centre, normals = [], corners.mean(axis=1), edge_normals(corners)
     for i, (j, k) in enumerate(AFTER):
         along = centre - corners[:, i]
         across = np.stack([along[1], -along[0]])
         # vertex i is the second corner of third j and the first one of third k
-        for one, two in ((1, 0), (2, 2), (4, 5)):
-            found.append(traction(stress[j, one] - stress[k, two], across))
+        for first, second in ((1, 0), (2, 2), (4, 5)):
+            result.append(traction(stress[j, first] - stress[k, second], across))
         bend = stress[i, 3] - (stress[i, 0] + stress[i, 1]) / 2
-        found.append(traction(bend, normals[:, i]))
-    return found
+        result.append(traction(bend, normals[:, i]))
+    return result
 
 
 def edge_tractions(stress: Array, normals: Array) -> Array:
@@ -292,8 +292,8 @@ def equilibrated_stress(
     elements = JohnsonMercier(skeleton, lam, mu, body_force)
     exerted = edge_tractions(computed, skeleton.normals).reshape(12, -1).T
     local = elements.stiffness, elements.source - exerted
-    found = hybrid(skeleton, conditions, local, moments(u[:, skeleton.along(problem.order)], 1))
-    balanced = balance(found, guess, products)
+    assembled = hybrid(skeleton, conditions, local, moments(u[:, skeleton.along(problem.order)], 1))
+    balanced = balance(assembled, guess, products)
     coefficients = elements.coefficients(balanced.traces)
     correction = elements.stress(coefficients)
     stress, forces = computed + correction, exerted + elements.forces(coefficients)

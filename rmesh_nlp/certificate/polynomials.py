@@ -62,9 +62,9 @@ def _mass(degree: int, other: int, vertices: int) -> Array:
     """Means of products of the functions of two degrees, times their denominator: whole numbers."""
     dimension = vertices - 1
 
-    def mean(one: Array, two: Array) -> float:
-        integral = factorial(dimension) * _product(one + two) / factorial(degree + other + dimension)
-        return factorial(degree) * factorial(other) / (_product(one) * _product(two)) * integral
+    def mean(first: Array, second: Array) -> float:
+        integral = factorial(dimension) * _product(first + second) / factorial(degree + other + dimension)
+        return factorial(degree) * factorial(other) / (_product(first) * _product(second)) * integral
 
     table = [[mean(a, b) for b in _powers(other, vertices)] for a in _powers(degree, vertices)]
     return np.rint(np.array(table) * DENOMINATORS[vertices][degree + other])

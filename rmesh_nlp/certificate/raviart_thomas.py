@@ -281,8 +281,8 @@ def equilibrated_flux(
     balances = computed[:, FREE[degree]] / (2 * skeleton.areas)  # less the source of the computed flux
     elements = RaviartThomas(skeleton, conductivity, source + balances, bool(inside))
     local = elements.stiffness, elements.source - elements.forces(computed)
-    found = hybrid(skeleton, conditions, local, moments(u[:, skeleton.along(degree)], degree), interior)
-    balanced = balance(found, guess, products)
+    assembled = hybrid(skeleton, conditions, local, moments(u[:, skeleton.along(degree)], degree), interior)
+    balanced = balance(assembled, guess, products)
     correction, reaction = elements.coefficients(balanced.traces), balanced.obstacle_force
     flux = computed + correction
     forces = elements.forces(flux)
