@@ -85,8 +85,8 @@ def solve(
     active = start or first_set(system)
     if system.coulomb is None:
         return _solved(system, active, max_iterations)
-    found = newton(system, active, max_iterations)
-    return found if found.status is Status.CONVERGED else _by_bounds(system, found, max_iterations)
+    state = newton(system, active, max_iterations)
+    return state if state.status is Status.CONVERGED else _by_bounds(system, state, max_iterations)
 
 
 def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) -> Equilibrium:

@@ -66,13 +66,13 @@ def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equ
     return replace(state, status=Status.ITERATION_LIMIT)
 
 
-def between(one: Equilibrium, two: Equilibrium, part: float) -> Equilibrium:
-    """Displacement and forces a part of the way from ``one`` to ``two``: in equilibrium as well."""
+def between(start: Equilibrium, end: Equilibrium, part: float) -> Equilibrium:
+    """Displacement and forces a part of the way from ``start`` to ``end``: in equilibrium as well."""
     changed = {
-        name: getattr(one, name) + part * (getattr(two, name) - getattr(one, name))
+        name: getattr(start, name) + part * (getattr(end, name) - getattr(start, name))
         for name in ("u", "normal_force", "tangential_force")
     }
-    return replace(one, **changed)
+    return replace(start, **changed)
 
 
 class Laws:

@@ -56,11 +56,11 @@ def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, propos
     touching = proposal.touching.copy()
     leaving = np.flatnonzero(before.touching & ~touching)
     for node in leaving[np.argsort(-state.normal_force[leaving], kind="stable")]:
-        found = rank(gaps, touching)
-        if found == system.rigid.shape[1]:
+        held = rank(gaps, touching)
+        if held == system.rigid.shape[1]:
             break
         touching[node] = True
-        if rank(gaps, touching) == found:
+        if rank(gaps, touching) == held:
             touching[node] = False
     return ActiveSet(touching, proposal.sliding)
 

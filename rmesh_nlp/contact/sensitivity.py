@@ -39,9 +39,9 @@ def adjoint(
     if (coupling := rotated.coupling(active)) is not None:
         p = p + coupling.T @ p
     p = p + given
-    left = turned - rotated.K @ p
-    reaction = np.where(active.touching, left[rotated.normal], 0.0)
-    return rotated.back(p), reaction, np.where(sticking, left[rotated.tangent], 0.0)
+    residual = turned - rotated.K @ p
+    reaction = np.where(active.touching, residual[rotated.normal], 0.0)
+    return rotated.back(p), reaction, np.where(sticking, residual[rotated.tangent], 0.0)
 
 
 class TangentResponse:

@@ -85,16 +85,16 @@ def setup_warnings(
     state = state or model.solve(problem.mesh.p)
     space, coefficients = model.discretisation.space, model.displacement.values(state.u)
     u = space.values(coefficients)
-    found = [*_problem(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
+    signs = [*_problem(problem), *_loads(problem, system, accurate), *_sizes(problem, u)]
     for part in space.contact_sets:
-        found += _contact(space, part, system, state, u)
-    warnings = tuple(SetupWarning(kind, message) for kind, message in found)
+        signs += _contact(space, part, system, state, u)
+    warnings = tuple(SetupWarning(kind, message) for kind, message in signs)
     return (*warnings, *penetration_warnings(space, problem.mesh.p, coefficients))
 
 
 def penetration_warnings(space: DisplacementSpace, nodes: Array, displacement: Array) -> list[SetupWarning]:
     """Where foundations pass into the body between contact nodes, at any vertex positions (2, vertices)."""
-    found, problem = [], space.problem
+    warnings, problem = [], space.problem
     for part in problem.contact_sets:
         if problem.components == 1 or part.obstacle.boundary is Place.INTERIOR:
             continue  # a displacement of its own unit: there is no edge to compare with
@@ -105,8 +105,8 @@ def penetration_warnings(space: DisplacementSpace, nodes: Array, displacement: A
                 f"between its nodes {_name(part)} passes into the foundation by {ratio:.0%} "
                 f"of an edge (more than {PENETRATION:.0%}): refine it where the foundation is curved"
             )
-            found.append(SetupWarning("penetration", message))
-    return found
+            warnings.append(SetupWarning("penetration", message))
+    return warnings
 
 
 Found = Iterator[tuple[str, str]]
@@ -188,8 +188,8 @@ def _turns(problem: ContactProblem, name: str) -> Array:
     turns = []
     for node in nodes[count == 2]:
         at = np.flatnonzero(np.any(edges == node, axis=0))
-        one, two = (problem.mesh.p[:, edges[:, k].sum() - node] - problem.mesh.p[:, node] for k in at)
-        turns.append(np.pi - np.arccos(np.clip(one @ two / np.linalg.norm(one) / np.linalg.norm(two), -1, 1)))
+        a, b = (problem.mesh.p[:, edges[:, k].sum() - node] - problem.mesh.p[:, node] for k in at)
+        turns.append(np.pi - np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1, 1)))
     return np.array(turns)
 
 

@@ -61,13 +61,13 @@ def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float]
     """(gaps,) Coulomb's coefficients at vertex positions (2, vertices) and a design; None where none is."""
     if not space.problem.has_coulomb:
         return None
-    points, found = space.points(nodes), np.zeros(space.contact_nodes.size)
+    points, values = space.points(nodes), np.zeros(space.contact_nodes.size)
     for part in space.contact_sets:
         if part.obstacle.has_coulomb:
             what = "Coulomb's coefficient"
             coulomb = at_design(part.obstacle.coulomb, at)
-            found[part.rows] = on_points(coulomb, points[:, part.nodes], what)
-    return found
+            values[part.rows] = on_points(coulomb, points[:, part.nodes], what)
+    return values
 
 
 class ContactSolver:

@@ -249,14 +249,14 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, I
         add(np.linalg.inv(N[list(pair)][:, dofs].toarray())[..., None], dofs[:, None], dofs[:, None])
     single = np.diff(N.indptr)[alone] == 1
     # the gap is one component of the displacement, and the slip the other, unless that is given
-    one = alone[single]
-    normal[one] = N.indices[N.indptr[one]]
-    add(1 / N.data[N.indptr[one]][None, None], normal[None, one], normal[None, one])
-    slides = one[sticky[one]]
+    aligned = alone[single]
+    normal[aligned] = N.indices[N.indptr[aligned]]
+    add(1 / N.data[N.indptr[aligned]][None, None], normal[None, aligned], normal[None, aligned])
+    slides = aligned[sticky[aligned]]
     slides = slides[np.diff(T.indptr)[slides] == 1] if slides.size else slides
     dof, size = (values[T.indptr[slides]] for values in (T.indices, T.data))
     scale = np.zeros(n)
-    scale[normal[one]] = N.data[N.indptr[one]]
+    scale[normal[aligned]] = N.data[N.indptr[aligned]]
     fits = (scale[dof] == 0) | ((scale[dof] == size) & (dof != normal[slides]))
     tangent[slides] = np.where(fits, dof, -1)
     fresh = scale[dof] == 0  # else it is the gap of another foundation at the node
@@ -306,8 +306,8 @@ def dissected(points: Array, cells: NDArray[np.integer]) -> Index:
     while waiting:
         nodes = waiting.pop()
         if nodes.size > LEAF:
-            here = points[:, nodes]
-            along = here[int(np.argmax(np.ptp(here, axis=1)))]
+            positions = points[:, nodes]
+            along = positions[int(np.argmax(np.ptp(positions, axis=1)))]
             low = along <= np.median(along)
             if not np.all(low):
                 beyond[nodes[~low]] = 1.0
