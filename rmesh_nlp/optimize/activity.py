@@ -39,6 +39,6 @@ def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
     return np.asarray((x - lower > ZERO) & (upper - x > ZERO))
 
 
-def both_vanish(one: Array, other: Array) -> NDArray[np.bool_]:
+def both_vanish(first: Array, second: Array) -> NDArray[np.bool_]:
     """Pairs at which strict complementarity fails: neither member has a sign to tell it."""
-    return np.asarray(np.maximum(np.abs(one), np.abs(other)) < ZERO)
+    return np.asarray(np.maximum(np.abs(first), np.abs(second)) < ZERO)

@@ -84,8 +84,8 @@ class Budget:
 
     def share(self, iterations: int | None = None) -> Budget:
         """A budget of what is left, of at most so many iterations, which counts its own."""
-        known = [most for most in (iterations, self.iterations_left) if most is not None]
-        return Budget(Limits(math.inf, min(known, default=None)), self)
+        limits = [most for most in (iterations, self.iterations_left) if most is not None]
+        return Budget(Limits(math.inf, min(limits, default=None)), self)
 
     def enter(self, phase: Phase) -> None:
         """From now on time counts as spent on ``phase``."""

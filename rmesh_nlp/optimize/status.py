@@ -12,9 +12,9 @@ class Status(str, Enum):
 
     def __new__(cls, word: str, message: str) -> Status:
         """A member whose value is the word alone."""
-        one = str.__new__(cls, word)
-        one._value_, one.message = word, message
-        return one
+        member = str.__new__(cls, word)
+        member._value_, member.message = word, message
+        return member
 
     CONVERGED = "converged", "Converged to the tolerance."
     ACCEPTABLE = "acceptable", "Converged to the looser, acceptable tolerance only."

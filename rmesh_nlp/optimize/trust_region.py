@@ -191,18 +191,18 @@ def minimise(
     elif constraints is not None:
         domain = _ConstrainedBox(lower, upper, use, constraints)
     x = np.clip(start, lower, upper)
-    here = evaluate(x)
-    if here is None:
+    current = evaluate(x)
+    if current is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
-    reference, products = here.value if reference is None else reference, 0
+    reference, products = current.value if reference is None else reference, 0
     radius, before = 0.0, np.inf
     for iteration in range(max_iterations + 1):
-        if on_step is not None and on_step(iteration, x, here):
-            return NewtonResult(x, here.value, Status.INTERRUPTED, iteration, products)
+        if on_step is not None and on_step(iteration, x, current):
+            return NewtonResult(x, current.value, Status.INTERRUPTED, iteration, products)
         if iteration == max_iterations:
             break
-        size = max(abs(here.value), 1e-300)
-        domain.arrive(x, here)
+        size = max(abs(current.value), 1e-300)
+        domain.arrive(x, current)
         downhill = np.clip(x - domain.released / (unit or size), lower, upper)
         residual = float(np.max(np.abs(x - downhill), initial=0.0))
         stationary = residual <= tolerance
@@ -211,32 +211,32 @@ def minimise(
             radius = radius or domain.first_radius(step)
             y, predicted = step.within(*domain.trusted(radius), use.forcing)
             products += step.products
-            gained, nothing = reference - here.value, predicted <= domain.nothing * size
+            gained, nothing = reference - current.value, predicted <= domain.nothing * size
             crowded = step.rows_active(y) > use.crowded
             enough = predicted <= gain_tolerance * gained and not domain.hides(y, radius)
             if not crowded and stationary and (enough or nothing):
-                return NewtonResult(x, here.value, Status.CONVERGED, iteration, products)
+                return NewtonResult(x, current.value, Status.CONVERGED, iteration, products)
             creeps = isinstance(step, ConstrainedStep) and tolerance < residual > CREEPING * before
             creeps = creeps and predicted <= NEGLIGIBLE * gained
             if crowded or creeps or nothing or radius < domain.least_radius:
-                return NewtonResult(x, here.value, Status.STALLED, iteration, products)
+                return NewtonResult(x, current.value, Status.STALLED, iteration, products)
             part, predicted = domain.cut(y, predicted)
             products += part < 1
             landed = domain.land(part, y, step)
-            there = None if landed is None else evaluate(landed)
+            trial = None if landed is None else evaluate(landed)
             ratio, rounding = -np.inf, domain.rounding * size
-            if there is not None:
-                ratio = (here.value - there.value + rounding) / (max(predicted, 0.0) + rounding)
+            if trial is not None:
+                ratio = (current.value - trial.value + rounding) / (max(predicted, 0.0) + rounding)
             if not ratio >= use.poor:
                 radius = use.shrink * part * float(np.max(np.abs(y)))
             elif part < 1:
                 radius = max(part * radius, domain.least_radius)
             elif ratio > use.good:
                 radius = use.grow * radius
-            if landed is not None and there is not None and ratio > use.sufficient:
-                x, here, before = landed, there, residual
+            if landed is not None and trial is not None and ratio > use.sufficient:
+                x, current, before = landed, trial, residual
                 break
-    return NewtonResult(x, here.value, Status.ITERATION_LIMIT, max_iterations, products)
+    return NewtonResult(x, current.value, Status.ITERATION_LIMIT, max_iterations, products)
 
 
 class _Box:
@@ -248,9 +248,9 @@ class _Box:
         self._lower, self._upper, self.settings = lower, upper, settings
         self._width: Array | float = 1.0
 
-    def arrive(self, x: Array, here: Evaluation) -> None:
+    def arrive(self, x: Array, evaluation: Evaluation) -> None:
         """Take note of a new point."""
-        self._x, self._g, self._model = x, here.gradient, here.model()
+        self._x, self._g, self._model = x, evaluation.gradient, evaluation.model()
 
     @property
     def released(self) -> Array:
@@ -292,8 +292,8 @@ class _LocalBox(_Box):
         super().__init__(lower, upper, settings)
         self._local = local
 
-    def arrive(self, x: Array, here: Evaluation) -> None:
-        super().arrive(x, here)
+    def arrive(self, x: Array, evaluation: Evaluation) -> None:
+        super().arrive(x, evaluation)
         self._width = width = self._local.widths(x)
         make = self._local.preconditioner
         self._preconditioner = None if make is None else make(self._model, width)
@@ -326,8 +326,8 @@ class _ConstrainedBox(_Box):
         self._constraints, self._met = constraints, False
         self._multipliers: Array | None = None  # of the last step that took account of constraints
 
-    def arrive(self, x: Array, here: Evaluation) -> None:
-        super().arrive(x, here)
+    def arrive(self, x: Array, evaluation: Evaluation) -> None:
+        super().arrive(x, evaluation)
         self._rows = self._constraints.at(x)
         self._fitted = self._rows.fitted(self._g, is_inside(x, self._lower, self._upper))
         self._met = self._met or bool(np.any(self._rows.slack < self.settings.close))

@@ -51,14 +51,14 @@ class Units:
             ),
         )
 
-    def result(self, found: NLPResult) -> NLPResult:
+    def result(self, result: NLPResult) -> NLPResult:
         """A result of that NLP in the units of the original one."""
         return replace(
-            found,
-            x=found.x * self.x,
-            g=found.g * self.g,
-            lam_x=found.lam_x / self.x,
-            lam_g=found.lam_g / self.g,
+            result,
+            x=result.x * self.x,
+            g=result.g * self.g,
+            lam_x=result.lam_x / self.x,
+            lam_g=result.lam_g / self.g,
         )
 
 
