@@ -167,8 +167,8 @@ class Discretisation:
         total = Functional([])
         for weight, term in objective.terms:
             own = term.name == "energy"
-            found = Functional(self.energy(*fields[1:4])) if own else term.on(fields)
-            total += found.scaled(weight)
+            value = Functional(self.energy(*fields[1:4])) if own else term.on(fields)
+            total += value.scaled(weight)
         return total
 
     def fields(self, length: float = 1.0) -> Fields:

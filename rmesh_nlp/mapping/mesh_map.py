@@ -88,8 +88,8 @@ class MeshMap:
             affine = affine - self.positions.modes.values(result)
         if self.positions.bends is not None:  # there it is the parameter of the curve that is affine in q
             for number, curve in enumerate(self.curves):
-                here = self.positions.bends.which[0] == 2 * number
-                affine[:, here] = curve.near(affine[:, here], self.positions.offset[0, here])
+                on_arc = self.positions.bends.which[0] == 2 * number
+                affine[:, on_arc] = curve.near(affine[:, on_arc], self.positions.offset[0, on_arc])
         shift = (affine - self.positions.offset)[moving] * scale[moving]
         n = self.n_positions
         result[:n] = np.bincount(index[moving], shift, n) / np.bincount(index[moving], scale[moving] ** 2, n)
@@ -121,14 +121,15 @@ class MeshMap:
         which, shape = np.full(mesh.p.shape, STRAIGHT), (len(curves), mesh.p.shape[1])
         parameters = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
         for number, (name, curve) in enumerate(problem.motion.curves.items()):
-            here = np.flatnonzero(sliding & (along == number))
-            t, speed = parameters_of(curve, mesh.p[:, here])
-            index[:, here], offset[:, here] = first[here], t
-            scale[:, here] = np.min(unit[:, here], axis=0) / speed
-            which[:, here] = np.array([[2 * number], [2 * number + 1]])
+            inner = np.flatnonzero(sliding & (along == number))
+            t, speed = parameters_of(curve, mesh.p[:, inner])
+            index[:, inner], offset[:, inner] = first[inner], t
+            scale[:, inner] = np.min(unit[:, inner], axis=0) / speed
+            which[:, inner] = np.array([[2 * number], [2 * number + 1]])
             nodes = problem.boundary_nodes((name,))  # also the ends of the curve, which do not slide
             parameters.offset[number, nodes] = curve.nearest(mesh.p[:, nodes])
-            parameters.index[number, here], parameters.scale[number, here] = index[0, here], scale[0, here]
+            parameters.index[number, inner] = index[0, inner]
+            parameters.scale[number, inner] = scale[0, inner]
         for node, leader in problem.motion.tied:
             index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
         positions = Field(index, scale, offset)
@@ -181,8 +182,8 @@ class VertexParameters:
     def values(self, nodes: Array, design: Array | None = None) -> Array:
         """The parameters at vertex positions (2, vertices) and a design, by default the first one."""
         along = np.zeros((len(self._curves), nodes.shape[1]))
-        for row, (curve, here) in zip(along, self._curves, strict=True):
-            row[here] = curve.nearest(nodes[:, here])
+        for row, (curve, members) in zip(along, self._curves, strict=True):
+            row[members] = curve.nearest(nodes[:, members])
         parts = nodes.ravel(order="F"), along.ravel(order="F"), self._start if design is None else design
         return np.concatenate(parts)
 
