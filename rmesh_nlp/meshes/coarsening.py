@@ -43,9 +43,9 @@ class Lines:
 
     def nodes(self, n: int) -> Mask:
         """Nodes (n,) on lines."""
-        found = np.zeros(n, dtype=bool)
-        found[self.edges] = True
-        return found
+        on_line = np.zeros(n, dtype=bool)
+        on_line[self.edges] = True
+        return on_line
 
 
 @dataclass(frozen=True)
@@ -65,17 +65,17 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     rng, n = np.random.default_rng(0), nodes.shape[1]  # the same mesh each time
     measured = Measured.by(nodes, triangles)
     t, element, into = np.array(triangles), np.arange(triangles.shape[1]), np.arange(n)
-    on_line, left = lines.nodes(n), ~staying(measured, triangles, lines, rng.permutation(n))
+    on_line, removable = lines.nodes(n), ~staying(measured, triangles, lines, rng.permutation(n))
     merged = True
-    while merged and np.any(left):
+    while merged and np.any(removable):
         merged = False
         for _ in range(PASSES):
-            merges = _merges(measured, t, into[lines.edges], on_line, rng.permutation(n) * left)
+            merges = _merges(measured, t, into[lines.edges], on_line, rng.permutation(n) * removable)
             if merges.shape[1] == 0:
                 break
             step, merged = np.arange(n), True
             step[merges[0]] = merges[1]
-            into, t, left[merges[0]] = step[into], step[t], False
+            into, t, removable[merges[0]] = step[into], step[t], False
             real = (t[0] != t[1]) & (t[1] != t[2]) & (t[2] != t[0])
             t, element = t[:, real], element[real]
         edges = into[lines.edges]
@@ -114,10 +114,10 @@ def _grown(measured: Measured, graph: sp.csr_array, seeds: Mask, allowed: Mask, 
     free = allowed & ~chosen
     free[_beside(graph, front)[1]] = False
     while np.any(free):
-        found, off = _beyond(measured, graph, front)
-        near = free[found] & (off < FAR)
+        nodes, off = _beyond(measured, graph, front)
+        near = free[nodes] & (off < FAR)
         cost = np.full(free.size, np.inf)
-        np.minimum.at(cost, found[near], np.round(off[near], DIGITS))
+        np.minimum.at(cost, nodes[near], np.round(off[near], DIGITS))
         if not np.any(near):
             cost[free] = 0.0
         front = _independent(cost, draw, graph)
@@ -139,20 +139,20 @@ def _beyond(measured: Measured, graph: sp.csr_array, front: Index) -> tuple[Inde
 
 def _independent(cost: Array, draw: Index, graph: sp.csr_array) -> Index:
     """Nodes of finite cost, no two of them neighbours, as many as there can be; the cheapest ones first."""
-    left = np.flatnonzero(np.isfinite(cost))
-    left = left[np.lexsort((draw[left], cost[left]))]
-    last, found = cost.size, np.zeros(cost.size, dtype=bool)
+    candidates = np.flatnonzero(np.isfinite(cost))
+    candidates = candidates[np.lexsort((draw[candidates], cost[candidates]))]
+    last, chosen = cost.size, np.zeros(cost.size, dtype=bool)
     rank = np.full(cost.size, last)
-    rank[left] = np.arange(left.size)
-    while left.size:
-        place, neighbour = _beside(graph, left)
-        least = np.full(left.size, last)
+    rank[candidates] = np.arange(candidates.size)
+    while candidates.size:
+        place, neighbour = _beside(graph, candidates)
+        least = np.full(candidates.size, last)
         np.minimum.at(least, place, rank[neighbour])
-        first = left[rank[left] < least]
-        found[first] = True
+        first = candidates[rank[candidates] < least]
+        chosen[first] = True
         rank[first] = rank[_beside(graph, first)[1]] = last
-        left = left[rank[left] < last]
-    return np.flatnonzero(found)
+        candidates = candidates[rank[candidates] < last]
+    return np.flatnonzero(chosen)
 
 
 def _merges(measured: Measured, t: NDArray, line_edges: NDArray, on_line: Mask, priority: NDArray) -> Index:
@@ -188,19 +188,19 @@ def _in_short_loops(along: NDArray, n: int) -> Mask:
     line = sp.csr_array((np.ones(along.shape[1]), along), shape=(n, n))
     line.data[:] = 1.0  # an edge of two parts counts once
     twice = sp.csr_array(line @ line)
-    found = np.zeros(n, dtype=bool)
+    in_loop = np.zeros(n, dtype=bool)
     regular = np.flatnonzero(np.diff(line.indptr) == 2)
     first, second = line.indices[line.indptr[regular]], line.indices[line.indptr[regular] + 1]
-    found[regular] = (line[first, second] > 0) | (twice[first, second] > 1)
-    return found
+    in_loop[regular] = (line[first, second] > 0) | (twice[first, second] > 1)
+    return in_loop
 
 
 def _worst(measured: Measured, t: NDArray, pairs: NDArray) -> Array:
     """Flatness of the flattest triangle that merging the first node of each pair into the second leaves."""
     elements = np.tile(np.arange(t.shape[1]), 3)
     around = sp.csr_array((np.ones(t.size), (t.ravel(), elements)))[pairs[0]]  # a row per pair
-    one, other = np.repeat(pairs, np.diff(around.indptr), axis=1)
+    merged, kept = np.repeat(pairs, np.diff(around.indptr), axis=1)
     corner = t[:, around.indices]
-    vanishes = np.any(corner == other, axis=0)
-    value = np.where(vanishes, 1.0, measured.flatness(np.where(corner == one, other, corner)))
+    vanishes = np.any(corner == kept, axis=0)
+    value = np.where(vanishes, 1.0, measured.flatness(np.where(corner == merged, kept, corner)))
     return np.asarray(np.maximum.reduceat(value, around.indptr[:-1]))

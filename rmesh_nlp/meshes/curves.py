@@ -86,11 +86,11 @@ class Curve(ABC):
 
     def near(self, points: Array, t: Array) -> Array:
         """Parameters of the nearest points, without a jump of whole turns from ``t``."""
-        found = self.nearest(points)
+        parameters = self.nearest(points)
         if self.closed:
             period = self.interval[1] - self.interval[0]
-            found = found - period * np.round((found - t) / period)
-        return found
+            parameters = parameters - period * np.round((parameters - t) / period)
+        return parameters
 
 
 def on_values(function: ca.Function, t: Array) -> Array:
@@ -105,8 +105,8 @@ def on_values(function: ca.Function, t: Array) -> Array:
 
 def _derivatives(functions: Pair) -> Pair:
     t = (ca.SX if functions[0].is_a("SXFunction") else ca.MX).sym("t")
-    one, two = (ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function in functions)
-    return one, two
+    dx, dy = (ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function in functions)
+    return dx, dy
 
 
 @dataclass(frozen=True)
@@ -189,8 +189,8 @@ class Spline(Curve):
             p = np.vstack([*(p[:-1] for _ in turns), p[:1]])
         spline, s = self._spline(t, p), ca.MX.sym("t")
         knots = [spline.t.tolist()]
-        one, two = (ca.bspline(s, column.tolist(), knots, [3], 1) for column in spline.c.T)
-        return ca.Function("x", [s], [one]), ca.Function("y", [s], [two])
+        x, y = (ca.bspline(s, column.tolist(), knots, [3], 1) for column in spline.c.T)
+        return ca.Function("x", [s], [x]), ca.Function("y", [s], [y])
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Measured:
         xx, xy, yy = ((edges[i] * edges[j]).sum(axis=0) for i, j in ((0, 0), (0, 1), (1, 1)))
         weighted = 1.5 * area / (xx * yy - xy**2) * np.stack([yy, -xy, xx])
         around = np.bincount(triangles.ravel(), np.tile(area, 3), n)
-        total = [np.bincount(triangles.ravel(), np.tile(one, 3), n) for one in weighted]
+        total = [np.bincount(triangles.ravel(), np.tile(entry, 3), n) for entry in weighted]
         return cls(nodes, np.stack(total) / np.where(around > 0, around, 1.0))
 
     def flatness(self, triangles: NDArray) -> Array:
@@ -75,18 +75,18 @@ def delaunay(measured: Measured, triangles: NDArray, fixed: NDArray) -> Index:
     fixed_keys = np.min(fixed, axis=0) * n + np.max(fixed, axis=0)
     value = measured.flatness(t)
     for _ in range(MAX_ROUNDS):
-        left, right, (a, b, c, d) = _interior_edges(t, n, fixed_keys)
-        one, two = np.stack([c, d, b]), np.stack([d, c, a])
-        area = signed_areas(measured.nodes, np.hstack([one, two])).reshape(2, -1)
+        i, j, (a, b, c, d) = _interior_edges(t, n, fixed_keys)
+        first, second = np.stack([c, d, b]), np.stack([d, c, a])
+        area = signed_areas(measured.nodes, np.hstack([first, second])).reshape(2, -1)
         convex = np.min(area, axis=0) > LEAST_AREA * np.sum(area, axis=0)
-        left, right, one, two = left[convex], right[convex], one[:, convex], two[:, convex]
-        new = measured.flatness(np.hstack([one, two])).reshape(2, -1)
-        gain = value[left] + value[right] - new.sum(axis=0)
-        chosen = _independent(gain, left, right, t.shape[1])
+        i, j, first, second = i[convex], j[convex], first[:, convex], second[:, convex]
+        new = measured.flatness(np.hstack([first, second])).reshape(2, -1)
+        gain = value[i] + value[j] - new.sum(axis=0)
+        chosen = _independent(gain, i, j, t.shape[1])
         if chosen.size == 0:
             break
-        t[:, left[chosen]], t[:, right[chosen]] = one[:, chosen], two[:, chosen]
-        value[left[chosen]], value[right[chosen]] = new[:, chosen]
+        t[:, i[chosen]], t[:, j[chosen]] = first[:, chosen], second[:, chosen]
+        value[i[chosen]], value[j[chosen]] = new[:, chosen]
     return t
 
 
@@ -100,8 +100,8 @@ def _interior_edges(t: Index, n: int, fixed_keys: Index) -> tuple[Index, Index, 
     order = np.argsort(key, kind="stable")
     pair = np.flatnonzero(key[order][1:] == key[order][:-1])
     pair = pair[~np.isin(key[order[pair]], fixed_keys)]
-    one, two = order[pair], order[pair + 1]
-    return one % t.shape[1], two % t.shape[1], np.stack([a[one], b[one], opposite[one], opposite[two]])
+    i, j = order[pair], order[pair + 1]
+    return i % t.shape[1], j % t.shape[1], np.stack([a[i], b[i], opposite[i], opposite[j]])
 
 
 def _independent(gain: Array, left: Index, right: Index, n: int) -> Index:

@@ -81,14 +81,14 @@ def _crossing(mesh: MeshTri) -> str | None:
     ends, element = _boundary(mesh)
     a, b = mesh.p[:, ends[0]], mesh.p[:, ends[1]]
     length = np.linalg.norm(b - a, axis=0)
-    for one, two in _near(a, b, 0.5 * (a + b), 0.5 * length):
-        apart = ~np.any(ends[:, None, one] == ends[None, :, two], axis=(0, 1))
-        one, two = one[apart], two[apart]
-        far = ROUNDING * np.maximum(length[one], length[two])
-        crossed = _separated(a[:, one], b[:, one], a[:, two], b[:, two], far)
-        crossed &= _separated(a[:, two], b[:, two], a[:, one], b[:, one], far)
+    for edge, other in _near(a, b, 0.5 * (a + b), 0.5 * length):
+        apart = ~np.any(ends[:, None, edge] == ends[None, :, other], axis=(0, 1))
+        edge, other = edge[apart], other[apart]
+        far = ROUNDING * np.maximum(length[edge], length[other])
+        crossed = _separated(a[:, edge], b[:, edge], a[:, other], b[:, other], far)
+        crossed &= _separated(a[:, other], b[:, other], a[:, edge], b[:, edge], far)
         for which in np.flatnonzero(crossed):
-            first, second = sorted((int(element[one[which]]), int(element[two[which]])))
+            first, second = sorted((int(element[edge[which]]), int(element[other[which]])))
             return f"elements {first} and {second} overlap: their edges cross"
     return None
 
@@ -127,23 +127,23 @@ def _near(a: Array, b: Array, points: Array, radius: Array) -> Iterator[tuple[In
     """
     length, middle = np.linalg.norm(b - a, axis=0), 0.5 * (a + b)
     kind = np.floor(np.log2(np.maximum(length, 1e-300))).astype(np.int64)
-    for one in np.unique(kind):
-        members = np.flatnonzero(kind == one)
+    for level in np.unique(kind):
+        members = np.flatnonzero(kind == level)
         longest = 0.5 * np.max(length[members])
         # discs that are larger than these look for them when their own class is asked
         small = np.flatnonzero(radius <= (1 + ROUNDING) * longest)
         tree = cKDTree(middle[:, members].T)
-        found = tree.query_ball_point(points[:, small].T, (1 + 1e-6) * (radius[small] + longest))
-        count = np.fromiter(map(len, found), np.int64, small.size)
+        neighbours = tree.query_ball_point(points[:, small].T, (1 + 1e-6) * (radius[small] + longest))
+        count = np.fromiter(map(len, neighbours), np.int64, small.size)
         if count.sum():
-            yield members[np.concatenate(found).astype(np.int64)], np.repeat(small, count)
+            yield members[np.concatenate(neighbours).astype(np.int64)], np.repeat(small, count)
 
 
 def _separated(a: Array, b: Array, c: Array, d: Array, far: Array) -> NDArray[np.bool_]:
     """Whether c and d lie on different sides of the lines through a and b, farther than ``far`` from them."""
     tangent = (b - a) / np.linalg.norm(b - a, axis=0)
-    one, two = _cross(tangent, c - a), _cross(tangent, d - a)
-    return np.asarray((one * two < 0) & (np.minimum(np.abs(one), np.abs(two)) > far))
+    first, second = _cross(tangent, c - a), _cross(tangent, d - a)
+    return np.asarray((first * second < 0) & (np.minimum(np.abs(first), np.abs(second)) > far))
 
 
 def _cross(a: Array, b: Array) -> Array:

@@ -73,8 +73,8 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
     work.set_vertices(np.ascontiguousarray(mesh.p.T))
     work.set_triangles(_rows(counter_clockwise(mesh.p, mesh.t)), cell_mark)
     work.set_edges(_rows(mesh.facets[:, lines]), edge_mark)
-    one, other = mesh.f2t[:, lines]
-    ends_inside = np.flatnonzero((other >= 0) & (piece[one] == piece[other]))
+    first, second = mesh.f2t[:, lines]
+    ends_inside = np.flatnonzero((second >= 0) & (piece[first] == piece[second]))
     work.set_required_edges(ends_inside.astype(np.int32))  # Mmg follows lines between two pieces only
     work.set_corners(fixed.astype(np.int32))
     work.set_required_vertices(fixed.astype(np.int32))
@@ -150,11 +150,11 @@ def _marks(
 
     There is one for every combination of names and number of a ``piece`` (chosen,).
     """
-    known = {name: np.asarray(one) for name, one in (groups or {}).items() if not name.startswith("gmsh:")}
-    member = np.array([np.isin(chosen, one) for one in known.values()]).reshape(len(known), chosen.size)
+    named = {name: np.asarray(part) for name, part in (groups or {}).items() if not name.startswith("gmsh:")}
+    member = np.array([np.isin(chosen, part) for part in named.values()]).reshape(len(named), chosen.size)
     pieces = np.zeros(chosen.size, dtype=np.int64) if piece is None else piece
     kinds, mark = np.unique(np.vstack([member, pieces]).T, axis=0, return_inverse=True)
-    sets = {name: 1 + np.flatnonzero(kinds[:, number]) for number, name in enumerate(known)}
+    sets = {name: 1 + np.flatnonzero(kinds[:, number]) for number, name in enumerate(named)}
     return sets, (1 + mark.ravel()).astype(np.int64)
 
 

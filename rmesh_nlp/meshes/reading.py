@@ -107,8 +107,8 @@ def _format(path: Path) -> str:
     suffix = path.suffix.lower()
     kinds = meshio.extension_to_filetypes.get(suffix, [])
     if not kinds:
-        known = ", ".join(sorted(meshio.extension_to_filetypes))
-        raise ValueError(f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {known}")
+        choices = ", ".join(sorted(meshio.extension_to_filetypes))
+        raise ValueError(f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {choices}")
     if len(kinds) == 1:
         return str(kinds[0])
     with contextlib.suppress(OSError), path.open("rb") as file:
@@ -233,7 +233,7 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
             members = _members(name, chosen, position)
             if members.size:
                 part.setdefault(name, []).append(cells[members])
-    return {kind: {name: np.concatenate(found) for name, found in parts[kind].items()} for kind in parts}
+    return {kind: {name: np.concatenate(arrays) for name, arrays in parts[kind].items()} for kind in parts}
 
 
 def _members(name: Any, chosen: Any, position: int) -> NDArray[np.int64]:

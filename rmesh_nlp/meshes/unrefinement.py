@@ -104,13 +104,13 @@ def _names(mesh: MeshTri, coarse: Mask, central: Mask) -> tuple[dict[str, Index]
             return None
         boundaries[name] = number[outer].reshape(-1, 2)
     # the triangles at the corners of a coarse one share an edge with its central one
-    one, two = mesh.f2t[:, mesh.f2t[1] >= 0]
-    family = central[one] | central[two]
+    first, second = mesh.f2t[:, mesh.f2t[1] >= 0]
+    family = central[first] | central[second]
     subdomains: dict[str, Index] = {}
     for name, elements in (mesh.subdomains or {}).items():
         member = np.zeros(mesh.t.shape[1], dtype=bool)
         member[np.asarray(elements)] = True
-        if np.any(member[one[family]] != member[two[family]]):
+        if np.any(member[first[family]] != member[second[family]]):
             return None
         subdomains[name] = place[member & central]
     return boundaries, subdomains
