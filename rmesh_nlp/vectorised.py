@@ -74,8 +74,8 @@ def is_vectorisable(function: ca.Function) -> bool:
     """Whether every operation of a Function is one that numpy has."""
     if not function.is_a("SXFunction"):
         return False
-    known = {*OPERATIONS, *MOVES}
-    return all(function.instruction_id(k) in known for k in range(function.n_instructions()))
+    supported = {*OPERATIONS, *MOVES}
+    return all(function.instruction_id(k) in supported for k in range(function.n_instructions()))
 
 
 Columns = Callable[[Sequence[Array | None]], list[Array]]
@@ -156,14 +156,14 @@ class _Bound:
 @lru_cache(maxsize=256)
 def _instructions(function: ca.Function) -> tuple[tuple[Any, Any, Any], ...]:
     """What to do, where to put the result, and what it is made of; meshes of one problem share them."""
-    found: list[tuple[Any, Any, Any]] = []
+    instructions: list[tuple[Any, Any, Any]] = []
     for k in range(function.n_instructions()):
         identity = function.instruction_id(k)
         sources, target = function.instruction_input(k), function.instruction_output(k)
         if identity == ca.OP_CONST:
-            found.append((identity, target[0], function.instruction_constant(k)))
+            instructions.append((identity, target[0], function.instruction_constant(k)))
         elif identity == ca.OP_OUTPUT:
-            found.append((identity, tuple(target), sources[0]))
+            instructions.append((identity, tuple(target), sources[0]))
         else:
-            found.append((OPERATIONS.get(identity, identity), target[0], tuple(sources)))
-    return tuple(found)
+            instructions.append((OPERATIONS.get(identity, identity), target[0], tuple(sources)))
+    return tuple(instructions)
