@@ -23,8 +23,8 @@ class Fixed(Formulation):
     relocates: ClassVar[bool] = False
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        found = active_set.solve(outer.system(np.zeros(outer.n)))
-        monitor.work += Work(1, 1, found.iterations)
+        state = active_set.solve(outer.system(np.zeros(outer.n)))
+        monitor.work += Work(1, 1, state.iterations)
         nan, seconds = float("nan"), monitor.budget.elapsed
-        monitor.note(Step(found.iterations, found.energy, 0.0, 0.0, nan, 1, seconds))
-        return Outcome(outer, np.zeros(outer.n), found.status, label="")
+        monitor.note(Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds))
+        return Outcome(outer, np.zeros(outer.n), state.status, label="")

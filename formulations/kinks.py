@@ -93,8 +93,8 @@ def finished(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Reduc
     if end is None or is_stationary(outer, end):
         return end, iterations
     monitor.check()
-    closer, more = _finished(outer, end, monitor, POLISH)
-    return closer or end, iterations + more
+    closer, added = _finished(outer, end, monitor, POLISH)
+    return closer or end, iterations + added
 
 
 def _finished(

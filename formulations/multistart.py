@@ -43,20 +43,20 @@ class MultiStart(Wrapper):
         ends: list[tuple[float, Outcome]] = []
         seeds: list[int | None] = [None, *range(1, self.starts + 1)]
         for seed in seeds:
-            found = monitor.run(self.inner, outer, q if seed is None else outer.variables(seed=seed))
-            ends.append((continuous_energy(found), found))
+            outcome = monitor.run(self.inner, outer, q if seed is None else outer.variables(seed=seed))
+            ends.append((continuous_energy(outcome), outcome))
             if monitor.is_over():
                 break
         energies = [energy for energy, _ in ends]
         collapses = outer.objective.collapses
-        merits = [(0.0, e) for e in energies] if collapses else [_merit(found) for _, found in ends]
+        merits = [(0.0, e) for e in energies] if collapses else [_merit(outcome) for _, outcome in ends]
         values = energies if collapses else [value for _, value in merits]
-        known = [energy for energy in energies if np.isfinite(energy)]
+        finite = [energy for energy in energies if np.isfinite(energy)]
         best = min(zip(map(_known_first, merits), range(len(ends)), strict=True))[1]
         starts = Starts(
             start_seeds=tuple(seeds[: len(ends)]),
             start_energies=_finite(energies),
-            start_spread=max(known) - min(known) if known else None,
+            start_spread=max(finite) - min(finite) if finite else None,
             start_values=None if values is energies else _finite(values),
         )
         return ends[best][1].having(starts)
@@ -66,9 +66,9 @@ def _finite(values: list[float]) -> tuple[float | None, ...]:
     return tuple(value if np.isfinite(value) else None for value in values)
 
 
-def _merit(found: Outcome) -> tuple[float, float]:
+def _merit(outcome: Outcome) -> tuple[float, float]:
     """Violation and objective at the end of a run; NaN of an invalid mesh."""
-    outer, q = found.outer, found.q
+    outer, q = outcome.outer, outcome.q
     return outer.merit(outer.function(q)) if outer.is_valid(q) else (0.0, float("nan"))
 
 

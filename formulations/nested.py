@@ -66,12 +66,12 @@ class Nested(NestedSettings, Formulation):
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
             descent.note(0, q)
             monitor.check()
-            found = OuterResult(q, Status.CONVERGED, 0)
+            result = OuterResult(q, Status.CONVERGED, 0)
         else:
-            found = descent(q)
-        weak = outer.contact.contact_nodes[outer.function(found.q).weak]
-        figures = OuterFigures(self.outer, weak.tolist(), found.method or None)
-        return Outcome(outer, found.q, found.status, details=(figures,))
+            result = descent(q)
+        weak = outer.contact.contact_nodes[outer.function(result.q).weak]
+        figures = OuterFigures(self.outer, weak.tolist(), result.method or None)
+        return Outcome(outer, result.q, result.status, details=(figures,))
 
 
 class _Descent:
@@ -112,15 +112,15 @@ class _Descent:
             return self._solved(program, q)
         methods: list[str] = []
         for attempt in range(ROUNDS):
-            found = self._solved(program, q, Zigzag() if attempt < ROUNDS - 1 else None)
-            methods.append(found.method or self._settings.outer)
-            method = ", then ".join(methods) if attempt else found.method
-            if is_stationary(outer, outer.function(found.q)):
-                stopped = found.status is Status.INTERRUPTED
-                return replace(found, status=Status.CONVERGED if stopped else found.status, method=method)
+            result = self._solved(program, q, Zigzag() if attempt < ROUNDS - 1 else None)
+            methods.append(result.method or self._settings.outer)
+            method = ", then ".join(methods) if attempt else result.method
+            if is_stationary(outer, outer.function(result.q)):
+                stopped = result.status is Status.INTERRUPTED
+                return replace(result, status=Status.CONVERGED if stopped else result.status, method=method)
             if attempt == ROUNDS - 1:
                 break
-            lowest = self._lowest or outer.function(found.q)
+            lowest = self._lowest or outer.function(result.q)
             end, iterations = finished(outer, lowest, monitor)
             self._before += iterations
             q, program = lowest.q, replace(program, warm=True)
@@ -132,7 +132,7 @@ class _Descent:
             monitor.check()
             if is_stationary(outer, end):
                 return OuterResult(q, Status.CONVERGED, self._before, ", then ".join(methods))
-        return replace(found, method=method)
+        return replace(result, method=method)
 
     def _solved(self, program: ReducedNLP, q: Array, zigzag: Zigzag | None = None) -> OuterResult:
         """Where the outer solver ends, or a descent that ``zigzag`` stops."""
@@ -142,9 +142,9 @@ class _Descent:
             over = self.note(iteration, at)
             return over or (zigzag is not None and zigzag(point := outer.function(at), *outer.merit(point)))
 
-        found = OUTER_SOLVERS[self._settings.outer](program, q, watch, self._settings)
+        result = OUTER_SOLVERS[self._settings.outer](program, q, watch, self._settings)
         if self._settings.outer == "ipopt":
-            self._monitor.work += Work(kkt_factorisations=found.iterations)
+            self._monitor.work += Work(kkt_factorisations=result.iterations)
         self._monitor.check()
-        self._before += found.iterations
-        return found
+        self._before += result.iterations
+        return result
