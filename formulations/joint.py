@@ -39,7 +39,7 @@ NEAR = 1e-2
 """First-order residual up to which the end of Ipopt is near a stationary point."""
 
 ACCEPTABLE, ACCEPTABLE_AREAS = 1e-7, 1e-9
-"""Ipopt's tolerances where rounding stops it before ``tol`` and ``tol_areas``."""
+"""Ipopt's tolerances where rounding stops it before ``tol``: with move limits alone, and with areas."""
 
 FINE, ALTERNATING = 3000, 0.3
 """Number of outer variables from which on the start is given alternating displacements of nodes
@@ -86,12 +86,11 @@ class Joint(Formulation):
     Attributes
     ----------
     tol : float
-        Ipopt's tolerance where move limits alone keep the elements valid, in units of `pull`. Many move
-        limits are weakly active, and an interior point meets those only to the square root of its tolerance.
-    tol_areas : float
-        The same where element areas are constraints, in units of `half_energy`: in those of `pull` the
-        rounding of the forces can be above every tolerance, and Ipopt's restoration then leaves the
-        minimiser and ends as infeasible (6.2 on 36 x 18 squares).
+        Ipopt's tolerance: in units of `pull` where move limits alone keep the elements valid, of which many
+        are weakly active, and an interior point meets those only to the square root of its tolerance; in
+        those of `half_energy` where element areas are constraints. There, in units of `pull`, the rounding of
+        the forces can be above every tolerance, and Ipopt's restoration then leaves the minimiser and ends
+        as infeasible (6.2 on 36 x 18 squares).
     first_barrier : float
         Ipopt's first barrier where a distortion keeps the elements valid, in units of `half_energy`. With its
         own one, 0.1, the first steps leave the start, which with a schedule of weights is the minimiser for
@@ -102,7 +101,6 @@ class Joint(Formulation):
     """
 
     tol: Positive = 1e-10
-    tol_areas: Positive = 1e-12
     first_barrier: Positive = 1e-3
     ipopt: Mapping[str, Any] = field(default_factory=dict)
 
@@ -115,8 +113,8 @@ class Joint(Formulation):
         if areas:
             own = {
                 "nlp_scaling_method": "none",
-                "tol": self.tol_areas,
-                "compl_inf_tol": self.tol_areas,
+                "tol": self.tol,
+                "compl_inf_tol": self.tol,
                 "acceptable_tol": ACCEPTABLE_AREAS,
             }
             if distorted:

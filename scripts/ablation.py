@@ -26,6 +26,7 @@ import rmesh_nlp as rm
 from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
+from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS
 from rmesh_nlp.problem import Relative
 
 SEEDS, DESIGN_SEEDS = range(91_000, 91_012), range(92_000, 92_008)
@@ -133,15 +134,7 @@ RULES = (
         (*LIMITED, *FREE),
         {"formulations.joint:is_above": lambda *_: False},
     ),
-    Rule("joint: tolerance by areas", ("joint",), LIMITED, settings={"tol_areas": 1e-10}),
-    Rule("mpcc: barrier falls slowly", ("mpcc",), LIMITED, {"formulations.mpcc:SLOWLY": {}}),
-    Rule("mpcc: first barrier of the energy", ("mpcc",), LIMITED, {"formulations.mpcc:BARRIER_ENERGY": 0.1}),
-    Rule(
-        "mpcc: first barrier without limits",
-        ("mpcc",),
-        FREE,
-        {"formulations.mpcc:BARRIER_WITHOUT_LIMITS": 0.1},
-    ),
+    Rule("mpcc: barrier of the energy as in joint", ("mpcc",), LIMITED, {"formulations.mpcc:CENTRED": {}}),
     Rule(
         "mpcc: t falls by 0.01 for other objectives",
         ("mpcc",),
@@ -156,7 +149,12 @@ RULES = (
     ),
     Rule("mpcc: second path of designs", ("mpcc",), ("design",), settings={"twice": False}),
     Rule("nested: exact finish at kinks", ("nested",), OTHERS, {"formulations.nested:ROUNDS": 1}),
-    Rule("nested: barrier of the finish at kinks", ("nested",), OTHERS, {"formulations.kinks:BARRIER": 0.1}),
+    Rule(
+        "nested: barrier of the finish at kinks",
+        ("nested",),
+        OTHERS,
+        {"formulations.kinks:FINISH": {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}},
+    ),
     Rule(
         "nested: warm barrier",
         ("nested",),
