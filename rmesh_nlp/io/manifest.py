@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path, PurePosixPath
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, write_text
+from rmesh_nlp.io.files import append_whole
 
 MANIFEST = ".rmesh-files"
 PREVIOUS = "previous"
@@ -80,11 +80,6 @@ class Manifest:
         own = set(self.names())
         if fresh := [name for name in names if name not in own]:
             append_whole(self.path, ("" if self.exists else HEAD) + "".join(f"{name}\n" for name in fresh))
-
-    def adopt(self, names: Iterable[str]) -> None:
-        """Note existing files as this package's own where there is no list."""
-        found = [name for name in names if (self.folder / name).is_file()]
-        write_text(self.path, HEAD + "".join(f"{name}\n" for name in found))
 
     def set_aside(self) -> Path | None:
         """Move all own files to the first free of ``previous``, ``previous-2``, ...; nothing is deleted.

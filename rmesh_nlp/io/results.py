@@ -79,11 +79,8 @@ class Results:
 
     @property
     def manifest(self) -> Manifest:
-        """Own files of the package here; without a list they are recognised by their content."""
-        manifest = Manifest(self.folder)
-        if not manifest.exists and self.folder.is_dir() and (names := _unlisted(self.folder)):
-            manifest.adopt(names)
-        return manifest
+        """Own files of the package here."""
+        return Manifest(self.folder)
 
     def locked(self) -> AbstractContextManager[None]:
         """The right to write here, one process at a time, as a context."""
@@ -199,30 +196,3 @@ def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
         writer = csv.DictWriter(file, [*HISTORY_FIELDS, *further])
         writer.writeheader()
         writer.writerows(rows)
-
-
-def _unlisted(folder: Path) -> list[str]:
-    """Own files of a folder without a list, by what records name and by their first words."""
-
-    def text(name: str) -> str:
-        return (folder / name).read_text(errors="replace") if (folder / name).is_file() else ""
-
-    names: list[str] = []
-    if rows := [row for line in text(RECORDS).split("\n") if (row := _record(line))]:
-        keys = [str(row["key"]) for row in rows if row.get("key")]
-        names += [RECORDS, *(name for key in keys for name in Results(folder).names(key))]
-        names += [f"{FIGURES}/{key}-grid.{kind}" for key in keys for kind in ("png", "pdf")]
-    if _record(text(RECORD)):
-        names += [RECORD, "solution.vtu", "history.csv"]
-    if text("table.md").startswith(("# Comparison of formulations", "# Comparison of strategies")):
-        names += ["table.md", "table.csv"]
-    if text("table.tex").startswith("% made by rmesh"):
-        names.append("table.tex")
-    return names
-
-
-def _record(text: str) -> Record | None:
-    try:
-        return read_record(text, "")
-    except BadInputError:
-        return None

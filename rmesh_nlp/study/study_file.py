@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
@@ -140,16 +139,10 @@ class StudyTable(Table):
         return self
 
 
-OLD = "strategies"  # what ``formulations`` was called up to 0.1
-
-
 def read_study(path: str | Path) -> StudyTable:
     """The checked tables of a study file; a ProblemFileError has one line per error."""
     path = Path(path)
     data = read_toml(path)
-    if OLD in data and "formulations" not in data:
-        data["formulations"] = data.pop(OLD)
-        warnings.warn(f"{path}: {OLD} is now called formulations", DeprecationWarning, stacklevel=2)
     try:
         return StudyTable.model_validate(data)
     except ValidationError as error:
@@ -158,7 +151,7 @@ def read_study(path: str | Path) -> StudyTable:
 
 def is_study(path: str | Path) -> bool:
     """Whether a TOML file states a study rather than a problem."""
-    return bool({"formulations", OLD} & read_toml(Path(path)).keys())
+    return "formulations" in read_toml(Path(path))
 
 
 def template(name: str, file: str) -> str:

@@ -204,9 +204,7 @@ def test_quantities_of_a_block_that_stands_on_a_line(order: int) -> None:
     found = admissible(standing(3.0, order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     assert values is not None
-    assert values.entries("_initial") == pytest.approx(
-        {"peak_pressure_initial": 3.0, "resultant_initial": 6.0, "contact_length_initial": 2.0}
-    )
+    assert (values.peak_pressure, values.resultant, values.contact_length) == pytest.approx((3.0, 6.0, 2.0))
 
 
 def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> None:

@@ -98,22 +98,15 @@ def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(
 def test_a_certificate_bounds_the_factor_from_below() -> None:
     found, _ = error_reduction(*graded(101), 7)
     assert found is not None
-    estimated = found.record()
-    proved = by_certificate(estimated, 0.32, 0.08, True)
-    assert proved["factor"] == pytest.approx(4.0)
-    assert "at least 4 times less" in proved.pop("text")
-    assert proved | {"factor": 4.0} == {
-        "error_initial": (0.24, 0.32),
-        "error": (0.0, 0.08),
-        "factor": 4.0,
-        "factor_upper": None,
-        "source": "certified",
-        "nodes": estimated["nodes"],
-        "contact_solves": 7,
-    }
-    for bounds in ((0.32, 0.08, False), (0.08, 0.32, True), (0.32, 0.0, True)):  # not proved, or no gain
-        assert by_certificate(estimated, *bounds) == estimated
-    assert by_certificate({**estimated, "source": "exact"}, 0.32, 0.08, True)["source"] == "exact"
+    proved = by_certificate(found, 0.32, 0.08)
+    assert (proved.factor, proved.factor_upper) == (pytest.approx(4.0), np.inf)
+    assert (proved.error_initial, proved.error) == (pytest.approx((0.24, 0.32)), (0.0, 0.08))
+    assert (proved.source, proved.nodes, proved.contact_solves) == ("certified", found.nodes, 7)
+    assert "at least 4 times less" in proved.record()["text"]
+    assert proved.record()["factor_upper"] is None
+    for bounds in ((0.08, 0.32), (0.32, 0.0)):  # no gain, or none that is known
+        assert by_certificate(found, *bounds) == found
+    assert by_certificate(replace(found, source="exact"), 0.32, 0.08).source == "exact"
 
 
 class Refinement:

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.meshes.curves import Circle
@@ -26,12 +27,7 @@ from support.formulations import fixed
 
 SIDES = ("left", "right", "top", "bottom")
 TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion
-CLAIM = {"source": "refinement", "text": "", "nodes": 9, "contact_solves": 3} | {
-    "error_initial": (0.2, 0.4),
-    "error": (0.1, 0.3),
-    "factor": 1.3,
-    "factor_upper": 3.0,
-}
+CLAIM = ErrorReduction((0.2, 0.4), (0.1, 0.3), 1.3, 3.0, "refinement", nodes=9, contact_solves=3)
 
 
 def membrane() -> Solution:
@@ -75,11 +71,11 @@ def test_a_guarantee_needs_both_bounds_on_both_meshes(
     assert found.guaranteed_initial is (lower and before)
     assert ("at most" in found.sentence) is all(known)
     claim = found.of_reduction(CLAIM)
-    assert (claim["source"] == "certified") is all(known)
+    assert (claim.source == "certified") is all(known)
     if all(known):  # energies 0.2 and 0.04 above the lower bound
-        assert claim["factor"] == pytest.approx(5.0)
-        assert claim["error_initial"] == pytest.approx((0.16, 0.2))
-        assert claim["error"] == pytest.approx((0.0, 0.04))
+        assert claim.factor == pytest.approx(5.0)
+        assert claim.error_initial == pytest.approx((0.16, 0.2))
+        assert claim.error == pytest.approx((0.0, 0.04))
 
 
 def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(

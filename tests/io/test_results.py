@@ -1,4 +1,4 @@
-"""Folders of results: own files without a list, rows of studies, histories, and files that are half there."""
+"""Folders of results: rows of studies, histories, and files that are half there."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.manifest import MANIFEST, Manifest
+from rmesh_nlp.io.manifest import Manifest
 from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import (
-    FIGURES,
     HISTORY_FIELDS,
     RECORD,
     RECORDS,
@@ -31,17 +30,6 @@ from rmesh_nlp.io.results import (
 from support.reporting import failed_61, fixed_61, joint_61
 
 ROW = to_json(fixed_61(key="a")) + "\n"
-SINGLE = {RECORD: ROW, "solution.vtu": "x", "history.csv": "x"}
-OWN = {
-    RECORDS: ROW + "not a record\n" + to_json(joint_61(key="b_c")) + "\n",
-    **dict.fromkeys(("solutions/a.vtu", "solutions/a.csv", "solutions/b_c.vtu"), "x"),
-    **dict.fromkeys((f"{FIGURES}/a-grid.png", f"{FIGURES}/a-grid.pdf"), "x"),
-    **{"table.md": "# Comparison of formulations\n", "table.csv": "a,b\n", "table.tex": "% made by rmesh\n"},
-}
-MINE = {
-    **dict.fromkeys(("solutions/other.vtu", f"{FIGURES}/mine.png", "thesis.txt", "solution.vtu"), "x"),
-    "record.json": "{}",
-}
 
 
 def fill(folder, files):
@@ -52,37 +40,6 @@ def fill(folder, files):
 
 def lines(*rows):
     return "".join(to_json(row) + "\n" for row in rows)
-
-
-@pytest.mark.parametrize(
-    ("files", "adopted"),
-    [
-        (OWN | MINE, [*OWN]),
-        (SINGLE, [*SINGLE]),
-        ({RECORD: "{}", "solution.vtu": "x"}, []),
-        ({RECORDS: "my own\n", "table.csv": "a,b\n"}, []),
-        ({"table.md": "# My table\n", "table.csv": "a,b\n"}, []),
-        ({"table.md": "# Comparison of strategies\n"}, ["table.md"]),
-        ({"table.tex": "% made by me\n"}, []),
-        ({"table.tex": "% made by rmesh, 2026\n", "table.csv": "a\n"}, ["table.tex"]),
-        ({}, []),
-    ],
-)
-def test_what_an_earlier_version_wrote_is_known_by_its_records_and_its_heads(tmp_path, files, adopted):
-    fill(tmp_path, files)
-    manifest = Results(tmp_path).manifest
-    assert sorted(manifest.names()) == sorted(adopted)
-    assert manifest.exists == bool(adopted)
-    manifest.set_aside()
-    moved = {*adopted, MANIFEST} if adopted else set()
-    found = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()}
-    assert found == {*files} - moved | {f"previous/{name}" for name in moved}
-
-
-def test_the_list_of_a_folder_is_not_made_anew(tmp_path):
-    Manifest(tmp_path).claim("mine.txt")
-    fill(tmp_path, OWN)
-    assert Results(tmp_path).manifest.names() == ["mine.txt"]
 
 
 def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path):

@@ -89,21 +89,6 @@ def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(mon
     assert one.key == safe_name(one.key) == "random-1-a-d25e9bd8d419c526"  # as in rows of old
 
 
-def test_strategies_of_old_files_and_rows_are_formulations_and_variants(path, capsys):
-    path.write_text('random = { count = 1 }\n[strategies.a]\nformulation = "fixed"\n')
-    out = path.parent / "out"
-    assert cli.run(["study", str(path), "--out", str(out), "--quiet"]) == 0
-    assert capsys.readouterr().err == f"note: {path}: strategies is now called formulations\n"
-    assert cli.run(["check", str(path)]) == 0  # as a study
-    (file,) = out.glob("rows/records-*.jsonl")
-    (row,) = read_records(out)
-    assert (row["variant"], row["formulation"]) == ("a", "fixed")
-    file.write_text(file.read_text().replace('"variant": "a"', '"strategy": "a"'))
-    assert read_records(out) == [row]
-    (now,) = plan_of(path, path.read_text().replace("strategies", "formulations"))
-    assert now.key == row["key"]
-
-
 def test_a_problem_file_is_known_by_its_content(path):
     for name in ("a.toml", "b.toml"):
         assert cli.run(["new", str(path.with_name(name))]) == 0
