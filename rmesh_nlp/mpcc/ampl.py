@@ -71,14 +71,14 @@ def run(arguments: Sequence[str]) -> int:
 
 def _assignments(text: str) -> list[str]:
     """The options of the environment, ``key=value``, ``key = value`` or ``key value``, as ``key=value``."""
-    words, found = iter(shlex.split(re.sub(r"\s*=\s*", "=", text))), []
+    words, assignments = iter(shlex.split(re.sub(r"\s*=\s*", "=", text))), []
     for word in words:
-        found.append(word if "=" in word else f"{word}={next(words, '')}")
-    return found
+        assignments.append(word if "=" in word else f"{word}={next(words, '')}")
+    return assignments
 
 
 def _keys() -> list[str]:
-    return [one.name for one in fields(Options) if one.name not in _NOT_TEXT]
+    return [option.name for option in fields(Options) if option.name not in _NOT_TEXT]
 
 
 def _options(words: Sequence[str]) -> tuple[Options, int]:
@@ -89,10 +89,8 @@ def _options(words: Sequence[str]) -> tuple[Options, int]:
         if not (key and equals):
             raise ValueError(f"option {word!r} is not of the form key=value")
         if key not in (*_keys(), "outlev") and not key.startswith("ipopt."):
-            known = ", ".join(_keys())
-            raise ValueError(
-                f"unknown option {key!r}; there are {known}, outlev, and ipopt.{key} for Ipopt's"
-            )
+            keys = ", ".join(_keys())
+            raise ValueError(f"unknown option {key!r}; there are {keys}, outlev, and ipopt.{key} for Ipopt's")
         given[key] = _value(text)
     level = given.pop("outlev", 1)
     if not isinstance(level, int):

@@ -31,12 +31,12 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
 
     ``"not negative"``, ``"negative"``, or ``"not tested"``: no finite Hessian, no S, or too large.
     """
-    found, lin, lifted = end.stationarity, end.lin, run.lifted
-    if found is None or lin is None or found.multipliers is None or found.label != "S":
+    stationarity, lin, lifted = end.stationarity, end.lin, run.lifted
+    if stationarity is None or lin is None or stationarity.multipliers is None or stationarity.label != "S":
         return "not tested", None
     if lifted.hessian is None or lifted.nlp.n_x > MOST:
         return "not tested", None
-    own, columns = found.multipliers, Columns(lifted, lin)
+    own, columns = stationarity.multipliers, Columns(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
     if not np.all(np.isfinite(hessian)):
         return "not tested", None

@@ -63,20 +63,20 @@ def _bordered(system: sp.csc_matrix, inner: IntArray, outer: IntArray) -> Solve:
     complement = system[outer][:, outer].toarray() - border.T @ through
 
     def once(right: Array) -> Array:
-        found = np.zeros(right.size)
+        solution = np.zeros(right.size)
         first = factors.solve(right[inner])
-        found[outer] = np.linalg.lstsq(complement, right[outer] - border.T @ first, rcond=None)[0]
-        found[inner] = first - through @ found[outer]
-        return found
+        solution[outer] = np.linalg.lstsq(complement, right[outer] - border.T @ first, rcond=None)[0]
+        solution[inner] = first - through @ solution[outer]
+        return solution
 
     def solve(right: Array) -> Array:
-        found, size = once(right), float(np.max(np.abs(right), initial=0.0))
+        solution, size = once(right), float(np.max(np.abs(right), initial=0.0))
         for _ in range(_REFINEMENTS):
-            rest = right - system @ found
+            rest = right - system @ solution
             if np.max(np.abs(rest), initial=0.0) <= _ROUNDED * size:
                 break
-            found = found + once(rest)
-        return found
+            solution = solution + once(rest)
+        return solution
 
     return solve
 

@@ -106,21 +106,21 @@ def polished(
     zero, near = run.lifted.smaller(z), np.max(z[run.lifted.pairs], axis=0) <= corner
     if run.lifted.source.n_pairs >= LARGE:
         return _polished(run, z, warm, zero, ceiling, release=True)
-    found = _polished(run, z, warm, zero, ceiling)
-    if (found is not None and found.solved) or not np.any(near):
-        return found
+    end = _polished(run, z, warm, zero, ceiling)
+    if (end is not None and end.solved) or not np.any(near):
+        return end
     inside = _polished(run, z, warm, zero | near, ceiling)
-    return found if inside is None or (found is not None and found.rank >= inside.rank) else inside
+    return end if inside is None or (end is not None and end.rank >= inside.rank) else inside
 
 
 def _polished(
     run: Run, z: Array, warm: NLPResult, zero: BoolArray, ceiling: float, release: bool = False
 ) -> Finish | None:
-    found = polish(run, z, zero, warm.lam_g, warm.lam_x, release=release)
-    if found is None or found.f > ceiling:
+    point = polish(run, z, zero, warm.lam_g, warm.lam_x, release=release)
+    if point is None or point.f > ceiling:
         return None
-    run.record("polished", 0.0, found.z)
-    return _labelled(run, found.z, found.f, (found.lam_rows, found.lam_z))
+    run.record("polished", 0.0, point.z)
+    return _labelled(run, point.z, point.f, (point.lam_rows, point.lam_z))
 
 
 def _faithful(run: Run, near: Finish, z: Array) -> bool:
@@ -137,32 +137,32 @@ def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None)
     """Label an exact point; ``offered`` multipliers of an NLP may prove S."""
     lin = _linearised(run, z)
     is_large = run.lifted.source.n_pairs >= LARGE
-    found = stationarity(run.lifted, lin, run.options.stationarity, offered, run.budget, is_large)
-    return Finish(z, f, found.status, found, lin, 0, int(found.label != "S"))
+    result = stationarity(run.lifted, lin, run.options.stationarity, offered, run.budget, is_large)
+    return Finish(z, f, result.status, result, lin, 0, int(result.label != "S"))
 
 
-def pivot(run: Run, here: Finish) -> Finish:
+def pivot(run: Run, point: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
-    lpecs = here.lpecs
+    lpecs = point.lpecs
     for pivots in range(run.options.max_pivots):
-        here = replace(here, pivots=pivots, lpecs=lpecs)
-        direction = None if here.stationarity is None else here.stationarity.direction
-        better = None if direction is None else _descend(run, here, direction)
+        point = replace(point, pivots=pivots, lpecs=lpecs)
+        direction = None if point.stationarity is None else point.stationarity.direction
+        better = None if direction is None else _descend(run, point, direction)
         if direction is None or better is None:
-            return here
+            return point
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
-        here = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
-        lpecs += here.lpecs
-    return replace(here, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
+        point = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
+        lpecs += point.lpecs
+    return replace(point, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
 
 
-def _descend(run: Run, here: Finish, direction: Direction) -> NLPResult | None:
+def _descend(run: Run, point: Finish, direction: Direction) -> NLPResult | None:
     """Solve the branch of the direction; near the point if its solution far away is not lower."""
-    aim = here.f - _DECREASE * (1 + abs(here.f))
+    aim = point.f - _DECREASE * (1 + abs(point.f))
     for reach in _TRUST:
-        radius = None if reach is None else reach * (1 + np.abs(here.z))
-        better = run.branch(here.z, direction.zero, radius=radius)
+        radius = None if reach is None else reach * (1 + np.abs(point.z))
+        better = run.branch(point.z, direction.zero, radius=radius)
         if run.exact(better.x) and better.f < aim:
             return better
     return None

@@ -100,8 +100,8 @@ def follow(
             stuck = stuck + 1 if run.steps[-1].product > max(_FALLS * product, 10 * t) else 0
             product, objective = run.steps[-1].product, run.steps[-1].objective * run.p[-1]
             path.levels[t] = objective
-            same = (k for k, levels in enumerate(former) if _is_level(objective, levels.get(t, np.inf)))
-            path.joined = next(same, None)
+            matches = (k for k, levels in enumerate(former) if _is_level(objective, levels.get(t, np.inf)))
+            path.joined = next(matches, None)
             if path.joined is not None:
                 return
             if stuck >= _STUCK:
@@ -199,8 +199,8 @@ def _at_the_limit(finished: float, expected: float, gap: float) -> bool:
     return finished - expected <= gap * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
-def _is_level(objective: float, known: float) -> bool:
-    return abs(objective - known) <= _SAME * (1 + abs(known)) if np.isfinite(known) else False
+def _is_level(objective: float, level: float) -> bool:
+    return abs(objective - level) <= _SAME * (1 + abs(level)) if np.isfinite(level) else False
 
 
 def _settled(before: BoolArray, sides: BoolArray) -> bool:
@@ -215,8 +215,8 @@ def second_path(run: Run, path: Path, x0: Array, first: Path) -> None:
     Its exact point counts only if it is not further above the known end than the relaxed one is below.
     """
     options = run.options
-    known = first.finish if first.finish is not None and first.finish.solved else None
-    levels = first.levels if known is not None and options.relaxation == "scholtes" else {}
+    end = first.finish if first.finish is not None and first.finish.solved else None
+    levels = first.levels if end is not None and options.relaxation == "scholtes" else {}
     t, x = options.t0, x0
     while True:
         result = run.unlifted(x, t)
@@ -226,21 +226,21 @@ def second_path(run: Run, path: Path, x0: Array, first: Path) -> None:
             return
         f = run.objective(result.x)  # Ipopt's own belongs to the unlifted NLP
         # a feasible set that only shrinks gives no lower end than here
-        if known is not None and result.converged:
-            lowest = min(known.f, levels.get(t, np.inf))
+        if end is not None and result.converged:
+            lowest = min(end.f, levels.get(t, np.inf))
             if f >= lowest - _SAME * (1 + abs(lowest)):
                 return
         if t <= options.crossover * (1 + ROUNDING):
             break
         x, t = result.x[: x0.size], max(options.factor * t, options.t_final)
-    if known is None or not _same_branch(run, result.x, known.z):
-        ceiling = np.inf if known is None else 2 * known.f - f
+    if end is None or not _same_branch(run, result.x, end.z):
+        ceiling = np.inf if end is None else 2 * end.f - f
         corner = CORNER * np.sqrt(t)
-        path.finish = finish(run, result.x, search=known is None, warm=result, corner=corner, ceiling=ceiling)
+        path.finish = finish(run, result.x, search=end is None, warm=result, corner=corner, ceiling=ceiling)
 
 
-def _same_branch(run: Run, z: Array, known: Array) -> bool:
+def _same_branch(run: Run, z: Array, point: Array) -> bool:
     """Whether a relaxed point has the larger member of every pair where the known point has it."""
-    members, corner = known[run.lifted.pairs], run.options.corner
-    same = np.all(members[run.lifted.smaller(z)] <= corner)
-    return bool(same) and not np.any(np.max(members, axis=0) <= corner)
+    members, corner = point[run.lifted.pairs], run.options.corner
+    on_branch = np.all(members[run.lifted.smaller(z)] <= corner)
+    return bool(on_branch) and not np.any(np.max(members, axis=0) <= corner)

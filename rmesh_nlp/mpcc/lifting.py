@@ -161,16 +161,16 @@ def lift(mpcc: MPCC) -> Lifted:
     )  # fmt: skip
 
 
-def warm_start(lifted: Lifted, z0: Array, weight: float, known: MPCCResult | Duals) -> NLPResult:
+def warm_start(lifted: Lifted, z0: Array, weight: float, duals: MPCCResult | Duals) -> NLPResult:
     """A point and multipliers of the source problem as a start of the lifted one.
 
     A slack ``s = G_i(x)`` inherits the multiplier of its pair; of a member that is itself an unknown the
     multipliers of its bound and of its pair add up. NaN counts as zero.
     """
     source = lifted.source
-    column = weight * np.nan_to_num(np.concatenate([known.lam_g, known.lam_G, known.lam_H]))
+    column = weight * np.nan_to_num(np.concatenate([duals.lam_g, duals.lam_G, duals.lam_H]))
     lam_z = np.zeros(lifted.nlp.n_x)
-    lam_z[: source.n_x] = weight * np.nan_to_num(known.lam_x)
+    lam_z[: source.n_x] = weight * np.nan_to_num(duals.lam_x)
     np.add.at(lam_z, lifted.pairs.ravel(), column[source.n_g :])
     return NLPResult(
         x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],

@@ -175,8 +175,8 @@ class LowerLevel:
             centre,
             *np.random.default_rng(seed).uniform(lower, np.maximum(lower, upper), (n - 1, centre.size)),
         ]
-        found = [self.solve(x, start, p=p) for start in starts]
-        return min(found, key=lambda end: (not end.converged, end.f))
+        ends = [self.solve(x, start, p=p) for start in starts]
+        return min(ends, key=lambda end: (not end.converged, end.f))
 
     def start(
         self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), multipliers: float | None = None
@@ -192,10 +192,10 @@ class LowerLevel:
             of the lower level and all pairs. It then lies on one branch, and homotopies that begin there end
             at poorer minima; a start for x alone is completed with 1.
         """
-        found, sides = self.solve(x, y0, p=p), self.sides
-        signed = sides.sign * np.append(found.lam_x, found.lam_g)[sides.entry]
+        solution, sides = self.solve(x, y0, p=p), self.sides
+        signed = sides.sign * np.append(solution.lam_x, solution.lam_g)[sides.entry]
         own = np.maximum(signed, 0.0) if multipliers is None else multipliers
-        return np.concatenate([np.ravel(x), found.x, np.where(sides.equal, signed, own)])
+        return np.concatenate([np.ravel(x), solution.x, np.where(sides.equal, signed, own)])
 
     def check(self, x: ArrayLike, *, p: ArrayLike = ()) -> LowerLevelCheck:
         """Whether the lower level is at a minimum.

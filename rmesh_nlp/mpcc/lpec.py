@@ -108,19 +108,19 @@ def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) ->
     )
     pairs, members = lin.biactive, np.zeros(lifted.nlp.n_x)
     if pairs.size > _ENUMERATE:
-        found = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, budget)
+        direction = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, budget)
         # that no descent was found is an answer only if all branches were searched
-        return None if found is None or (not found.proven and found.decrease >= 0) else found
+        return None if direction is None or (not direction.proven and direction.decrease >= 0) else direction
     best: Direction | None = None
     for sides in itertools.product((True, False), repeat=pairs.size):
-        on_G, here = lin.zero[0].copy(), upper.copy()
+        on_G, branch_upper = lin.zero[0].copy(), upper.copy()
         on_G[pairs] = sides
-        here[lifted.pairs[:, pairs][on_side(on_G[pairs])]] = 0.0
-        found = _milp(lin.gradient, rows, lower, here, lifted, on_G, pairs[:0], members, None)
-        if found is None or not found.proven:
+        branch_upper[lifted.pairs[:, pairs][on_side(on_G[pairs])]] = 0.0
+        direction = _milp(lin.gradient, rows, lower, branch_upper, lifted, on_G, pairs[:0], members, None)
+        if direction is None or not direction.proven:
             return None
-        if best is None or found.decrease < best.decrease:
-            best = found
+        if best is None or direction.decrease < best.decrease:
+            best = direction
     return best
 
 
@@ -151,11 +151,11 @@ def nearest_branch(
     )
     weight = 1e3 * max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
     elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
-    found = _milp(
+    direction = _milp(
         np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
         np.append(upper, elastic + np.inf), lifted, zero[0], pairs, members, budget,
     )  # fmt: skip
-    return None if found is None else (z + radius * found.step, found.zero)
+    return None if direction is None else (z + radius * direction.step, direction.zero)
 
 
 def _milp(

@@ -98,10 +98,10 @@ class Columns:
     def scattered(self, values: Array) -> Multipliers:
         """Multipliers of the columns at their places."""
         nlp, pairs = self.lifted.nlp, np.zeros(self.lifted.pairs.shape)
-        found = Multipliers(np.zeros(nlp.n_g), np.zeros(nlp.n_x), pairs)
+        lam = Multipliers(np.zeros(nlp.n_g), np.zeros(nlp.n_x), pairs)
         ends = np.cumsum([self.rows.size, self.bounds.size])
-        found.rows[self.rows], found.z[self.bounds], pairs.reshape(-1)[self.members] = np.split(values, ends)
-        return found
+        lam.rows[self.rows], lam.z[self.bounds], pairs.reshape(-1)[self.members] = np.split(values, ends)
+        return lam
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +138,10 @@ def by_least_squares(
                 return None
             is_s = bool(np.all((own <= slack) | columns.may_rise_in_s))
             return LeastSquares(columns.scattered(own), is_s, True)
-        found = _with_signs(scaled, columns, values, slack, budget)
+        multipliers = _with_signs(scaled, columns, values, slack, budget)
     except RuntimeError:  # exactly singular
         return None
-    return None if found is None else LeastSquares(columns.scattered(found / size), True, False)
+    return None if multipliers is None else LeastSquares(columns.scattered(multipliers / size), True, False)
 
 
 def _least_squares(
@@ -152,13 +152,13 @@ def _least_squares(
     system = sp.bmat([[sp.identity(n), matrix], [matrix.T, -_PROXIMAL * sp.identity(k)]], format="csc")
 
     def refined(solve: Callable[[Array], Array]) -> list[Array]:
-        found = [start for _ in gradients]
+        iterates = [start for _ in gradients]
         for _ in range(_REFINEMENTS):
             rights = [
-                np.append(-(g + matrix @ v), np.zeros(k)) for g, v in zip(gradients, found, strict=True)
+                np.append(-(g + matrix @ v), np.zeros(k)) for g, v in zip(gradients, iterates, strict=True)
             ]
-            found = [v + solve(right)[n:] for v, right in zip(found, rights, strict=True)]
-        return found
+            iterates = [v + solve(right)[n:] for v, right in zip(iterates, rights, strict=True)]
+        return iterates
 
     return factorised(system, refined, budget)
 

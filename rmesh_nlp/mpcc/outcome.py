@@ -27,27 +27,27 @@ def leave_saddles(run: Run, paths: list[Path]) -> str:
     """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
     word = "not tested"
     for _ in range(_SADDLES):
-        here = _choose(paths)
-        if here is None or not here.solved:
+        end = _choose(paths)
+        if end is None or not end.solved:
             return word
-        word, d = descent_of_curvature(run, here)
+        word, d = descent_of_curvature(run, end)
         if d is None:
             return word
-        lower = _beyond(run, here, d)
+        lower = _beyond(run, end, d)
         if lower is None:
             return word
         paths.append(Path(finish=lower))
     return word
 
 
-def _beyond(run: Run, here: Finish, d: Array) -> Finish | None:
+def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
     """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
-    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(here.z)))
+    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(saddle.z)))
     for length in _LENGTHS:
-        z = np.clip(here.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
-        found = finish(run, z, search=False)
-        if found.solved and _beats(found, here):
-            return found
+        z = np.clip(saddle.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
+        end = finish(run, z, search=False)
+        if end.solved and _beats(end, saddle):
+            return end
     return None
 
 
@@ -115,11 +115,11 @@ def result_of(
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.lifted, run.lifted.source
     f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
-    found = end.stationarity
+    stationarity = end.stationarity
     column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
-    if found is not None and found.multipliers is not None:
-        own = found.multipliers
+    if stationarity is not None and stationarity.multipliers is not None:
+        own = stationarity.multipliers
         column[mpcc.n_g :] = own.pairs.ravel()  # of members that keep their place
         column[lifted.rows] = own.rows
         column /= run.p[-1]
@@ -142,8 +142,8 @@ def result_of(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
         message=f"{status.message} {where}".strip(), lower_level=check, curvature=curvature,
         **vars(res),
-        stationarity="" if found is None else found.label,
-        b_stationary=None if found is None else found.b_stationary,
+        stationarity="" if stationarity is None else stationarity.label,
+        b_stationary=None if stationarity is None else stationarity.b_stationary,
         lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
         biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
         history=tuple(run.steps),

@@ -77,7 +77,7 @@ def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: boo
             exact = project(run, trial, sides)
             if exact is not None and run.exact(exact):
                 return Feasibility(exact, sides, Status.CONVERGED)
-        found, decrease = _sum(lifted.linearise(trial, run.p)[2], nlp.lbg, nlp.ubg), least - predicted
+        violation, decrease = _sum(lifted.linearise(trial, run.p)[2], nlp.lbg, nlp.ubg), least - predicted
         if np.isfinite(least) and decrease <= _FLAT * min(least, radius):
             if _REACH * radius < min(refused, _REACH * size):
                 radius *= _REACH
@@ -87,10 +87,10 @@ def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: boo
                 )
             else:  # a minimum of the violation is shown without the objective
                 only_violation = True
-        elif not np.isfinite(least) or least - found >= _ACCEPTED * decrease:
-            if np.isfinite(least) and least - found >= _GOOD * decrease:
+        elif not np.isfinite(least) or least - violation >= _ACCEPTED * decrease:
+            if np.isfinite(least) and least - violation >= _GOOD * decrease:
                 radius = min(_GROW * radius, _LARGEST * size)
-            z, zero, least, refused = trial, sides, found, np.inf
+            z, zero, least, refused = trial, sides, violation, np.inf
         else:
             radius, refused = _SHRINK * radius, radius
         if not np.isfinite(least):

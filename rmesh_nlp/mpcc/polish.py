@@ -158,11 +158,11 @@ def polish(
     if run.lifted.hessian is None:
         return None
     proximals = _PROXIMAL[:1] if release else _PROXIMAL
-    found = (
+    points = (
         _newton(run, z, _Branch(run.lifted, zero), lam_rows, lam_z, proximal, release)
         for proximal in proximals
     )
-    return next((point for point in found if point is not None), None)
+    return next((point for point in points if point is not None), None)
 
 
 def _newton(

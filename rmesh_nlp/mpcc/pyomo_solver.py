@@ -31,7 +31,7 @@ class _Transformation(MPEC4_Transformation):
 
     def _apply_to(self, instance: Any, **keywords: Any) -> None:
         parts = instance.component_data_objects((Constraint, Objective), active=True, descend_into=True)
-        self._used = {id(one) for part in parts for one in identify_variables(part.expr, include_fixed=False)}
+        self._used = {id(var) for part in parts for var in identify_variables(part.expr, include_fixed=False)}
         super()._apply_to(instance, **keywords)
 
     def to_common_form(self, cdata: Any, free_vars: dict[int, Any]) -> None:

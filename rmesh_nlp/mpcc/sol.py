@@ -80,9 +80,9 @@ def _duals(rows: Rows, result: MPCCResult) -> tuple[Array, Array]:
     jacobian = ca.Function("jacobian", [linear.x, linear.p], [
         ca.jacobian(ca.vertcat(linear.g, linear.G, linear.H), both)
     ])(0, 0)  # fmt: skip
-    found = np.asarray(ca.mtimes(jacobian.T, multipliers)).ravel()
+    duals = np.asarray(ca.mtimes(jacobian.T, multipliers)).ravel()
     sign = 1.0 if rows.maximise else -1.0
-    return sign * found[:m], sign * (found[m : m + n] + result.lam_x[:n])
+    return sign * duals[:m], sign * (duals[m : m + n] + result.lam_x[:n])
 
 
 def _options(rows: Rows, n_duals: int) -> list[str]:

@@ -104,13 +104,13 @@ def stationarity(
     return Stationarity(label, multipliers, flat, None if flat else direction)
 
 
-def _of_unique(lifted: Lifted, lin: Linearisation, found: LeastSquares, tolerance: float) -> Stationarity:
+def _of_unique(lifted: Lifted, lin: Linearisation, unique: LeastSquares, tolerance: float) -> Stationarity:
     """The label of multipliers that are the only ones, and not those of S: no program is needed.
 
     Then some branch descends. It is one in which each member with a positive multiplier may leave zero.
     """
     zero, pairs = tolerance * lin.scale, lin.biactive
-    G, H = found.multipliers.pairs[:, pairs]
+    G, H = unique.multipliers.pairs[:, pairs]
     fits = {
         name: bool(np.all(np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)))
         for name, pieces in _PIECES.items()
@@ -120,7 +120,7 @@ def _of_unique(lifted: Lifted, lin: Linearisation, found: LeastSquares, toleranc
     decrease = -float(np.max(np.append(G, H)))
     direction = Direction(decrease, np.zeros(lifted.nlp.n_x), on_side(on_G), proven=False)
     label = next((name for name, fit in fits.items() if fit), "W")
-    return Stationarity(label, found.multipliers, False, direction)
+    return Stationarity(label, unique.multipliers, False, direction)
 
 
 def proof_of_s(
@@ -133,26 +133,26 @@ def proof_of_s(
         return None
     nu = np.where(lifted.member & ~lin.z_lower, lam_z, 0.0)
     nu[lin.z_upper & (nu > 0)] = 0.0  # that of the upper bound
-    found = Multipliers(
+    multipliers = Multipliers(
         signed(lam_rows, lin.row_lower, lin.row_upper),
         signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
         _share(lifted, lin, nu),
     )
-    wrong = np.max(found.pairs[:, lin.biactive], initial=0.0)
-    error = lin.gradient + lin.jacobian.T @ found.rows + found.z
-    np.add.at(error, lifted.pairs, found.pairs)
-    return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else found
+    wrong = np.max(multipliers.pairs[:, lin.biactive], initial=0.0)
+    error = lin.gradient + lin.jacobian.T @ multipliers.rows + multipliers.z
+    np.add.at(error, lifted.pairs, multipliers.pairs)
+    return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else multipliers
 
 
 def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> Array:
     """Give the multiplier of each unknown to one pair it is in, preferably one where its sign is free."""
-    values, left = np.zeros(lifted.pairs.shape), nu.copy()
+    values, rest = np.zeros(lifted.pairs.shape), nu.copy()
     both = np.all(lin.zero, axis=0)
     for zero in (lin.zero & ~both, lin.zero & both):
         unknowns, once = np.unique(lifted.pairs[zero], return_index=True)
         side, pair = (places[once] for places in np.nonzero(zero))
-        values[side, pair] = left[unknowns]
-        left[unknowns] = 0.0
+        values[side, pair] = rest[unknowns]
+        rest[unknowns] = 0.0
     return values
 
 
@@ -188,8 +188,8 @@ class _MultiplierLP:
                 lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
         if lower.size == 0:
             return (self.columns.scattered(lower), 0.0) if np.all(self.right >= 0) else None
-        left = self.budget.remaining
-        options = {"time_limit": max(left, LEAST_SECONDS)} if np.isfinite(left) else {}
+        remaining = self.budget.remaining
+        options = {"time_limit": max(remaining, LEAST_SECONDS)} if np.isfinite(remaining) else {}
         answer = linprog(
             self.cost, A_ub=self.matrix, b_ub=self.right, bounds=np.column_stack([lower, upper]),
             method="highs", options=options,
@@ -219,9 +219,9 @@ def strongest(
         return "S", weak[0]
     word = ""
     for name, pieces in _PIECES.items():
-        found, complete = _search(programs, pieces, zero)
-        if found is not None:
-            return word + name, found
+        multipliers, complete = _search(programs, pieces, zero)
+        if multipliers is not None:
+            return word + name, multipliers
         word = word if complete else AT_LEAST
     return word + "W", weak[0]
 
@@ -238,13 +238,13 @@ def _search(
         if not stack:
             return None, programs.decided
         node = stack.pop()
-        found = programs.solve(node)
-        if found is None:
+        solution = programs.solve(node)
+        if solution is None:
             continue
-        G, H = found[0].pairs[:, programs.pairs]
+        G, H = solution[0].pairs[:, programs.pairs]
         outside = ~np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)
         if not np.any(outside):
-            return found[0], True
+            return solution[0], True
         k = int(np.argmax(np.where(outside, np.minimum(np.abs(G), np.abs(H)), -1.0)))
         nearest = sorted(pieces, key=lambda piece: _distance(G[k], piece[0]) + _distance(H[k], piece[1]))
         stack.extend({**node, k: piece} for piece in reversed(nearest))
@@ -299,5 +299,5 @@ def classify(
     if nlps.excess(z, parameters) > 1.0:
         return Classification("", None, False, np.zeros(0, dtype=np.int64))
     lin = linearise(lifted, z, parameters, settings.activity, settings.corner)
-    found = stationarity(lifted, lin, settings.stationarity)
-    return Classification(found.label, found.b_stationary, True, lin.biactive)
+    result = stationarity(lifted, lin, settings.stationarity)
+    return Classification(result.label, result.b_stationary, True, lin.biactive)
