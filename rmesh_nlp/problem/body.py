@@ -117,9 +117,9 @@ class Body:
         for arcs in self.arcs:
             of, side = _matches(arcs.sides.element, elements)
             a, b = arcs.sides.ends[:, side]
-            one, two = barycentric[a, of], barycentric[b, of]
-            total = one + two
-            s = np.divide(two, total, out=np.full_like(two, 0.5), where=total > 0)
+            bary_a, bary_b = barycentric[a, of], barycentric[b, of]
+            total = bary_a + bary_b
+            s = np.divide(bary_b, total, out=np.full_like(bary_b, 0.5), where=total > 0)
             arc, velocity = arcs.at(arcs.sides.facet[side], s)
             X_a, X_b = corners[:, a, of, None], corners[:, b, of, None]
             off = arc - (1 - s) * X_a - s * X_b
@@ -167,15 +167,15 @@ _LOOK = np.array([(1 - r, r * (1 - s), r * s) for r in (0.5, 1.0) for s in np.li
 
 def determinants(slopes: Array) -> Array:
     """Twice the area per unit of the reference triangle (m, k), from the slopes of :meth:`Body.at`."""
-    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
-    return np.asarray(one[0] * two[1] - one[1] * two[0])
+    edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
+    return np.asarray(edge_1[0] * edge_2[1] - edge_1[1] * edge_2[0])
 
 
 def gradients(slopes: Array) -> tuple[Array, Array]:
     """Gradients (3, 2, m, k) of the barycentric coordinates, and the determinants (m, k)."""
     det = determinants(slopes)
-    one, two = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
-    second, third = np.stack([two[1], -two[0]]) / det, np.stack([-one[1], one[0]]) / det
+    edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
+    second, third = np.stack([edge_2[1], -edge_2[0]]) / det, np.stack([-edge_1[1], edge_1[0]]) / det
     return np.stack([-second - third, second, third]), det
 
 

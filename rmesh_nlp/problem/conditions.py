@@ -19,8 +19,8 @@ SAME_PLACE = 1e-9
 
 def as_tuple(value: Any) -> tuple[Any, ...]:
     """One thing alone as a tuple of one."""
-    one = isinstance(value, (str, ca.SX)) or callable(value)
-    several = isinstance(value, Iterable) and not one
+    is_single = isinstance(value, (str, ca.SX)) or callable(value)
+    several = isinstance(value, Iterable) and not is_single
     return tuple(value) if several else (value,)
 
 

@@ -97,7 +97,7 @@ class ContactProblem(ProblemData):
             given = getattr(self, name)
             needed = name in ("obstacle", "motion")
             every = () if given is None and not needed else as_tuple(given)
-            wrong = [one for one in every if not isinstance(one, kinds)]
+            wrong = [value for value in every if not isinstance(value, kinds)]
             if wrong or isinstance(given, Mapping):
                 raise ProblemError(name, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
@@ -189,11 +189,11 @@ class ContactProblem(ProblemData):
             low, high = variable.bounds
             what = f"from {figure(variable.start)}, {figure(low)} to {figure(high)}"
             rows.append((f"design variable {variable.name}", what))
-        rows += [(f"constraint {one.value}", bounds_in_words(*one.bounds)) for one in self.constraints]
+        rows += [(f"constraint {c.value}", bounds_in_words(*c.bounds)) for c in self.constraints]
         rows += [(f"law of {e.size} triangles", law.in_words(stress)) for law, e in self.regions]
         for label, conditions in (("given", self.supports), ("traction", self.tractions)):
-            for one in conditions:
-                rows.append((f"{label} on {one.boundary}", ", ".join(describe(v) for v in one.value)))
+            for c in conditions:
+                rows.append((f"{label} on {c.boundary}", ", ".join(describe(v) for v in c.value)))
         for load in self.point_loads:
             rows.append((f"force at node {load.node}", ", ".join(figure(v) for v in load.force)))
         contact = [f"{part.nodes.size} nodes {part.obstacle.in_words()}" for part in self.contact_sets]

@@ -134,10 +134,10 @@ class ProblemData:
     @cached_property
     def curve_of_facet(self) -> NDArray[np.int64]:
         """(facets,) number of the curve of the motion that each facet is on; -1 for straight ones."""
-        found = np.full(self.mesh.facets.shape[1], -1)
+        numbers = np.full(self.mesh.facets.shape[1], -1)
         for number, name in enumerate(self.motion.curves):
-            found[np.asarray(self.mesh.boundaries[name])] = number
-        return found
+            numbers[np.asarray(self.mesh.boundaries[name])] = number
+        return numbers
 
     @property
     def curves(self) -> tuple[Curve, ...]:

@@ -159,16 +159,16 @@ class AtDesign:
 
 def substituted(expression: ca.SX, values: Mapping[str, float]) -> ca.SX:
     """An expression with numbers in the place of design variables."""
-    used = [one for one in ca.symvar(expression) if one.name() in values]
+    used = [sym for sym in ca.symvar(expression) if sym.name() in values]
     if not used:
         return expression
-    return ca.substitute(expression, ca.vertcat(*used), ca.DM([values[one.name()] for one in used]))
+    return ca.substitute(expression, ca.vertcat(*used), ca.DM([values[sym.name()] for sym in used]))
 
 
 def names_in(coefficient: Any) -> tuple[str, ...]:
     """Names of the design variables that a coefficient, a law, a load or an obstacle depends on."""
     if isinstance(coefficient, ca.SX):
-        return tuple(sorted({one.name() for one in ca.symvar(coefficient)}))
+        return tuple(sorted({sym.name() for sym in ca.symvar(coefficient)}))
     if is_dataclass(coefficient) and not callable(coefficient):
         parts = [getattr(coefficient, field.name) for field in fields(coefficient)]
         return tuple(sorted({name for part in parts for name in names_in(part)}))
@@ -185,7 +185,7 @@ def _names_in_function(function: Coefficient) -> tuple[str, ...]:
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return ()  # of MX alone, such as a spline, or refused elsewhere with a reason
     point = {x.element_hash(), y.element_hash()}
-    return tuple(sorted(one.name() for one in ca.symvar(value) if one.element_hash() not in point))
+    return tuple(sorted(sym.name() for sym in ca.symvar(value) if sym.element_hash() not in point))
 
 
 def at_design(part: Any, values: Mapping[str, float]) -> Any:
@@ -193,8 +193,8 @@ def at_design(part: Any, values: Mapping[str, float]) -> Any:
     if isinstance(part, ca.SX):
         return float(substituted(part, values))
     if isinstance(part, tuple):
-        found = tuple(at_design(one, values) for one in part)
-        return found if any(a is not b for a, b in zip(found, part, strict=True)) else part
+        items = tuple(at_design(item, values) for item in part)
+        return items if any(a is not b for a, b in zip(items, part, strict=True)) else part
     if callable(part):
         used = tuple((name, values[name]) for name in names_in(part) if name in values)
         return AtDesign(part, used) if used else part
@@ -202,8 +202,8 @@ def at_design(part: Any, values: Mapping[str, float]) -> Any:
         return part
     old = {field.name: getattr(part, field.name) for field in fields(part)}
     new = {name: at_design(value, values) for name, value in old.items()}
-    same = all(new[name] is value for name, value in old.items())
-    return part if same or isinstance(part, type) else replace(part, **new)
+    is_unchanged = all(new[name] is value for name, value in old.items())
+    return part if is_unchanged or isinstance(part, type) else replace(part, **new)
 
 
 def motions(shapes: tuple[Shape, ...], points: Array, on: list[NDArray[np.int64]]) -> Array:

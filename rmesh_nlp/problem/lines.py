@@ -71,14 +71,14 @@ def bent(mesh: MeshTri, curves: Mapping[str, Curve]) -> MeshTri:
     Nodes on other lines stay; the others go along by a harmonic map, so that no element is folded where the
     arcs leave their chords far behind.
     """
-    there = onto_curves(mesh, curves, anywhere=True)
-    if there is mesh:
+    target = onto_curves(mesh, curves, anywhere=True)
+    if target is mesh:
         return mesh
     fixed = np.unique(mesh.facets[:, line_facets(mesh)])
     matrix = laplace.assemble(Basis(mesh, ElementTriP1()))
-    shift = [solve(*condense(matrix, x=row, D=fixed)) for row in there.p - mesh.p]
+    shift = [solve(*condense(matrix, x=row, D=fixed)) for row in target.p - mesh.p]
     moved = mesh.p + shift
-    moved[:, fixed] = there.p[:, fixed]
+    moved[:, fixed] = target.p[:, fixed]
     return replace(mesh, doflocs=moved)
 
 
@@ -90,12 +90,12 @@ def harmonic_motions(problem: ProblemData) -> Array:
     """
     mesh, n = problem.mesh, problem.mesh.p.shape[1]
     on = [nodes_of(mesh, shape.boundary) for shape in problem.shapes]
-    found = motions(problem.shapes, np.asarray(mesh.p), on)
+    displacements = motions(problem.shapes, np.asarray(mesh.p), on)
     on_line, tangent = sliding_directions(problem)
     stiffness = laplace.assemble(Basis(mesh, ElementTriP1()))
     stiffness = sp.block_diag([stiffness, stiffness], format="csr")
     held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
-    for moved, shape, given in zip(found, problem.shapes, on, strict=True):
+    for moved, shape, given in zip(displacements, problem.shapes, on, strict=True):
         directions = np.ones((2, n))
         directions[:, on_line] = tangent[:, on_line]
         directions[:, given] = 0.0
@@ -114,7 +114,7 @@ def harmonic_motions(problem: ProblemData) -> Array:
             for node in nodes_of(mesh, name)[np.any(moved[:, nodes_of(mesh, name)] != 0, axis=0)][:1]:
                 said = f"the shape {shape.name!r} would move node {node}, where a displacement is given"
                 raise ValueError(f"{said} on {name!r} as a function of position")
-    return found
+    return displacements
 
 
 def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:
@@ -141,11 +141,11 @@ def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> 
         outer = np.isin(facets, mesh.boundary_facets())
         parts, label = [every[~outer], every[outer]], np.zeros_like(label)
     for part in parts:
-        owner, one, two = _pairs(ends[:, part])
-        one, two = part[one], part[two]
-        turn = direction[0, one] * direction[1, two] - direction[1, one] * direction[0, two]
-        slides = (np.abs(turn) < STRAIGHT) & (label[one] == label[two])
-        chosen = direction[:, one[slides]]
+        owner, first, second = _pairs(ends[:, part])
+        first, second = part[first], part[second]
+        turn = direction[0, first] * direction[1, second] - direction[1, first] * direction[0, second]
+        slides = (np.abs(turn) < STRAIGHT) & (label[first] == label[second])
+        chosen = direction[:, first[slides]]
         # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
         tangent[:, owner] = 0.0
         tangent[:, owner[slides]] = np.where(np.abs(chosen) < STRAIGHT, 0.0, chosen)
@@ -164,12 +164,12 @@ def on_curve(problem: ProblemData) -> Index:
         return result
     label = _labels(mesh)
     facets = np.flatnonzero(label > 0)
-    owner, one, two = _pairs(mesh.facets[:, facets])
-    one, two = facets[one], facets[two]
+    owner, first, second = _pairs(mesh.facets[:, facets])
+    first, second = facets[first], facets[second]
     for number, name in enumerate(curves):
         part = _members(mesh.boundaries, name, label.size)
-        here = owner[(label[one] == label[two]) & part[one] & part[two]]
-        result[here] = np.where(result[here] < 0, number, result[here])
+        nodes = owner[(label[first] == label[second]) & part[first] & part[second]]
+        result[nodes] = np.where(result[nodes] < 0, number, result[nodes])
     return result
 
 

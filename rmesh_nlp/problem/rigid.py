@@ -26,15 +26,15 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     held, _ = problem.held()
     edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=2 * (p.shape[1],))
     _, part = connected_components(edges, directed=False)
-    found = []
+    motions = []
     for number in np.unique(part[mesh.t[0]]):
         modes = _modes(p, np.flatnonzero(part == number), problem.components)
         rows = modes[:, held]
         # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
         triangle = np.linalg.qr(rows.T, mode="r")
         basis = scipy.linalg.null_space(triangle, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
-        found += list(np.einsum("mk,mcn->kcn", basis, modes))
-    return np.array(found).reshape(-1, *held.shape)
+        motions += list(np.einsum("mk,mcn->kcn", basis, modes))
+    return np.array(motions).reshape(-1, *held.shape)
 
 
 def _modes(p: Array, part: NDArray, components: int) -> Array:
