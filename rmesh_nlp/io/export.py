@@ -55,9 +55,9 @@ def gaps(space: DisplacementSpace, nodes: Array, displacement: Array) -> Array:
     """
     result = np.full(space.n_nodes, np.nan)
     for part in space.contact_sets:
-        here = nodes[:, part.nodes]
-        along = np.sum(part.obstacle.normals(here) * displacement[:, part.nodes], axis=0)
-        result[part.nodes] = np.fmin(result[part.nodes], along + part.obstacle.distances(here))
+        points = nodes[:, part.nodes]
+        along = np.sum(part.obstacle.normals(points) * displacement[:, part.nodes], axis=0)
+        result[part.nodes] = np.fmin(result[part.nodes], along + part.obstacle.distances(points))
     return result
 
 

@@ -97,9 +97,9 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     if multipliers is not None:
         multipliers = replace(multipliers, limit=multipliers.limit[vertices])
     mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
-    found = KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
+    solution = KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
     steps = single_result(folder, record).steps()
-    return replace(found, designed=designed, objective=str(record.get("objective")), history=steps)
+    return replace(solution, designed=designed, objective=str(record.get("objective")), history=steps)
 
 
 def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> ContactProblem | None:
@@ -114,10 +114,11 @@ def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> C
     vertices, triangles = fields.initial[:, : mesh.p.shape[1]], fields.triangles[:3]  # which files have first
     if mesh.t.shape != triangles.shape:
         return None
-    one, two = np.sort(mesh.t, axis=0), np.sort(triangles, axis=0)
-    order, place = np.lexsort(one), np.empty(one.shape[1], dtype=np.int64)  # files group elements by name
-    place[order] = np.lexsort(two)
-    if not np.array_equal(one, two[:, place]):
+    mesh_corners, field_corners = np.sort(mesh.t, axis=0), np.sort(triangles, axis=0)
+    # files group elements by name
+    order, place = np.lexsort(mesh_corners), np.empty(mesh_corners.shape[1], dtype=np.int64)
+    place[order] = np.lexsort(field_corners)
+    if not np.array_equal(mesh_corners, field_corners[:, place]):
         return None
     edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
     zones = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}

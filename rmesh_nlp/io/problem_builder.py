@@ -185,10 +185,10 @@ class _Builder:
         """The first that takes the entries of a table, called with them."""
         entries = {name: value for name, value in table.entries().items() if name not in ("shape", "law")}
         taken = [arguments(make) for make in makes]
-        known = list(dict.fromkeys(name for names in taken for name in names))
+        keys = list(dict.fromkeys(name for names in taken for name in names))
         for name in entries:
-            if name not in known:
-                raise self.source.error((*place, name), f"{what} takes {', '.join(known)}")
+            if name not in keys:
+                raise self.source.error((*place, name), f"{what} takes {', '.join(keys)}")
         needed = [
             [name for name, argument in names.items() if argument.default is Parameter.empty]
             for names in taken

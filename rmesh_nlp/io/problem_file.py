@@ -80,7 +80,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 def _depth(data: Any) -> int:
     """How deep tables and lists are nested; no function calls itself, however deep that is."""
     depth, level = 0, [data]
-    while level := [one for one in level if isinstance(one, (dict, list))]:
+    while level := [item for item in level if isinstance(item, (dict, list))]:
         depth += 1
-        level = [v for one in level for v in (one.values() if isinstance(one, dict) else one)]
+        level = [v for item in level for v in (item.values() if isinstance(item, dict) else item)]
     return depth

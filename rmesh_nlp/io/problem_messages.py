@@ -117,8 +117,8 @@ def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> s
         names = [part for part in place[:-1] if isinstance(part, str)]
         own, any_name = ".".join(names), ".".join([*names[:-1], "*"])
         table = own if own in tables else any_name if any_name in tables else None
-        known = [] if table is None else list(tables[table].model_fields)
-        message = f"unknown key{_home(place[-1], table, tables) or nearest(place[-1], known)}"
+        keys = [] if table is None else list(tables[table].model_fields)
+        message = f"unknown key{_home(place[-1], table, tables) or nearest(place[-1], keys)}"
     elif item["type"] == "missing":
         message = "expected, but it is missing"
     elif item["type"] == "literal_error":
@@ -156,12 +156,12 @@ def _home(name: str, table: str | None, tables: Mapping[str, type[BaseModel]]) -
     return " here: it belongs at the top of the file" if homes else ""
 
 
-def nearest(name: str, known: list[str]) -> str:
+def nearest(name: str, choices: list[str]) -> str:
     """The end of a message about an unknown name."""
-    if not known:
+    if not choices:
         return ""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.4)
-    return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(known)}"
+    close = difflib.get_close_matches(name, choices, n=1, cutoff=0.4)
+    return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(choices)}"
 
 
 def unquoted(raw: bytes, error: str) -> str:
@@ -189,11 +189,11 @@ def _in_quotes(value: str) -> str:
 
 def deepest_line(raw: bytes) -> int:
     """Number of the line of a TOML file at which most brackets are open, or with most parts in its key."""
-    deepest, found, opened = 0, 1, 0
+    deepest, deepest_number, opened = 0, 1, 0
     for number, line in enumerate(raw.decode(errors="replace").splitlines(), 1):
         bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
-        here = opened + bare.count("[") + bare.count("{") + bare.partition("=")[0].count(".")
+        depth = opened + bare.count("[") + bare.count("{") + bare.partition("=")[0].count(".")
         opened += sum(bare.count(sign) for sign in "[{") - sum(bare.count(sign) for sign in "]}")
-        if here > deepest:
-            deepest, found = here, number
-    return found
+        if depth > deepest:
+            deepest, deepest_number = depth, number
+    return deepest_number

@@ -89,8 +89,8 @@ class Table(BaseModel):
 
     def entries(self, *names: str) -> dict[str, Any]:
         """The keys that the file has, with their values: all, or those among some names."""
-        known = [name for name in type(self).model_fields if name in self.model_fields_set]
-        return {name: getattr(self, name) for name in known if not names or name in names}
+        keys = [name for name in type(self).model_fields if name in self.model_fields_set]
+        return {name: getattr(self, name) for name in keys if not names or name in names}
 
 
 T = TypeVar("T", bound=Table)
@@ -98,10 +98,10 @@ T = TypeVar("T", bound=Table)
 
 def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
     """The arguments that a file can give: those whose type has a kind of value, in the place of the type."""
-    types, found = get_type_hints(make), signature(make).parameters
+    types, parameters = get_type_hints(make), signature(make).parameters
     return {
         name: argument.replace(annotation=KINDS[types[name]])
-        for name, argument in found.items()
+        for name, argument in parameters.items()
         if types[name] in KINDS
     }
 

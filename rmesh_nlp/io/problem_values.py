@@ -42,11 +42,11 @@ def expected(text: str) -> WrapValidator:
 
 def among(names: Iterable[str]) -> BeforeValidator:
     """One of some names, or an error with all of them."""
-    known = list(names)
+    choices = list(names)
 
     def check(value: Any) -> Any:
-        if value not in known:
-            *first, last = map(repr, known)
+        if value not in choices:
+            *first, last = map(repr, choices)
             raise ValueError(f"expected {', '.join(first)} or {last}")
         return value
 

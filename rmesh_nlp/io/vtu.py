@@ -89,13 +89,13 @@ def fields_of(solution: Solution) -> Fields:
     nodes = points_of(space, np.asarray(solution.mesh.p))
     contact, bound, foundation = np.zeros(space.n_nodes, dtype=bool), np.zeros(space.n_nodes), nodes.copy()
     for part in space.contact_sets:
-        here = nodes[:, part.nodes]
+        points = nodes[:, part.nodes]
         contact[part.nodes] = True
         pressing = np.maximum(solution.pressure[part.nodes], 0.0)
-        bound[part.nodes] = on_points(part.obstacle.friction, here)
-        bound[part.nodes] += on_points(part.obstacle.coulomb, here) * pressing
+        bound[part.nodes] = on_points(part.obstacle.friction, points)
+        bound[part.nodes] += on_points(part.obstacle.coulomb, points) * pressing
         if solution.problem.components == 2:
-            foundation[:, part.nodes] = part.obstacle.feet(here)
+            foundation[:, part.nodes] = part.obstacle.feet(points)
     return Fields(
         nodes=nodes,
         initial=points_of(space, solution.initial_nodes),
