@@ -238,15 +238,15 @@ def parse_seeds(given: str | list[str]) -> int | list[int]:
 def parse_weights(text: str) -> tuple[float, ...]:
     """``0.01`` or a schedule ``1,0.1,0.01``."""
     try:
-        found = tuple(float(part) for part in text.split(","))
+        weights = tuple(float(part) for part in text.split(","))
     except ValueError:
-        found = (math.nan,)
-    if not all(math.isfinite(w) and w >= 0 for w in found) or 0 in found[:-1]:
+        weights = (math.nan,)
+    if not all(math.isfinite(w) and w >= 0 for w in weights) or 0 in weights[:-1]:
         raise BadInputError(
             "--regularisation must be positive numbers such as 1,0.1,0.01, of which the last may be 0, "
             f"got {text!r}"
         )
-    return found
+    return weights
 
 
 def parse_names(text: str) -> tuple[str, ...]:

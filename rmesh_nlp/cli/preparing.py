@@ -79,11 +79,11 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     rows += [("unknowns of the displacement", str(parts.n_u))]
     with located(path):
         parts.check_unknowns()
-        found = [warning.message for warning in setup_warnings(problem.at_design())]
-    doubts = f"{len(found)} doubt{'s' * (len(found) > 1)}"
-    said = f"states a problem, with {doubts}" if found else "is in order"
+        messages = [warning.message for warning in setup_warnings(problem.at_design())]
+    doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
+    said = f"states a problem, with {doubts}" if messages else "is in order"
     Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))
-    for message in found:
+    for message in messages:
         print(f"warning: {message}")
     target = path.with_suffix(".png") if picture is None else picture
     try:
@@ -98,11 +98,11 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> int:
     """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
     problem = _first_design(path, load_problem(path, order, says=not json), says=not json)
     with located(path):
-        found = advice(problem)
+        estimates = advice(problem)
     if json:
-        print(to_json(found.record()))
+        print(to_json(estimates.record()))
     else:
-        Console().print(rich_table(f"{path}: which mesh?", found.rows()))
+        Console().print(rich_table(f"{path}: which mesh?", estimates.rows()))
     return SUCCESS
 
 
@@ -147,12 +147,12 @@ def _check_format(mesh: MeshTri, out: Path) -> None:
         trial = Path(folder) / out.name
         try:
             write_mesh(mesh, trial)
-            found = read_mesh(trial)
+            written = read_mesh(trial)
         except Exception as error:  # meshio's writers raise anything
             reason = one_line(error).replace(str(trial), out.name)
             said = f"--out {out}: cannot be written as {out.suffix or 'a mesh'}, take .msh"
             raise BadInputError(f"{said}: {reason}") from error
-    for had, has in ((mesh.boundaries, found.boundaries), (mesh.subdomains, found.subdomains)):
+    for had, has in ((mesh.boundaries, written.boundaries), (mesh.subdomains, written.subdomains)):
         names = {name for name in had or {} if not name.startswith("gmsh:")}
         if lost := names - set(has or {}):
             raise BadInputError(f"--out {out}: {out.suffix} loses names such as {min(lost)!r}, take .msh")
@@ -179,7 +179,7 @@ def solve_options(
     plan = read_table(path).solve
     name = formulation or plan.formulation
     try:
-        known = options(name)
+        accepted = options(name)
     except BadInputError as error:
         raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
     if "objective" not in given:
@@ -189,11 +189,11 @@ def solve_options(
     # the defaults need not be known to every formulation, what was asked for must be
     asked = {**plan.options(), **given}
     for option in asked:
-        if option not in known and option not in NEEDLESS:
+        if option not in accepted and option not in NEEDLESS:
             said = f"{path}: the formulation {name!r} takes no {option}"
-            raise BadInputError(said + nearest(option, sorted(known)))
-    taken = {key: value for key, value in asked.items() if key in known}
+            raise BadInputError(said + nearest(option, sorted(accepted)))
+    taken = {key: value for key, value in asked.items() if key in accepted}
     with located(f"{path}: solve"):
-        checked(name, {key: value for key, value in plan.options().items() if key in known})
+        checked(name, {key: value for key, value in plan.options().items() if key in accepted})
     with located(path):
         return name, dict(checked(name, taken))

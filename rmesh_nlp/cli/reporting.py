@@ -103,7 +103,7 @@ def reproduce(out: Path, quick: bool, quiet: bool) -> int:
         statements = derive(quick=quick, say=say)
         paths = write_reproduction(out, statements, quick)
     if not quiet:
-        for one in statements:
-            print(f"{one.example}, {one.what}: printed {one.printed}, here {one.ours} {one.outcome}".rstrip())
+        for row in statements:
+            print(f"{row.example}, {row.what}: printed {row.printed}, here {row.ours} {row.outcome}".rstrip())
         print("wrote", ", ".join(map(str, paths)))
     return SUCCESS

@@ -43,10 +43,10 @@ def solve(
     ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`. What is printed is "text",
     "json" (the record) or "quiet".
     """
-    (one,) = comparison.plan_comparison([example], [formulation], **given)
-    folder = Path("results") / one.key if out is None else out
+    (plan,) = comparison.plan_comparison([example], [formulation], **given)
+    folder = Path("results") / plan.key if out is None else out
     with writable(folder, SINGLE) as results, SolvesProgress(1, quiet=voice != "text") as progress:
-        done = _performed(one, progress)
+        done = _performed(plan, progress)
         if done.row["status"] == "refused":
             raise BadInputError(done.row["message"])
         results.manifest.claim(*SINGLE)
@@ -79,14 +79,14 @@ def solve_file(
     stated = read_table(path)
     problem = load_problem(path, order, says=voice == "text")
     name, options = solve_options(path, formulation, options)
-    one = planned(problem, name, options, certify=certify or stated.solve.certify)
+    plan = planned(problem, name, options, certify=certify or stated.solve.certify)
     series = Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
     folder = Path("results") / safe_name(problem.name) if out is None else out
     with writable(folder, FILES) as results:
         with SolvesProgress(1, quiet=voice != "text") as progress:
             # then the iterates are on different meshes
             several = options.keys() & {"starts", "remesh"}
-            done = _performed(one, progress, None if several else series)
+            done = _performed(plan, progress, None if several else series)
         if done.row["status"] == "refused":
             raise BadInputError(f"{path}: {done.row['message']}")
         with deferred() as interrupted:
@@ -105,7 +105,7 @@ def solve_file(
         print(to_json(done.row))
     elif voice == "text":
         if done.solution is None:
-            print(f"{one.name} {one.formulation}: {done.row['status']}: {done.row['message']}")
+            print(f"{plan.name} {plan.formulation}: {done.row['status']}: {done.row['message']}")
         else:
             Console().print(done.solution)
             for warning in done.row.get("warnings") or []:
@@ -115,7 +115,7 @@ def solve_file(
     return _exit_code(done.row, folder)
 
 
-def _performed(one: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:
+def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:
     """A solve with its progress shown, and its iterates noted."""
 
     def watch(step: Step) -> None:
@@ -123,9 +123,9 @@ def _performed(one: PlannedSolve, progress: SolvesProgress, series: Series | Non
         if series is not None:
             series(step)
 
-    progress.start(one)
+    progress.start(plan)
     try:
-        return perform(one, watch)
+        return perform(plan, watch)
     except KeyboardInterrupt:
         raise InterruptedSolveError("nothing was written") from None
 
@@ -146,9 +146,12 @@ def _write(results: Results, done: Done, series: Series, path: Path, stated: Pro
 
 def _say_certificate(done: Done) -> None:
     """Print what a certificate says of the error, or why there is none."""
-    found = None if done.solution is None else done.solution.certificate
-    if found is not None:
-        print(f"{found.sentence}; least energy between {found.lower:.7g} and {found.upper:.7g}")
+    certificate = None if done.solution is None else done.solution.certificate
+    if certificate is not None:
+        print(
+            f"{certificate.sentence}; least energy between "
+            f"{certificate.lower:.7g} and {certificate.upper:.7g}"
+        )
     if remark := done.row.get("certificate_remark"):
         print(f"note: {remark}")
 
