@@ -88,7 +88,9 @@ def plan_comparison(
             said = f"--{option}" if options[option] is True else f"--{option} {options[option]}"
             raise BadInputError(f"{said}: not an option of {', '.join(formulations)}")
     several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
-    commons = [{**options, **dict(zip(several, one, strict=True))} for one in product(*several.values())]
+    commons = [
+        {**options, **dict(zip(several, values, strict=True))} for values in product(*several.values())
+    ]
     solves = []
     for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
         taken = checked(name, {**taken_of(name, {**default, **common}), **own_options})
@@ -104,11 +106,11 @@ def plan_comparison(
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
     """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``."""
     name, *parts = text.split(":")
-    found, known = from_texts(parts, f"{text!r}: an option "), options_of(name)
-    for key in found:
-        if key not in known:
+    given, accepted = from_texts(parts, f"{text!r}: an option "), options_of(name)
+    for key in given:
+        if key not in accepted:
             raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
-    return name, dict(checked(name, found))
+    return name, dict(checked(name, given))
 
 
 def _listed(value: Any) -> list[Any]:
@@ -118,14 +120,14 @@ def _listed(value: Any) -> list[Any]:
 
 def _file_problems(names: Sequence[str], order: int | None) -> list[tuple[ContactProblem, str]]:
     """The problems of those names that are files, and the objectives of their ``[solve]``."""
-    found = [
+    problems = [
         (load_problem(Path(name), order), objective_of_file(Path(name)))
         for name in names
         if name.endswith(SUFFIX)
     ]
-    if name := _twice([problem.name for problem, _ in found]):
+    if name := _twice([problem.name for problem, _ in problems]):
         raise BadInputError(f"two problem files are both called {name!r}: give them a name of their own")
-    return found
+    return problems
 
 
 def _twice(names: Sequence[str]) -> str:

@@ -162,10 +162,10 @@ def _client(distributed: Any, jobs: int, scheduler: str | None) -> Iterator[Any]
         yield client
     finally:
         try:
-            for one in (client, cluster):
-                if one is not None:
+            for resource in (client, cluster):
+                if resource is not None:
                     with suppress(*NO_CLUSTER):  # it did not end in time
-                        one.close(timeout=10)
+                        resource.close(timeout=10)
         finally:  # also after a second Ctrl-C nobody waits again: what is left ends with this process
             if cluster is not None:
                 cluster.shutdown_on_close = False

@@ -100,7 +100,7 @@ class PlannedSolve:
 
     def plain(self) -> dict[str, Any]:
         """What travels, by the names of the attributes."""
-        kept = (one.name for one in fields(self) if one.name not in ("built", "made"))
+        kept = (attribute.name for attribute in fields(self) if attribute.name not in ("built", "made"))
         return {name: getattr(self, name) for name in kept}
 
 
@@ -156,8 +156,8 @@ def build_example(example: str, quadrature: str | int | None = None, **given: An
 
 def taken_of(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Those of some options that a formulation takes."""
-    known = options(formulation)
-    return {name: value for name, value in given.items() if name in known}
+    accepted = options(formulation)
+    return {name: value for name, value in given.items() if name in accepted}
 
 
 def objective_of_file(path: Path) -> str:
@@ -210,11 +210,11 @@ def _variants(
     for variant, table in study.formulations.items():
         where, formulation = f"{path}: formulations.{variant}", table.formulation or variant
         try:
-            known = options(formulation)
+            accepted = options(formulation)
         except BadInputError as error:
             raise BadInputError(f"{where}: {error}") from error
         for name, value in table.keywords.items():
-            if name not in known:
+            if name not in accepted:
                 raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")
             try:
                 json.dumps(value)
@@ -269,14 +269,14 @@ def _order(order: int) -> dict[str, int]:
 
 def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:
     """Seconds that the solves take one after the other, roughly: as in these rows, else by ``RULE_S``."""
-    known: dict[tuple[str, str, int], list[float]] = {}
+    measured: dict[tuple[str, str, int], list[float]] = {}
     for row in rows:
         if row.get("task_time_s") is not None:
             which = str(row.get("variant")), str(row.get("family")), row.get("order") or 1
-            known.setdefault(which, []).append(row["task_time_s"])
+            measured.setdefault(which, []).append(row["task_time_s"])
     total = 0.0
     for solve in solves:
-        times = known.get((solve.variant, solve.family, solve.order))
+        times = measured.get((solve.variant, solve.family, solve.order))
         numbers = [int(number) for number in re.findall(r"\d+", solve.size)]
         triangles = 2 * numbers[0] * numbers[-1] if numbers else 30
         triangles *= solve.order**2  # as many unknowns as linear displacements on a refined mesh

@@ -164,8 +164,8 @@ class Pace:
 
 def _residual(step: Step) -> float:
     """The larger of the two residuals of a step, as the solver scales them; NaN where none is known."""
-    known = (r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r))
-    return max(known, default=math.nan)
+    residuals = (r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r))
+    return max(residuals, default=math.nan)
 
 
 def _words(seconds: float) -> str:

@@ -86,7 +86,7 @@ def _given(example: str) -> list[Statement]:
         ("least initial displacement", paper.u_min_initial, float(u.min())),
         ("largest initial displacement", paper.u_max_initial, float(u.max())),
     ]
-    found = []
+    statements = []
     for what, printed, ours in figures:
         if printed is None:
             continue
@@ -95,8 +95,8 @@ def _given(example: str) -> list[Statement]:
         met = truncated(ours) == truncated(printed) if what == "initial energy" else near
         how = f"contact solve on the given mesh, {solution.status.value}"
         outcome = MET if met else NOT_MET
-        found.append(Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", outcome, how))
-    return found
+        statements.append(Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", outcome, how))
+    return statements
 
 
 def _descents(example: str, factor: float, starts: int, say: Say, *, nested: bool) -> dict[str, float]:

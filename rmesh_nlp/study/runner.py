@@ -123,12 +123,12 @@ def joined(rows: Sequence[Record]) -> Record:
     first = rows[0]
     if len(rows) == 1:
         return first
-    found: Record = {**first, "repeats": len(rows)}
+    record: Record = {**first, "repeats": len(rows)}
     for name in TIMES:
         seconds = [row[name] for row in rows if row.get(name) is not None]
         if seconds:
-            found[name] = median(seconds)
-            found[name.replace("_time_s", "_time_range_s")] = [min(seconds), max(seconds)]
+            record[name] = median(seconds)
+            record[name.replace("_time_s", "_time_range_s")] = [min(seconds), max(seconds)]
     if first.get("build_time_s") is not None and first.get("solve_time_s") is not None:
-        found["first_cost_s"] = first["build_time_s"] + first["solve_time_s"]
-    return found
+        record["first_cost_s"] = first["build_time_s"] + first["solve_time_s"]
+    return record
