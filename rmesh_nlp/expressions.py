@@ -107,8 +107,8 @@ def value_of(text: str, names: Mapping[str, Any]) -> Any:
         return _walk(_parsed(text), {**names, "pi": ca.SX(np.pi)})
     except (SyntaxError, RecursionError, MemoryError) as error:
         *first, last = names
-        known = f"{', '.join(first)} and {last}" if first else last
-        raise ValueError(f"{text[:60]!r} is not an expression of {known}") from error
+        symbols = f"{', '.join(first)} and {last}" if first else last
+        raise ValueError(f"{text[:60]!r} is not an expression of {symbols}") from error
 
 
 def _parsed(text: str) -> ast.expr:
@@ -162,6 +162,6 @@ def _call(node: ast.Call, name: str, names: dict[str, Any]) -> Any:
     return function(*(_walk(argument, names) for argument in node.args))
 
 
-def _nearest(name: str, known: tuple[str, ...]) -> str:
-    close = difflib.get_close_matches(name, known, n=1)
-    return f", did you mean {close[0]!r}?" if close else f": choose from {', '.join(known)}"
+def _nearest(name: str, choices: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(name, choices, n=1)
+    return f", did you mean {close[0]!r}?" if close else f": choose from {', '.join(choices)}"
