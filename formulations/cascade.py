@@ -172,7 +172,6 @@ class Descent(Formulation):
         descent = descend(
             energy,
             q,
-            approximate=True,
             gain_tolerance=self.end,
             reference=energy(q).value + gain,
             max_iterations=self.iterations,

@@ -202,12 +202,6 @@ RULES = (
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
     Rule(
-        "cascade: derivatives by rule 3 on the way",
-        ("auto",),
-        FREE,
-        {"rmesh_nlp.models.regularised_descent:MODEL_RULE": 20},
-    ),
-    Rule(
         "cascade: factorised second derivatives near the end",
         ("auto",),
         FREE,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -104,16 +103,6 @@ class ContactSolver:
         self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
         self._check()
-
-    def with_rule(self, rule: str | int) -> ContactSolver:
-        """The same with loads by another quadrature rule; all that does not depend on it is shared."""
-        other = copy(self)
-        other.discretisation = self.discretisation.with_rule(rule)
-        other.problem = other.discretisation.problem
-        other._loads = _AtZero(other.discretisation, other.discretisation.loads, self.displacement, self.n_u)
-        vars(other).pop("given", None)
-        other._check()
-        return other
 
     def _check(self) -> None:
         """Whether the load presses a body on that contact alone holds."""

@@ -190,13 +190,6 @@ class Discretisation:
             ),
         )
 
-    def with_rule(self, rule: str | int) -> Discretisation:
-        """The same with loads by another rule; what was made and does not depend on it is shared."""
-        other = Discretisation(self.problem.with_rule(rule), self.assembly, self.space)
-        given = ("problem", "loads", "space", "displacement_space")
-        vars(other).update({name: made for name, made in vars(self).items() if name not in given})
-        return other
-
     @cached_property
     def _displacement(self) -> tuple[Field, int]:
         return displacement_field(self.space)

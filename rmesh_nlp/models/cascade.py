@@ -379,7 +379,6 @@ class _Descents:
             # relative to all there is to gain, so that a good start ends soon
             reference=energy(q).value + self.error,
             max_iterations=limit,
-            approximate=True,
             on_step=report,
         )
         self._seconds += processor_seconds() - began

@@ -177,14 +177,6 @@ class Relocation:
         return self.mesh_map.positions.values(q)
 
 
-def with_lower_rule(own: Relocation, rule: int) -> Relocation:
-    """The same with loads by a rule of degree ``rule``; as it is if its own rule is no higher."""
-    degree = own.problem.rule
-    if not isinstance(degree, int) or degree <= rule:
-        return own
-    return relocation(own.discretisation.with_rule(rule), own.objective)
-
-
 def relocation(problem: ContactProblem | Discretisation, objective: Objective = ENERGY) -> Relocation:
     """Build the energy NLP of a problem, with assembled derivatives.
 
@@ -230,16 +222,11 @@ class Blocks:
 
 
 class SecondDerivatives:
-    """Evaluates the blocks; where they are in the whole is found once.
+    """Evaluates the blocks; where they are in the whole is found once."""
 
-    ``rule`` is the degree of the quadrature rule of the loads in the Hessian, if that of the problem is
-    higher.
-    """
-
-    def __init__(self, relocation: Relocation, rule: int | None = None) -> None:
+    def __init__(self, relocation: Relocation) -> None:
         self._relocation = rel = relocation
-        self._modelled = rel if rule is None else with_lower_rule(rel, rule)
-        self._hessian = self._modelled.lagrangian.hessian(rel.n_q)
+        self._hessian = rel.lagrangian.hessian(rel.n_q)
         self._jacobian = rel.contact_rows.jacobian
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
         upper = self._hessian.pattern

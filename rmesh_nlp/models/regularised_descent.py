@@ -24,12 +24,6 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
 
-MODEL_RULE = 3
-"""Degree of the quadrature rule of the loads in the second derivatives of approximate models.
-
-Values and gradients have the rule of the problem. With 4 points in place of 12 a model of Example 6.1 costs
-half, and descents go as far."""
-
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
 
@@ -53,20 +47,18 @@ def descend(
     gain_tolerance: float,
     reference: float | None = None,
     max_iterations: int = 100,
-    approximate: bool = False,
     on_step: OnPoint | None = None,
     forcing: float = LOCAL.forcing,
     preconditioner: Callable[[Hessian, Array], Preconditioner | None] | None = None,
 ) -> NewtonResult:
     """Descend from outer variables ``q``; see :func:`rmesh_nlp.optimize.trust_region.minimise`.
 
-    The objective must have a distortion, which keeps the elements valid. ``approximate`` second derivatives,
-    with loads by a lower rule, serve descents that are not followed to a stationary point.
+    The objective must have a distortion, which keeps the elements valid.
     """
     relocation, free = energy.relocation, energy.relocation.mesh_map
     if not relocation.objective.has_barrier:
         raise ValueError("without a distortion in the objective elements would be inverted")
-    curvature = Curvature(energy, MODEL_RULE if approximate else None)
+    curvature = Curvature(energy)
 
     def evaluate(x: Array) -> Evaluation | None:
         point = energy(x) if is_upright(relocation.problem, relocation.nodes(x)) else None

@@ -50,10 +50,10 @@ def _scaling(diagonal: Array) -> Array:
 
 
 class Curvature:
-    """Evaluates L'' at contact solutions of one problem; for ``rule`` see :class:`SecondDerivatives`."""
+    """Evaluates L'' at contact solutions of one problem."""
 
-    def __init__(self, energy: ReducedEnergy, rule: int | None = None) -> None:
-        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation, rule)
+    def __init__(self, energy: ReducedEnergy) -> None:
+        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""

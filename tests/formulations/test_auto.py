@@ -80,7 +80,8 @@ def test_a_stationary_point_is_looked_for_where_that_is_asked_for_only() -> None
     assert brief.status in (Status.NOT_STATIONARY, Status.ITERATION_LIMIT)
     assert asked.status is Status.CONVERGED
     assert asked.contact_solves > brief.contact_solves
-    assert asked.energy_audited <= brief.energy_audited
+    # what is minimised is the energy with a distortion; the energy alone may be higher at its minimiser
+    assert asked.record()["objective_value"] <= brief.record()["objective_value"]
 
 
 SIDES = ("left", "bottom", "top", "contact")

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation, with_lower_rule
+from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.problems import no_move_limits, sloped_block
@@ -71,17 +70,6 @@ def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles(
     assert [rel.n_valid for rel in found] == [n, 0, 4 * n]
     with pytest.raises(ValueError, match="error-l2"):  # no term in the positions alone
         relocation(problem, parse_objective("error-l2 + 0.1*quality"))
-
-
-def test_a_lower_rule_is_that_of_the_loads_alone() -> None:
-    rel = relocation(replace(EXAMPLES["6.1"](3), quadrature=6))
-    lower = with_lower_rule(rel, 3)
-    assert (lower.problem.rule, with_lower_rule(rel, 6)) == (3, rel)
-    energies = [
-        ContactSolver(one.problem).solve(one.problem.mesh.p).energy
-        for one in (lower, relocation(lower.problem))
-    ]
-    assert energies[0] == energies[1]
 
 
 @pytest.mark.parametrize("make", [large_limits, with_angles])

@@ -217,8 +217,3 @@ def test_all_models_of_a_mesh_share_the_contact_solution_as_given_and_its_assess
     found = first.assessor.solve(moved, first.given.active)
     assert first.assessor.solve(moved.copy(), first.given.active) is found
     assert first.assessor.solve(first.nodes(-0.1 * np.ones(first.n)), first.given.active) is not found
-
-
-def test_another_rule_has_a_contact_solution_of_its_own() -> None:
-    contact = Outer.of(replace(EXAMPLES["6.1"](n=3), quadrature="midpoint")).contact
-    assert contact.with_rule(8).given.energy != contact.given.energy
