@@ -90,7 +90,7 @@ class Auto(Chooser):
             return held, why
         chosen = self._weighted()
         if is_started:
-            inner = Schedule(Nested(), chosen.final(problem.order), chosen.distortion)
+            inner = Schedule(Nested(), chosen.regularisation, chosen.distortion)
             why = "nested, newton: relocation from the start that was given"
             return inner, why
         if n == 0:

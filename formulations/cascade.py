@@ -57,7 +57,7 @@ class Cascade(CascadeSettings, Formulation):
             return Maps(self)
         # a mesh that was made for the solution: coarser ones know less of it
         order = outer.problem.order
-        return Schedule(Descent(iterations=self.near(order)), (self.final(order),), self.distortion)
+        return Schedule(Descent(iterations=self.near(order)), (self.regularisation,), self.distortion)
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Maps(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         chosen, levels = self.settings, _Levels(outer, monitor)
-        weight, distortion = chosen.final(outer.problem.order), chosen.distortion
+        weight, distortion = chosen.regularisation, chosen.distortion
         minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
         figures = partial(CascadeFigures, "newton", weight, distortion, minimised)
         monitor.work += Work(ESTIMATE_SOLVES)

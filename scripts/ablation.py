@@ -165,28 +165,10 @@ RULES = (
         },
     ),
     Rule(
-        "nested: ends where little is left, 1e-4",
-        ("nested",),
-        LIMITED,
-        {"rmesh_nlp.models.outer_solvers:TIGHT": 0.0},
-    ),
-    Rule(
         "Newton: last round worthwhile",
         ("nested", "auto"),
         (*LIMITED, *FREE),
         {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
-    ),
-    Rule(
-        "Newton: overshoot of two widths",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
-        {"rmesh_nlp.optimize.newton_step:OVERSHOOT": 1.0},
-    ),
-    Rule(
-        "Newton: Cauchy steps fall by 0.25",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
-        {"rmesh_nlp.optimize.newton_step:SHORTEN_CAUCHY": 0.5},
     ),
     Rule(
         "Newton: a first radius of half the gradient step",
@@ -194,7 +176,6 @@ RULES = (
         LIMITED,
         settings={"newton": {"first_radius": 1.0}},
     ),
-    Rule("Newton: hidden decreases", ("auto",), FREE, {"rmesh_nlp.optimize.trust_region:HIDDEN": 1.0}),
     Rule(
         "Newton: all products at once up to 200 variables",
         ("nested", "auto"),
@@ -224,12 +205,6 @@ RULES = (
         ("auto",),
         FREE,
         {"rmesh_nlp.models.cascade:ENOUGH": {1: 1.0, 2: 1.0}},
-    ),
-    Rule(
-        "cascade: final weight by order",
-        ("auto",),
-        FREE,
-        {"rmesh_nlp.models.cascade:FINAL": {1: 3e-3, 2: 3e-3}},
     ),
     Rule("cascade: parts of a prolonged map", ("auto",), FREE, {"rmesh_nlp.models.levels:HALVINGS": 1}),
     Rule(

@@ -47,10 +47,6 @@ CHEAP = 150.0
 """How many times the nodes of the coarsest mesh the finest one must have for more than one schedule. Below it
 the others would cost a tenth of the solve and more, for 1 % less error in the median."""
 
-FINAL = {1: 0.003, 2: 0.0003}
-"""Final weights by the order of displacements: at order 2 relocation leaves a far smaller part of the error
-(the second was chosen on Example 6.1, the L-shape with r^(2/3), Example 6.3 and the wedge)."""
-
 ENOUGH = {1: 1.0, 2: 0.3}
 """Part of ``brief_unnested`` that a mesh made for the solution is given at an order. At order 2, 6 iterations
 in place of 20 cost 2 % more error in the median of 14 problems and 12 % at most, for 0.72 of the time (chosen
@@ -70,9 +66,8 @@ class CascadeSettings(Settings):
 
     Attributes
     ----------
-    regularisation : float, optional
-        Final weight of the distortion, relative to the estimated error of the energy; by default that of
-        :data:`FINAL`.
+    regularisation : float
+        Final weight of the distortion, relative to the estimated error of the energy.
     distortion : str
         See :mod:`rmesh_nlp.fem.distortion`.
     schedules : tuple of tuples of float
@@ -96,7 +91,7 @@ class CascadeSettings(Settings):
         Contact solves of all meshes together after which ``auto`` does not go on to a stationary point.
     """
 
-    regularisation: Positive | None = None
+    regularisation: Positive = 3e-3
     distortion: str = "shape-size"
     schedules: Schedules = ((1.0, 0.1, 0.01), (1.0, 0.1), (0.1,), (0.1, 0.01))
     coarsest: Count = 60
@@ -118,11 +113,7 @@ class CascadeSettings(Settings):
         ):
             raise BadInputError(f"schedules must be lists of weights, got {self.schedules!r}")
         for schedule in self.schedules:
-            weights((*schedule, self.final(1)), "a schedule of the cascade")
-
-    def final(self, order: int) -> float:
-        """The final weight at an order of displacements."""
-        return FINAL[order] if self.regularisation is None else self.regularisation
+            weights((*schedule, self.regularisation), "a schedule of the cascade")
 
     def near(self, order: int) -> int:
         """Largest number of iterations on a mesh made for the solution, at an order of displacements."""
@@ -224,7 +215,7 @@ def cascade(
     budget = budget or Budget()
     problems = _hierarchy(problem, chosen.coarsest, budget)
     budget.check()
-    final_weight = chosen.final(problem.order)
+    final_weight = chosen.regularisation
     run = _Descents(chosen, final_weight, on_step, budget)
     sizes = [current.mesh.p.shape[1] for current in problems]
 

@@ -48,9 +48,6 @@ and the last step has left more than the second part of the residual."""
 NOTHING, NOTHING_LOCAL = 1e-16, 1e-20
 """Predicted decrease, relative to the value, below which no step follows; with local radii the second one."""
 
-HIDDEN = 0.05
-"""Part of the variables that may end a step at the edge of local radii without their hiding a decrease."""
-
 LEAST_RADIUS = 1e-6
 """Local radius, in widths, at which a descent gives up."""
 
@@ -213,7 +210,7 @@ def minimise(
             products += step.products
             gained, nothing = reference - current.value, predicted <= domain.nothing * size
             crowded = step.rows_active(y) > use.crowded
-            enough = predicted <= gain_tolerance * gained and not domain.hides(y, radius)
+            enough = predicted <= gain_tolerance * gained
             if not crowded and stationary and (enough or nothing):
                 return NewtonResult(x, current.value, Status.CONVERGED, iteration, products)
             creeps = isinstance(step, ConstrainedStep) and tolerance < residual > CREEPING * before
@@ -270,10 +267,6 @@ class _Box:
         """The minimiser of the model."""
         return BoxStep(self._model, self._g, max_products=self.settings.max_products)
 
-    def hides(self, y: Array, radius: float) -> bool:
-        """Whether the trust region may hide a decrease."""
-        return False
-
     def cut(self, y: Array, predicted: float) -> tuple[float, float]:
         """Part of a step that stays in the domain, and the decrease that the model predicts of it."""
         return 1.0, predicted
@@ -304,9 +297,6 @@ class _LocalBox(_Box):
     def step(self) -> BoxStep:
         model, slope = scaled(self._model, np.asarray(self._width)), self._width * self._g
         return BoxStep(model, slope, self._preconditioner, self.settings.max_products)
-
-    def hides(self, y: Array, radius: float) -> bool:
-        return y.size > 0 and float(np.mean(np.abs(y) >= 0.999 * radius)) > HIDDEN
 
     def cut(self, y: Array, predicted: float) -> tuple[float, float]:
         part = self._local.longest(self._x, self._width * y)

@@ -85,5 +85,5 @@ def test_descents_on_meshes_made_for_the_solution_are_shorter_at_order_2(order: 
     near = Outer.around(energy, 1e-6).near()
     found = Cascade()._descents(near)
     assert found.inner.iterations == most
-    assert found.weights == (Cascade().final(order),)
+    assert found.weights == (Cascade().regularisation,)
     assert CascadeSettings(brief_unnested=1).near(order) == 1
