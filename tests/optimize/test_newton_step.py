@@ -51,7 +51,7 @@ def test_a_limit_of_products_is_kept() -> None:
 
 
 def test_negative_curvature_is_followed_for_a_width_of_the_box_and_projected() -> None:
-    # a width along (1, 0.4) from the Cauchy point next to 0. Two products are one round: that point and the way
+    # along (1, 0.4), from the Cauchy point next to 0; two products are one round: that point and the way
     g = -1e-6 * np.array([1.0, 0.4])
     s, predicted = BoxStep(Matrix(-np.eye(2)), g, max_products=2).within(-np.ones(2), np.ones(2), 1e-8)
     np.testing.assert_allclose(s, [1.0, 0.4], atol=1e-5)
