@@ -28,13 +28,6 @@ def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
     return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
 
 
-def shape_quality(nodes: NDArray, triangles: NDArray) -> NDArray:
-    """``4 sqrt(3) area / (sum of squared edges)``: 1 if equilateral, negative if inverted."""
-    corner = nodes[:, triangles]
-    edges = np.sum((corner - np.roll(corner, 1, axis=1)) ** 2, axis=(0, 1))
-    return np.asarray(4 * np.sqrt(3) * signed_areas(nodes, triangles) / np.maximum(edges, 1e-300))
-
-
 def counter_clockwise(nodes: NDArray, triangles: NDArray) -> NDArray[np.int64]:
     """The triangles (3, elements), clockwise ones turned."""
     t = np.array(triangles, dtype=np.int64)

@@ -18,9 +18,6 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_nonzero
 from rmesh_nlp.vectorised import columnwise
 
-EFFECTIVITY = 0.65
-"""Sum of the gains over the error of the energy, on Example 6.1 refined locally (0.60 to 0.73)."""
-
 SHARE = 0.5
 """Dörfler's parameter: part of the sum of the indicators that the marked triangles must have."""
 

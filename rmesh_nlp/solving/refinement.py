@@ -91,7 +91,7 @@ def surviving_gain(assessment: Assessment) -> SurvivingGain | None:
         for state in (assessment.given, assessment.final)
     )
     fall = _value(before, objective) - _value(after, objective)
-    fall_refined = _value(refined(before), objective) - _value(refined(after), objective)
+    fall_refined = _value(before, objective, refine=True) - _value(after, objective, refine=True)
     if not (fall > 0 and np.isfinite(fall_refined)):
         return None
     return SurvivingGain(fall_refined / fall, objective.text)

@@ -9,8 +9,9 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
-from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
+from support.quality import shape_quality
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 HALVES = [[0, 1, 2], [0, 2, 3]]

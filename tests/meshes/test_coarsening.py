@@ -16,7 +16,7 @@ from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.coarsening import Lines, staying
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
-from rmesh_nlp.meshes.geometry import counter_clockwise, shape_quality, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
@@ -25,6 +25,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
 from support.problems import shuffled
+from support.quality import shape_quality
 
 
 def sizes(mesh: MeshTri) -> dict[str, float]:

@@ -11,11 +11,14 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.edge_gains import EFFECTIVITY, edge_gains, marked
+from rmesh_nlp.models.edge_gains import edge_gains, marked
 from rmesh_nlp.models.regularisation import _refined, gain_estimate, regularised, weights
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined
 from support.problems import energy_error, no_move_limits, signorini
+
+EFFECTIVITY = 0.65
+"""Sum of the gains over the error of the energy, on Example 6.1 refined locally: 0.60 to 0.73."""
 
 
 def test_marked_triangles_have_their_share_and_no_more_than_needed() -> None:
