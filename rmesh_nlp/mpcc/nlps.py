@@ -117,17 +117,20 @@ class CompiledNLPs:
         zero: BoolArray,
         *,
         radius: Array | None = None,
+        free_signs: bool = False,
         warm: NLPResult | None = None,
         watch: Watch = UNWATCHED,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``, within ``radius`` of it.
 
-        ``warm`` has multipliers of the lifted NLP.
+        ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
         """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
         if radius is not None:
             lower, upper = np.maximum(lower, z - radius), np.minimum(upper, z + radius)
+        if free_signs:
+            lower[lifted.member] = -np.inf
         fixed = lifted.pairs[zero]
         lower[fixed] = upper[fixed] = 0.0
         options = self.options.exact(lifted.nlp.n_x, warm is not None)

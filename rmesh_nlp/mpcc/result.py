@@ -22,7 +22,8 @@ class Measured:
     ----------
     phase : str
         ``relaxed`` (a relaxation solved at ``t``), ``second`` (one of the second trajectory), ``branch``
-        (each pair fixed on one side) or ``polished`` (Newton steps or a projection onto the branch, no NLP).
+        (each pair fixed on one side), ``signs`` (a branch with free signs) or ``polished`` (Newton steps or a
+        projection onto the branch, no NLP).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float

@@ -70,13 +70,13 @@ class Run:
         return self.solve("second", t, lambda w: self.nlps.unlifted(x, self.p, t, watch=w))
 
     def branch(
-        self, z: Array, zero: BoolArray, *, radius: Array | None = None, warm: NLPResult | None = None
-    ) -> NLPResult:
+        self, z: Array, zero: BoolArray, *, phase: str = "branch", radius: Array | None = None,
+        free_signs: bool = False, warm: NLPResult | None = None,
+    ) -> NLPResult:  # fmt: skip
         """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
         parts = (z, self.p, zero)
-        return self.solve(
-            "branch", 0.0, lambda w: self.nlps.branch(*parts, radius=radius, warm=warm, watch=w)
-        )
+        return self.solve(phase, 0.0, lambda w: self.nlps.branch(
+            *parts, radius=radius, free_signs=free_signs, warm=warm, watch=w))  # fmt: skip
 
     def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""

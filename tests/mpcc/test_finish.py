@@ -169,7 +169,7 @@ class TestBranches:
         assert (end.stationarity is None) == (not end.solved)
 
     def test_only_a_search_looks_for_another_branch(self, monkeypatch):
-        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, result: self.GOOD)
+        monkeypatch.setattr(finishing, "_other_branch", lambda run, z, zero, result: self.GOOD)
         assert [self.finish(self.BAD, search=search).solved for search in (False, True)] == [False, True]
 
 
@@ -251,13 +251,14 @@ class TestOtherBranch:
 
     @pytest.fixture
     def nearest(self, monkeypatch):
-        self.near, radii = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED), []
+        self.near, self.by_signs, radii = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED), None, []
         monkeypatch.setattr(finishing, "phase_one", lambda run, z, radius: radii.append(radius) or self.near)
+        monkeypatch.setattr(finishing, "_follow_signs", lambda *_: self.by_signs)
         return radii
 
     @staticmethod
     def other(run, *z):
-        return finishing._other_branch(run, np.array(z), ended([9.0, 9.0], S.INFEASIBLE))
+        return finishing._other_branch(run, np.array(z), ON_G, ended([9.0, 9.0], S.INFEASIBLE))
 
     def test_it_is_solved_from_the_end_of_phase_one_near_the_point(self, nearest):
         result = self.other(scripted(ended([2.0, 0.0])), 0.3, 0.5)
@@ -274,3 +275,32 @@ class TestOtherBranch:
         self.near, run = Feasibility(np.array([2.0, 0.0]), ON_H, status), scripted(ended([2.0, 0.0]))
         result = self.other(run, 0.3, 0.5)
         assert (run.branch_calls, list(result.x)) == ([], [9.0, 9.0])
+
+    def test_signs_come_first(self, nearest):
+        self.by_signs = ended([2.0, 0.0])
+        assert self.other(ScriptedRun(), 0.3, 0.5) is self.by_signs
+        assert nearest == []
+
+
+@pytest.mark.parametrize(
+    ("ends", "exact", "on_G", "found"),
+    [
+        # a pair with a negative member changes sides
+        ([[0.0, -0.5], [0.4, 0.0], [2.0, 0.0]], True, [True, False, False], False),
+        ([[0.0, -0.5], [-0.6, 0.0], [2.0, 0.0]], True, [True, False], None),  # signs become worse
+        ([None, [2.0, 0.0]], True, [True], None),  # a branch fails
+        ([[0.0, -0.5], [-0.4, 0.0], [0.0, 0.3], [0, 0.3]], True, [True, False, True, True], True),
+        ([[0.0, 0.5], [0.0, 0.5]], False, [True, True], None),  # a branch that is not exact is no end
+        ([[0.0, -0.9e-8], [0.0, 0.0]], True, [True, True], True),  # signs within the tolerance are right
+        ([[0.0, -1.1e-8], [0.0, 0.0], [0.0, 0.0]], True, [True, False, False], False),
+    ],
+)
+def test_pairs_follow_the_signs_of_their_free_members(ends, exact, on_G, found):
+    run = scripted(*(ended([0, -0.5], S.STALLED) if end is None else ended(end) for end in ends), exact=exact)
+    answer = finishing._follow_signs(run, np.array([0.1, 0.2]), ON_G)
+    assert [call.zero.ravel().tolist() for call in run.branch_calls] == [[side, not side] for side in on_G]
+    assert (None if answer is None else bool(run.branch_calls[-1].zero[0, 0])) == found
+    signs, done = {"phase": "signs", "free_signs": True}, answer is not None or not exact
+    assert [call.options for call in run.branch_calls] == [signs] * (len(on_G) - done) + [{}] * done
+    for end, call in zip(ends, run.branch_calls[1:], strict=False):
+        assert list(call.z) == end  # each starts at the solution of the one before

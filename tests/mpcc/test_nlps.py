@@ -101,6 +101,7 @@ def test_branch_fixes_one_member_of_each_pair():
     assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
     assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
+    assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
 def test_nothing_is_compiled_twice(monkeypatch):
