@@ -11,10 +11,11 @@ import platform
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from rmesh_nlp.assessment.assessor import Quantities
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
@@ -31,9 +32,8 @@ from rmesh_nlp.solving.entry import (
     of_seconds,
 )
 
-if TYPE_CHECKING:
-    from rmesh_nlp.assessment.assessor import Quantities
-    from rmesh_nlp.solving.solution import Solution
+Solution = Any
+"""A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
 
 
 def _widths(value: Any) -> object:

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from rmesh_nlp.solving.solution import Solution
+from typing import Any
 
 Digits = str | Callable[[float], str]
 """A format of numbers, or what chooses one for a number."""
@@ -67,7 +64,7 @@ class Entry:
     name: str
     type: object
     meaning: str
-    of: Callable[[Solution], object] | None = None
+    of: Callable[[Any], object] | None = None
     presence: Presence = KNOWN
     unit: str = ""
     check: Callable[[Any], object] | None = None
