@@ -273,7 +273,7 @@ def test_the_command_line_reads_problem_files(tmp_path, capsys):
     assert cli.run(["check", str(path)]) == 2
     assert cli.run(["solve", str(path), "--n", "8"]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        f"rmesh: error: {path}: mesh.nx = 0: expected a whole number from 1 to 10000",
+        f"rmesh: error: {path}: mesh.nx = 0: nx must be a whole number of at least 1, got 0",
         f"rmesh: error: --n 8 is for the examples: write it into {path}",
     ]
 
