@@ -27,11 +27,15 @@ MAX_PRODUCTS_CONSTRAINED = 250
 WORTHWHILE = 0.06
 """Least part of a step's decrease that the last round of conjugate gradients must give."""
 
+OVERSHOOT = 2.0
+"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
+
 DECREASE = 0.01
 """Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré."""
 
-SHORTEN, SEARCHES = 0.5, 30
-"""Factor of the steps that are tried for a Cauchy point and in a projected search, and most tries of that."""
+SHORTEN_CAUCHY, SHORTEN, SEARCHES = 0.25, 0.5, 30
+"""Factors of the steps that are tried for a Cauchy point and in a projected search, and most tries of
+that."""
 
 FIRST_SHIFT, GROWTH, LARGEST_SHIFT = 1e-3, 10.0, 1e6
 """First multiple of the mean diagonal that is added to an indefinite matrix, factor between shifts, and the
@@ -146,13 +150,13 @@ class BoxStep:
             Hs = self._product(s)
             if self._g @ s + 0.5 * s @ Hs <= DECREASE * (self._g @ s):
                 return s, Hs
-            alpha *= SHORTEN
+            alpha *= SHORTEN_CAUCHY
             s = self._clip(alpha * direction)
         return s, np.zeros_like(s)
 
     def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
-        far = float(np.max(np.maximum(self._upper, -self._lower)))
+        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
         w, r = np.zeros_like(residual), -residual
         z = self._precondition(r)
         p, rz = z.copy(), float(r @ z)
