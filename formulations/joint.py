@@ -41,7 +41,7 @@ NEAR = 1e-2
 ACCEPTABLE, AREAS = 1e-7, 1e-2
 """Ipopt's tolerance where rounding stops it before ``tol``, and how much finer both are with areas.
 
-With ``tol`` alone there 6.3 with 20 x 10 squares and a weighted quality ends a hundred times less stationary."""
+Without it Example 6.3 with 20 x 10 squares and a weighted quality ends a hundred times less stationary."""
 
 FINE, ALTERNATING = 3000, 0.3
 """Number of outer variables from which on the start is given alternating displacements of nodes
