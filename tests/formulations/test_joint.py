@@ -29,13 +29,13 @@ from support.formulations import joint
 
 @pytest.mark.parametrize(
     ("example", "arguments", "tol"),
-    [("6.1", (4,), 1e-3), ("6.3", ((4, 2),), 1e-3), ("6.2", ((6, 3), (1.0, 0.5)), 1e-6)],
+    [("6.1", (4,), 1e-3), ("6.3", ((4, 2),), 1e-3), ("6.2", ((6, 3), (1.0, 0.5)), 1e-4)],
     ids=["move limits", "friction", "areas"],
 )
 def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     example: str, arguments: tuple[Any, ...], tol: float
 ) -> None:
-    """With such a tolerance Ipopt stops near a stationary point, not at one."""
+    """With such a tolerance, of which areas take a hundredth, Ipopt stops near a stationary point, not at one."""
     steps: list[Step] = []
     solution = joint.solve(EXAMPLES[example](*arguments), tol=tol, on_step=steps.append)
     record = solution.record()
