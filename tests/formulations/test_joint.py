@@ -35,7 +35,7 @@ from support.formulations import joint
 def test_a_loose_end_is_finished_by_newton_steps_that_the_record_counts(
     example: str, arguments: tuple[Any, ...], tol: float
 ) -> None:
-    """With such a tolerance, of which areas take a hundredth, Ipopt stops near a stationary point, not at one."""
+    """With such a tolerance (a hundredth with areas) Ipopt stops near a stationary point, not at one."""
     steps: list[Step] = []
     solution = joint.solve(EXAMPLES[example](*arguments), tol=tol, on_step=steps.append)
     record = solution.record()
