@@ -57,26 +57,42 @@ class Run:
             progress(Step.HEADER)
 
     def relaxed(
-        self, name: str, z: Array, t: float, warm: NLPResult | None = None, *, first: bool,
+        self,
+        name: str,
+        z: Array,
+        t: float,
+        warm: NLPResult | None = None,
+        *,
+        first: bool,
         dependent: bool = False,
-    ) -> NLPResult:  # fmt: skip
+    ) -> NLPResult:
         """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
         parts = (name, z, self.p, t, warm)
-        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(
-            *parts, first=first, dependent=dependent, watch=w))  # fmt: skip
+        return self.solve(
+            "relaxed", t, lambda w: self.nlps.relaxed(*parts, first=first, dependent=dependent, watch=w)
+        )
 
     def unlifted(self, x: Array, t: float) -> NLPResult:
         """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
         return self.solve("second", t, lambda w: self.nlps.unlifted(x, self.p, t, watch=w))
 
     def branch(
-        self, z: Array, zero: BoolArray, *, phase: str = "branch", radius: Array | None = None,
-        free_signs: bool = False, warm: NLPResult | None = None,
-    ) -> NLPResult:  # fmt: skip
+        self,
+        z: Array,
+        zero: BoolArray,
+        *,
+        phase: str = "branch",
+        radius: Array | None = None,
+        free_signs: bool = False,
+        warm: NLPResult | None = None,
+    ) -> NLPResult:
         """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
         parts = (z, self.p, zero)
-        return self.solve(phase, 0.0, lambda w: self.nlps.branch(
-            *parts, radius=radius, free_signs=free_signs, warm=warm, watch=w))  # fmt: skip
+        return self.solve(
+            phase,
+            0.0,
+            lambda w: self.nlps.branch(*parts, radius=radius, free_signs=free_signs, warm=warm, watch=w),
+        )
 
     def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""
@@ -97,9 +113,12 @@ class Run:
         if result is not None:
             multiplier = np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0) if t > 0 else 0.0
             step = replace(
-                step, iterations=result.iterations, status=result.status, seconds=result.seconds,
+                step,
+                iterations=result.iterations,
+                status=result.status,
+                seconds=result.seconds,
                 multiplier=float(multiplier),
-            )  # fmt: skip
+            )
         self.steps.append(step)
         if self._progress is not None:
             self._progress(step.line())
