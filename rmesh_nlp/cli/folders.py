@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import remove_leftovers
+from rmesh_nlp.io.folder import remove_leftovers
 from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results

@@ -22,7 +22,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.export import write_mesh
-from rmesh_nlp.io.files import safe_name, write_new, write_whole
+from rmesh_nlp.io.folder import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table, with_order
 from rmesh_nlp.io.problem_file import template as problem_template

@@ -11,8 +11,7 @@ from rmesh_nlp.cli.folders import SUCCESS, read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE, read_noted
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
-from rmesh_nlp.io.files import remove_leftovers, write_whole
-from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.folder import Manifest, remove_leftovers, write_whole
 from rmesh_nlp.io.results import RECORD, Results
 from rmesh_nlp.report.figures import write_figures
 from rmesh_nlp.report.histories import with_common_costs

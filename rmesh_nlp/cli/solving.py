@@ -17,7 +17,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
-from rmesh_nlp.io.files import safe_name, write_whole
+from rmesh_nlp.io.folder import safe_name, write_whole
 from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json

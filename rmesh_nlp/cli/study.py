@@ -9,7 +9,7 @@ from pathlib import Path
 
 from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
 from rmesh_nlp.errors import InterruptedSolveError
-from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, make_plan, seconds_of_plan

@@ -16,7 +16,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
-from rmesh_nlp.io.files import write_text, write_whole
+from rmesh_nlp.io.folder import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, file_mesh, three
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import least_angles

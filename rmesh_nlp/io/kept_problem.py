@@ -14,7 +14,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table
 from rmesh_nlp.io.problem_schema import ProblemTable

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from pydantic import AfterValidator, ConfigDict, ValidationError, create_model
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import EVERY, Entry
 

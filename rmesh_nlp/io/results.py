@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, folder_lock, read_text, safe_name, write_text
-from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.folder import Manifest, append_whole, folder_lock, read_text, safe_name, write_text
 from rmesh_nlp.io.records import (
     Record,
     damaged_last_line,

@@ -15,8 +15,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import pieces
-from rmesh_nlp.io.files import safe_name
-from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.folder import Manifest, safe_name
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import Fields, read_vtu

@@ -26,8 +26,7 @@ from rmesh_nlp import __version__
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.paper import MISPRINT_61
-from rmesh_nlp.io.files import write_text
-from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.folder import Manifest, write_text
 from rmesh_nlp.io.records import Record, has_energy, objective_of
 from rmesh_nlp.io.results import ROWS, Result, Results
 from rmesh_nlp.io.vtu import Fields, read_vtu

@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 
 from rmesh_nlp.display import for_markdown, for_spreadsheet
-from rmesh_nlp.io.files import write_text
+from rmesh_nlp.io.folder import write_text
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import (

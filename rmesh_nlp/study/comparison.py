@@ -15,7 +15,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.io.files import folder_aside, remove_leftovers
+from rmesh_nlp.io.folder import folder_aside, remove_leftovers
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results

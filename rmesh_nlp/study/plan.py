@@ -19,7 +19,7 @@ from rmesh_nlp.examples.paper import RULES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import beside, parse_objective
-from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.problem import ContactProblem

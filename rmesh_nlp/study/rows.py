@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import append_whole, write_text
+from rmesh_nlp.io.folder import append_whole, write_text
 from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import ROWS, row_files
 from rmesh_nlp.optimize.budget import Budget, Limits, pause

@@ -9,7 +9,7 @@ from statistics import median
 import numpy as np
 
 from rmesh_nlp.io.export import write_solution
-from rmesh_nlp.io.files import write_whole
+from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
 from rmesh_nlp.optimize.budget import Budget

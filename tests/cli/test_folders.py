@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from rmesh_nlp.io.files import folder_lock
+from rmesh_nlp.io.folder import folder_lock
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.manifest import Manifest
+from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.records import DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import (
     HISTORY_FIELDS,

@@ -11,7 +11,7 @@ import pytest
 from rmesh_nlp import read_records
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import safe_name
+from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
 from rmesh_nlp.study.study_file import read_study, template
 from support.problem_files import SCALAR, VALID

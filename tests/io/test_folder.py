@@ -10,8 +10,10 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.files import (
+from rmesh_nlp.io.folder import (
+    MANIFEST,
     TEMPORARY,
+    Manifest,
     append_whole,
     folder_lock,
     remove_leftovers,
@@ -20,7 +22,6 @@ from rmesh_nlp.io.files import (
     write_text,
     write_whole,
 )
-from rmesh_nlp.io.manifest import MANIFEST, Manifest
 
 NAMES = ["/abs/path", "../../esc", "..", ".", "", "a/b", "a\\b", "-rf", ".rmesh-files", "a\0b", "x\ud800"]
 
@@ -93,7 +94,7 @@ def test_a_second_writer_is_refused_in_one_line(tmp_path):
 WRITER = """
 import sys, time
 from pathlib import Path
-from rmesh_nlp.io.files import folder_aside, folder_lock
+from rmesh_nlp.io.folder import folder_aside, folder_lock
 with folder_lock(folder := Path(sys.argv[1])), folder_aside(folder / "figures") as place:
     (place / "half").write_text("ha")
     print(place, flush=True)
