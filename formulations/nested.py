@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from formulations.kinks import EXACT_FINISH, Zigzag, finished, is_stationary
-from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.outer_solvers import OUTER_SOLVERS, NestedSettings, OuterResult
+from rmesh_nlp.models import outer_solvers
+from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON, NestedSettings, OuterResult
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, reduced_nlp
 from rmesh_nlp.optimize.status import Status
@@ -30,11 +30,10 @@ one is not stopped at kinks."""
 
 @dataclass(frozen=True)
 class OuterFigures(Part):
-    """The outer solver, the method that it used, and the contact nodes without strict complementarity."""
+    """The outer solvers that were used, and the contact nodes without strict complementarity."""
 
     outer: str
     biactive_nodes: list[int]
-    outer_method: str | None = None
 
 
 @dataclass(frozen=True)
@@ -43,34 +42,20 @@ class Nested(NestedSettings, Formulation):
 
     The energy needs no adjoint; other objectives get one with the active set held, which is their gradient
     wherever strict complementarity holds. Where the outer solver stalls at a kink, the exact finish of the
-    KKT model goes on from there, and an exact contact solve ends it; ``outer_method`` of the record says so.
+    KKT model goes on from there, and an exact contact solve ends it; ``outer`` of the record says so.
     The contact nodes where strict complementarity fails at the end are its ``biactive_nodes``.
-
-    Attributes
-    ----------
-    outer : str
-        "newton" (projected trust-region Newton-CG where move limits alone keep the elements valid, else an
-        interior-point Newton method) or "ipopt" (with exact second derivatives; with limited memory for many
-        outer variables and another objective than the energy).
     """
-
-    outer: str = "newton"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.outer not in OUTER_SOLVERS:
-            raise unknown("outer solver", self.outer, OUTER_SOLVERS)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         descent = _Descent(self, outer, monitor)
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
             descent.note(0, q)
             monitor.check()
-            result = OuterResult(q, Status.CONVERGED, 0)
+            result = OuterResult(q, Status.CONVERGED, 0, NEWTON)
         else:
             result = descent(q)
         weak = outer.contact.contact_nodes[outer.function(result.q).weak]
-        figures = OuterFigures(self.outer, weak.tolist(), result.method or None)
+        figures = OuterFigures(result.method, weak.tolist())
         return Outcome(outer, result.q, result.status, details=(figures,))
 
 
@@ -113,8 +98,8 @@ class _Descent:
         methods: list[str] = []
         for attempt in range(ROUNDS):
             result = self._solved(program, q, Zigzag() if attempt < ROUNDS - 1 else None)
-            methods.append(result.method or self._settings.outer)
-            method = ", then ".join(methods) if attempt else result.method
+            methods.append(result.method)
+            method = ", then ".join(methods)
             if is_stationary(outer, outer.function(result.q)):
                 stopped = result.status is Status.INTERRUPTED
                 return replace(result, status=Status.CONVERGED if stopped else result.status, method=method)
@@ -142,8 +127,8 @@ class _Descent:
             over = self.note(iteration, at)
             return over or (zigzag is not None and zigzag(point := outer.function(at), *outer.merit(point)))
 
-        result = OUTER_SOLVERS[self._settings.outer](program, q, watch, self._settings)
-        if self._settings.outer == "ipopt":
+        result = outer_solvers.solved(program, q, watch, self._settings)
+        if result.method == INTERIOR:
             self._monitor.work += Work(kkt_factorisations=result.iterations)
         self._monitor.check()
         self._before += result.iterations

@@ -156,7 +156,7 @@ def cases() -> Iterator[Case]:
 
 NAMES = (
     *("status", "solver_status", "stationarity", "label", "b_stationary", "biactive_nodes", "descent_rate"),
-    *("stationarity_residual", "objective_initial", "objective_value", "outer_method"),
+    *("stationarity_residual", "objective_initial", "objective_value", "outer"),
     *("iterations", "contact_solves", "kkt_factorisations"),
 )
 """Entries of the record that rows have."""

@@ -79,7 +79,6 @@ def solve(
     quadrature: o.Quadrature = None,
     objective: o.Objective = None,
     relaxation: o.Relaxation = None,
-    outer: o.Outer = None,
     regularisation: o.Regularisation = None,
     remesh: o.Remesh = False,
     nodes: o.Nodes = None,
@@ -111,7 +110,7 @@ def solve(
     \b
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
-    rmesh solve 6.1 --formulation nested --outer newton --n 32
+    rmesh solve 6.1 --formulation nested --n 32
     rmesh solve 6.1 --order 2
     rmesh solve 6.1 --formulation mpcc --objective error-l2 --relaxation lin-fukushima
     rmesh solve my.toml --formulation nested --certify
@@ -257,7 +256,6 @@ def compare(
     quadrature: o.Quadrature = None,
     objective: o.Objectives = None,
     relaxation: o.Relaxation = None,
-    outer: o.Outer = None,
     regularisation: o.Regularisation = None,
     starts: o.Starts = None,
     certify: o.Certify = False,

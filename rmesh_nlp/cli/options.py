@@ -110,14 +110,6 @@ Relaxation = Annotated[
         "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
     ),
 ]
-Outer = Annotated[
-    str | None,
-    Option(
-        "--outer",
-        metavar="NAME",
-        help="Outer solver of nested: newton (default) or ipopt.",
-    ),
-]
 TimeLimit = Annotated[
     float | None,
     Option(
@@ -277,7 +269,6 @@ OPTIONS = (
     "seed",
     "objective",
     "relaxation",
-    "outer",
     "regularisation",
     "remesh",
     "starts",

@@ -1,11 +1,11 @@
-"""Outer solvers of the nested formulation, by name: trust-region Newton-CG and interior points (Ipopt).
+"""Outer solvers of the nested formulation: trust-region Newton-CG, or an interior point (Ipopt).
 
-They take any outer objective, with its second derivatives (:mod:`rmesh_nlp.models.second_derivatives`).
+Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.models.second_derivatives`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,15 +24,15 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
 from rmesh_nlp.settings import Count, Positive, Settings
 
-EXACT = "interior point with exact Hessians"
-LIMITED_MEMORY = "interior point with limited memory"
+NEWTON, INTERIOR = "newton", "interior point"  # as records name them
 
 RISE = 1e-12
 """Part of its value by which an objective may be above that at the start: the error of a contact solve."""
 
 LARGEST_DENSE = 1500
 """Number of outer variables up to which an interior point has the Hessian of an objective other than the
-energy, a dense matrix. That of the energy is sparse in outer variables and displacements, for any number."""
+energy, a dense matrix; above it Newton-CG goes along linearised areas. That of the energy is sparse in outer
+variables and displacements, for any number."""
 
 TIGHT = 1e-4
 """newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
@@ -51,15 +51,6 @@ WARM_BARRIER, WARM_PUSH = 1e-8, 1e-6
 six problems started at their minimisers and least areas that are smaller by 1e-4, 1e-8 took 4 to 21
 iterations and ended in the same valley each time; larger ones took more, and left it once."""
 
-MEMORY = 50
-"""Updates that Ipopt's limited-memory BFGS keeps: the flat directions of the mesh make short memories
-stall."""
-
-CURVATURE_IN_LIMITS = 1e-2
-"""Curvature before any update where every node has move limits. Outer variables are then in units of them and
-the objective in units of its first value, and Ipopt's 1 would make the first steps tiny, or all of them where
-the function is concave and no update is taken."""
-
 
 @dataclass(frozen=True)
 class NestedSettings(Settings):
@@ -69,10 +60,6 @@ class NestedSettings(Settings):
     ----------
     iterations : int or None
         Of the outer solver; by default 500, and 200 for newton.
-    tol : float
-        Ipopt's tolerance with limited memory, in units of the objective on the given mesh. What the tolerance
-        of the solve amounts to would be 1e-8 to 1e-7, where limited-memory BFGS stalls: on 6.2 it took 852
-        contact solves in place of 119, and the residual did not fall below 1e-4 of the initial one.
     enough : float, optional
         newton ends where the model predicts less than this part of the gain so far, stationary or not; by
         default only at a stationary point. On a plate of 4,462 nodes with move limits 20 iterations of 200
@@ -84,23 +71,9 @@ class NestedSettings(Settings):
     """
 
     iterations: Count | None = None
-    tol: Positive = 1e-6
     enough: Positive | None = None
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     ipopt: Mapping[str, Any] = field(default_factory=dict)
-
-    def limited_memory(self, has_limits: bool) -> dict[str, Any]:
-        """Ipopt's options without Hessians."""
-        return {
-            "hessian_approximation": "limited-memory",
-            "limited_memory_max_history": MEMORY,
-            # after two skipped updates in a row Ipopt forgets the memory, and then crawls
-            "limited_memory_max_skipping": 1_000_000,
-            **({"limited_memory_init_val": CURVATURE_IN_LIMITS} if has_limits else {}),
-            "tol": self.tol,
-            "max_iter": self.iterations or 500,
-            **self.ipopt,
-        }
 
     def exact(self, problem: ReducedNLP) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""
@@ -126,26 +99,16 @@ class OuterResult:
     method: str = ""
 
 
-OuterSolver = Callable[[ReducedNLP, Array, Monitor, NestedSettings], OuterResult]
-
-
 def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt with second derivatives where they can be had, else with limited memory.
-
-    It does not end above a feasible start.
+    """Ipopt with second derivatives; it does not end above a feasible start.
 
     Those of the energy are sparse in outer variables and displacements together
     (:mod:`rmesh_nlp.models.reduced_nlp`), those of other objectives a dense matrix. It ends as soon as the
     outer variables are stationary by the first-order residual: Ipopt's own test is of its multipliers, and
     where rounding keeps them from its tolerance it would go on for dozens of contact solves.
     """
-    nlp, options, method, function = problem.nlp, settings.exact(problem), EXACT, problem.function
-    if isinstance(function, ReducedEnergy):
-        nlp = lifted(problem)
-    elif nlp.n_x <= LARGEST_DENSE:
-        nlp = with_hessian(problem).nlp
-    else:
-        options, method = settings.limited_memory(bool(np.all(np.isfinite(nlp.ubx)))), LIMITED_MEMORY
+    function = problem.function
+    nlp = lifted(problem) if isinstance(function, ReducedEnergy) else with_hessian(problem).nlp
     n, stationary = start.size, False
     first = function(start)
     most = first.value + RISE * abs(first.value)
@@ -168,33 +131,21 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
             stationary = is_better(point) and problem.residual(point) <= problem.tolerance
         return stop or stationary
 
-    result = Solver(nlp, options=options, monitor=watch)(np.append(start, np.zeros(nlp.n_x - n)))
+    result = Solver(nlp, options=settings.exact(problem), monitor=watch)(
+        np.append(start, np.zeros(nlp.n_x - n))
+    )
     q = clipped(result.x)
     if not (np.isfinite(result.f) and is_better(function(q))):
         status = Status.STALLED if result.converged else result.status
-        return OuterResult(start, status, result.iterations, method)
+        return OuterResult(start, status, result.iterations, INTERIOR)
     status = Status.CONVERGED if result.converged or stationary else result.status
-    return OuterResult(q, status, result.iterations, method)
+    return OuterResult(q, status, result.iterations, INTERIOR)
 
 
-def _ipopt(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt.
-
-    With limited memory it ends at a residual near 1e-4 of the first one (see ``NestedSettings.tol``);
-    where move limits alone keep the elements valid, Newton's steps take it from there.
-    """
-    result = interior(problem, start, monitor, settings)
-    tried = result.status in (Status.CONVERGED, Status.STALLED)
-    if result.method != LIMITED_MEMORY or not tried or problem.nlp.n_g:
-        return result
-    end = _descend(problem, result.q, _counted_on(monitor, result.iterations), settings)
-    iterations = result.iterations + end.iterations
-    return OuterResult(end.x, end.status, iterations, f"{LIMITED_MEMORY}, then newton")
-
-
-def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
+def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
     """Projected Newton-CG where move limits alone keep the elements valid, else an interior point."""
     function = problem.function
+    is_energy = isinstance(function, ReducedEnergy)
     if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
         most = settings.iterations or 200
         result = descend(
@@ -202,16 +153,11 @@ def _newton(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Neste
         )
     elif settings.enough is not None and problem.constraints is None:
         result = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
-    elif problem.nlp.n_g:
+    elif problem.nlp.n_g and (is_energy or start.size <= LARGEST_DENSE or problem.constraints is not None):
         return interior(problem, start, monitor, settings)
     else:
         result = _descend(problem, start, monitor, settings)
-    return OuterResult(result.x, result.status, result.iterations)
-
-
-def _counted_on(monitor: Monitor, before: int) -> Monitor:
-    """A monitor of the solver that goes on after so many iterations."""
-    return lambda iteration, q, value: monitor(before + iteration, q, value)
+    return OuterResult(result.x, result.status, result.iterations, NEWTON)
 
 
 def _descend(
@@ -259,6 +205,3 @@ def _timed(model: Model, budget: Budget) -> Operator:
         return model(d)
 
     return Operator(product, model.diagonal)
-
-
-OUTER_SOLVERS: dict[str, OuterSolver] = {"ipopt": _ipopt, "newton": _newton}

@@ -104,7 +104,7 @@ def plan_comparison(
 
 
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
-    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:outer=ipopt:seed=3``."""
+    """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:iterations=20:seed=3``."""
     name, *parts = text.split(":")
     given, accepted = from_texts(parts, f"{text!r}: an option "), options_of(name)
     for key in given:

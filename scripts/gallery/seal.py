@@ -19,7 +19,6 @@ unknowns. Both end at the best edge with a label.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,7 +40,6 @@ HEIGHT = 0.02
 STEP = 1e-4
 """Step of the one-sided differences, in units of ``HEIGHT``."""
 
-OUTER = ("newton", "ipopt")
 """Outer solvers of ``nested`` that are tried, and a limit of iterations: at a kink some never stop."""
 
 LIMITS = rm.Limits(iterations=200)
@@ -148,16 +146,13 @@ def line(name: str, solution: rm.Solution) -> str:
     return text
 
 
-def main(n: int = 8, outer_solvers: Sequence[str] = OUTER) -> dict[str, rm.Solution]:
+def main(n: int = 8) -> dict[str, rm.Solution]:
     """Cut the seal by all formulations, and show the kink."""
     block = problem(n)
     solutions = {"mpcc": rm.solve(block, "mpcc", objective=OBJECTIVE)}
-    for outer in outer_solvers:
-        solutions[f"nested, {outer}"] = rm.solve(
-            block, "nested", objective=OBJECTIVE, outer=outer, limits=LIMITS
-        )
-    solutions["mpcc from the end of nested, newton"] = rm.solve(
-        block, "mpcc", objective=OBJECTIVE, start=solutions["nested, newton"]
+    solutions["nested"] = rm.solve(block, "nested", objective=OBJECTIVE, limits=LIMITS)
+    solutions["mpcc from the end of nested"] = rm.solve(
+        block, "mpcc", objective=OBJECTIVE, start=solutions["nested"]
     )
     for name, solution in solutions.items():
         print(line(name, solution))
@@ -169,7 +164,7 @@ def main(n: int = 8, outer_solvers: Sequence[str] = OUTER) -> dict[str, rm.Solut
 
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
     """The objective across the kink, and height, gap and pressure of the seal where each formulation ends."""
-    best, second = solutions["mpcc"], solutions["nested, newton"]
+    best, second = solutions["mpcc"], solutions["nested"]
     nodes = seal_nodes(best.problem)
     middle = nodes[len(nodes) // 2]
     shifts = np.linspace(-2e-3, 2e-3, 81)

@@ -19,9 +19,8 @@ except ImportError:  # Python 3.10
     import tomli as tomllib
 
 Way = tuple[str, dict[str, Any]]
-JOINT, MPCC, AUTO, FIXED = (("joint", {}), ("mpcc", {}), ("auto", {}), ("fixed", {}))
-NEWTON, IPOPT = (("nested", {"outer": outer}) for outer in ("newton", "ipopt"))
-WAYS = (JOINT,) * 4 + (NEWTON,) * 4 + (IPOPT,) * 3 + (MPCC,) * 4 + (AUTO,) * 4 + (FIXED,)
+JOINT, NESTED, MPCC, AUTO, FIXED = (("joint", {}), ("nested", {}), ("mpcc", {}), ("auto", {}), ("fixed", {}))
+WAYS = (JOINT,) * 4 + (NESTED,) * 7 + (MPCC,) * 4 + (AUTO,) * 4 + (FIXED,)
 FAMILIES = ("membrane", "obstacle", "smooth", "waves", "friction", "regions", "curved")
 LIMITS: tuple[Any, ...] = (1e-4, 0.02, 0.1, rm.Relative(0.3), None, None)
 SIDES = dict.fromkeys(("left", "right", "bottom", "top"), (0.0,))
@@ -169,7 +168,7 @@ def aimed() -> list[Data]:
 
 def _aimed() -> Iterator[Data]:
     steel, left = (Material("plane-strain", (0.0, 0.0), 1000.0, 0.3),), {"left": (0.0, 0.0)}
-    strip, three = block(16, 4, 2), (JOINT, NEWTON, AUTO)
+    strip, three = block(16, 4, 2), (JOINT, NESTED, AUTO)
 
     def by(data: Data, way: Way, **more: Any) -> Data:
         return replace(data, formulation=way[0], options=way[1], **more)
@@ -184,16 +183,16 @@ def _aimed() -> Iterator[Data]:
         bump = f"-0.05+0.08*exp(-((x-0.5)**2+(y-0.5)**2)/{width}**2)"
         source, psi = (Material("laplace", (-1.0,)),), Foundation("interior", "interior", bump)
         one = Data("bump", block(8, 8, 1), source, psi, SIDES, limits=0.06, certify=width == 0.1)
-        yield from (by(one, way, gap=gap) for way, gap in ((JOINT, ""), (AUTO, ""), (NEWTON, "edge")))
+        yield from (by(one, way, gap=gap) for way, gap in ((JOINT, ""), (AUTO, ""), (NESTED, "edge")))
     for k in (24, 8, 12, 16, 40):
         wave, load = Foundation("bottom", "height", f"-0.02+0.004*sin({k}*pi*x)"), {"top": (0.0, -10.0)}
         one = Data("waves", strip, steel, wave, left, load, limits=0.04, certify=k == 8)
-        ways = ((JOINT, "edge"), (AUTO, ""), (NEWTON, "node"), (MPCC, "edge"))
+        ways = ((JOINT, "edge"), (AUTO, ""), (NESTED, "node"), (MPCC, "edge"))
         yield from (by(one, way, gap=gap) for way, gap in ways)
     for bend in (0.025, 0.05, 0.1):
         mesh, bowl = rm.shapes.rectangle(4, 3, x=(-1, 1)), Foundation("bottom", "height", f"-{bend}*x**2")
         one = Data("bowl", mesh, steel, bowl, {"top": (0.0, -0.03)}, rule=6, certify=True)
-        ways = ((JOINT, rm.Relative(0.3)), (AUTO, None), (NEWTON, 0.1))
+        ways = ((JOINT, rm.Relative(0.3)), (AUTO, None), (NESTED, 0.1))
         yield from (by(one, way, limits=limits) for way, limits in ways)
     for k in (0, 3, 7, 11):
         source = (Material("laplace", (f"-2+3*sin({k}*x)*cos(4*y)",)),)

@@ -41,7 +41,7 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
     for typed in (
         f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
         "6.2 --n 4x2 --delta none --regularisation 1,0.1 --remesh --nodes 40",
-        "6.2 -f nested --outer ipopt --starts 2",
+        "6.2 -f nested --starts 2",
     ):
         assert rmesh(f"solve {typed}").code == 130
     mpcc, joint, nested = plans
@@ -51,7 +51,7 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
     assert (joint.formulation, joint.size, joint.certify) == ("joint", "4x2", False)
     assert joint.identity["delta"] is None
     assert joint.options == {"regularisation": (1.0, 0.1), "remesh": 40}
-    assert nested.options == {"outer": "ipopt", "starts": 2}
+    assert nested.options == {"starts": 2}
 
 
 def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSolve]) -> None:
@@ -140,8 +140,6 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve 6.1 --objective energie", "energie"),
         ("solve 6.1 --objective error-l2", "error-l2"),
         ("solve 6.1 -f mpcc --relaxation scholtse", "did you mean scholtes"),
-        ("solve 6.1 -f nested --outer newtn", "did you mean newton"),
-        ("solve 6.1 -f joint --outer newton", "--outer newton"),
         ("solve 6.1 --relaxation scholtes", "--relaxation scholtes"),
         ("solve 6.1 --regularisation=-1", "'-1'"),
         ("solve 6.1 --regularisation 1,0,0.1", "'1,0,0.1'"),

@@ -50,7 +50,7 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
         # the gradient with the contact set held is that of one side
         assert solution.stationarity_residual > 1e-2
     assert rows[0]["objective_value"] == pytest.approx(rows[1]["objective_value"], rel=1e-8)
-    assert rows[0]["outer_method"].endswith(f", then {EXACT_FINISH}")
+    assert rows[0]["outer"].endswith(f", then {EXACT_FINISH}")
     assert 0 < rows[0]["kkt_factorisations"] < rows[1]["kkt_factorisations"]
     assert nested.history[-1].objective == pytest.approx(rows[0]["objective_value"], rel=1e-12)
     iterations = [step.iteration for step in nested.history]
@@ -66,7 +66,7 @@ def test_a_kink_that_descends_is_not_converged(monkeypatch: pytest.MonkeyPatch) 
     assert row["b_stationary"] is False
     if row["biactive"]:
         assert row["descent_rate"] < -1e-6
-    assert "outer_method" not in row
+    assert row["outer"] == "newton"
 
 
 def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -74,7 +74,7 @@ def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.Mon
     solution = rm.solve(seal(), "nested", objective=LEAK)
     assert solution.success
     assert solution.status is not Status.CONVERGED
-    assert EXACT_FINISH not in solution.record()["outer_method"]
+    assert EXACT_FINISH not in solution.record()["outer"]
 
 
 def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:

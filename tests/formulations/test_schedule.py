@@ -1,4 +1,4 @@
-"""Regularised problems without move limits by every formulation and outer solver."""
+"""Regularised problems without move limits by every formulation."""
 
 from __future__ import annotations
 
@@ -27,8 +27,7 @@ SLOW = pytest.mark.slow
     [
         (joint, {}),
         pytest.param(mpcc, {}, marks=SLOW),
-        pytest.param(nested, {"outer": "newton", "iterations": 60}, marks=SLOW),
-        pytest.param(nested, {"outer": "ipopt", "iterations": 60}, marks=SLOW),
+        pytest.param(nested, {"iterations": 60}, marks=SLOW),
     ],
 )
 def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str, Any]) -> None:
@@ -44,7 +43,7 @@ def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str
 
 @SLOW
 def test_joint_and_nested_are_stationary_for_the_same_program() -> None:
-    one = nested.solve(problem(), regularisation=(1.0, 0.1), outer="newton")
+    one = nested.solve(problem(), regularisation=(1.0, 0.1))
     two = joint.solve(problem(), regularisation=(1.0, 0.1))
     for solution in (one, two):
         assert solution.status.value == "converged"
@@ -70,7 +69,7 @@ def test_a_least_angle_holds_as_a_constraint() -> None:
 
 def test_move_limits_hold_too() -> None:
     limited = problem(0.05)
-    solution = nested.solve(limited, regularisation=0.01, outer="newton")
+    solution = nested.solve(limited, regularisation=0.01)
     assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) == pytest.approx(0.05, abs=1e-3)
     assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) <= 0.05 + 1e-12
 

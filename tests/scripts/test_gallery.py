@@ -93,7 +93,7 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink(tmp_path
     assert (nested.status.value, nested.stationarity) == ("converged", "S")
     assert nested.record()["biactive_nodes"] == best.record()["biactive_nodes"]
     assert nested.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-8)
-    assert "exact finish" in nested.record()["outer_method"]
+    assert "exact finish" in nested.record()["outer"]
     again = solutions["mpcc from the end of nested, newton"]
     assert again.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-6)
     assert (tmp_path / "seal.png").stat().st_size > 10_000
