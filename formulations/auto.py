@@ -65,7 +65,8 @@ class Auto(Chooser):
     def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
         along = problem if problem.design else with_edge_gaps(problem)
         formulation, why = self._chosen(along, objective, is_started)
-        if isinstance(formulation, Cascade) or along.motion.min_angle > 0:
+        is_free = along.motion.delta is None and isinstance(formulation, (Cascade, Schedule))
+        if is_free or along.motion.min_angle > 0:
             along = replace(along, quadrature=first_rule(along))
         if along.obstacles != problem.obstacles:
             why += "; gaps along edges: a foundation is curved"
@@ -108,8 +109,7 @@ class Auto(Chooser):
         if self.regularisation is None:
             return self.cascade
         *before, last = weights(self.regularisation)
-        schedules = (tuple(before),) if before else self.cascade.schedules
-        return replace(self.cascade, regularisation=last, schedules=schedules)
+        return replace(self.cascade, regularisation=last, schedule=tuple(before) or self.cascade.schedule)
 
 
 def enough_for(n: int) -> float:

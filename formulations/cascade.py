@@ -1,160 +1,47 @@
-"""Relocation without move limits: the energy with a distortion, over a cascade of coarser meshes."""
+"""Relocation without move limits by a cascade of meshes: search where it is cheap, correct where it is dear.
+
+The best positions for an energy with a distortion are a map of the domain that depends on the directions of
+the edges and hardly on their length, if the weight falls like the error of the energy. So the map is found on
+a coarse mesh, by continuation from heavy to light weights, prolonged to the next finer mesh, and there only
+corrected.
+
+1. Meshes: each coarser one has about a quarter of the nodes (:func:`rmesh_nlp.models.levels.coarsened`).
+2. The error of the energy is estimated on the coarsest mesh; on the others it falls like the number of nodes
+   to the power of the order of displacements, as that of relocated meshes does.
+3. Coarsest mesh: a schedule of weights, each from where the last one ended.
+4. Each finer mesh: from the prolonged map, at the final weight; few iterations correct it on the finest one
+   (F. A. Bornemann, P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75
+   (1996)). A map that does not lower the energy there is not taken
+   (:func:`rmesh_nlp.models.levels.lowers`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from formulations.confirmed import Confirmed
-from formulations.schedule import Schedule
+from formulations.schedule import Regularisation, Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.cascade import CascadeSettings, cascade
-from rmesh_nlp.models.levels import prolonged
-from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES
-from rmesh_nlp.models.regularised_descent import descend, finished
-from rmesh_nlp.optimize.budget import processor_seconds
-from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.models.levels import hierarchy, lowers, prolonged
+from rmesh_nlp.models.regularisation import regularised, weights
+from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Count, Limit, Positive
-from rmesh_nlp.solving.formulation import Formulation, Wrapper
-from rmesh_nlp.solving.monitor import Monitor, Track
+from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.solving.formulation import Formulation
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part, Work
-
-SPARE = 6
-"""Contact solves that one more iteration may take, steps that are refused included."""
-
-
-@dataclass(frozen=True)
-class Cascade(CascadeSettings, Formulation):
-    """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh.
-
-    The rule for the loads is raised until the assessment agrees with the gain. Where it is asked for, with
-    ``stationary``, the descent goes on to a stationary point.
-    """
-
-    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
-        if not objective.is_energy:
-            raise BadInputError(
-                f"the cascade minimises the energy, not {objective.text!r}: use nested or mpcc"
-            )
-
-    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        maps = Confirmed(self._descents(outer), Descent(end=self.end))
-        whole = Polished(maps, nodes=self.stationary, finish=self.finish, most=self.most)
-        return whole.run(outer, q, monitor)
-
-    def _descents(self, outer: Outer) -> Formulation:
-        if not outer.is_near:
-            return Maps(self)
-        # a mesh that was made for the solution: coarser ones know less of it
-        order = outer.problem.order
-        return Schedule(Descent(iterations=self.near(order)), (self.regularisation,), self.distortion)
-
-
-@dataclass(frozen=True)
-class CascadeFigures(Part):
-    """What the cascade minimised, and its levels where it came to an end."""
-
-    outer: str
-    regularisation: float
-    distortion: str
-    stationary_for: str
-    cascade: list[dict[str, Any]] | None = None
-    gain_estimate: float | None = None
-
-
-@dataclass(frozen=True)
-class FinishWork(Part):
-    """Work of the way to a stationary point."""
-
-    finish: dict[str, float]
-
-
-@dataclass(frozen=True)
-class Maps(Formulation):
-    """The descents of a cascade: each mesh begins with the map of the next coarser one.
-
-    Attributes
-    ----------
-    settings : CascadeSettings
-    """
-
-    settings: CascadeSettings = field(default_factory=CascadeSettings)
-
-    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen, levels = self.settings, _Levels(outer, monitor)
-        weight, distortion = chosen.regularisation, chosen.distortion
-        minimised = f"the energy with {distortion} weighted {weight:g} of its estimated error"
-        figures = partial(CascadeFigures, "newton", weight, distortion, minimised)
-        monitor.work += Work(ESTIMATE_SOLVES)
-        given = outer.problem, chosen, levels, monitor.budget, outer.contact
-        maps = monitor.attempt(lambda: cascade(*given))
-        if maps is None:
-            return Outcome(outer, levels.best(outer), monitor.end, details=(figures(),))
-        with monitor.budget.during("build"):
-            if maps.built is None:
-                end = outer.minimising(maps.objective)
-            else:
-                end = Outer.around(maps.built, outer.tolerance)
-        end = monitor.tracked(end.knowing(maps.gain_estimate))
-        q = maps.q if end.is_valid(maps.q) else np.zeros(end.n)
-        said = [f"over meshes of {', '.join(str(level.nodes) for level in maps.levels)} nodes"]
-        if parts := [f"{level.taken:g} on {level.nodes} nodes" for level in maps.levels if level.taken < 1]:
-            taken = f"of a prolonged map a part was taken ({', '.join(parts)})"
-            said.append(f"{taken}, since more did not lower the energy")
-        return Outcome(
-            end, q, maps.status, details=(figures(maps.record(), maps.gain_estimate),), remarks=tuple(said)
-        )
-
-
-class _Levels:
-    """What listens to a cascade: :data:`rmesh_nlp.models.cascade.OnStep`."""
-
-    def __init__(self, outer: Outer, monitor: Monitor) -> None:
-        self._outer, self._monitor = outer, monitor
-        self._track: Track | None = None
-        self._first = 0
-        self._last: Array | None = None
-        self._map: tuple[Array, NDArray[np.int64], Array] | None = None
-
-    def __call__(self, iteration: int, energy: ReducedEnergy, q: Array, value: float) -> bool:
-        """Note an iteration; whether to stop."""
-        track = self._track
-        if track is None or track.outer.energy is not energy:
-            track = self._track = self._monitor.track(Outer.around(energy, self._outer.tolerance))
-            self._first = iteration
-        mesh = energy.relocation.problem.mesh
-        if mesh.p.shape[1] == self._outer.problem.mesh.p.shape[1]:
-            self._last = np.array(q)
-        else:
-            self._map = mesh.p, energy.relocation.problem.triangles, energy.relocation.nodes(q) - mesh.p
-        given = track.outer.given.energy
-        return track.exact(iteration - self._first, q, energy(q), energy_given=given)
-
-    def best(self, outer: Outer) -> Array:
-        """The last ones on the given mesh, which are the best; if it was not reached, the map so far."""
-        if self._last is not None:
-            return self._last
-        if self._map is None:
-            return np.zeros(outer.n)
-        q = prolonged(*self._map, outer.discretisation)
-        while not outer.is_valid(q):
-            q = 0.5 * q
-        return q
+from rmesh_nlp.solving.parts import Part
 
 
 @dataclass(frozen=True)
 class Descent(Formulation):
-    """A few iterations of Newton-CG with local trust regions, for an energy with a distortion.
+    """Newton-CG with local trust regions, for an energy with a distortion.
 
     Attributes
     ----------
@@ -163,17 +50,17 @@ class Descent(Formulation):
     iterations : int
     """
 
-    end: Positive = 3e-4
-    iterations: Count = 10
+    end: Positive = 1e-3
+    iterations: Count = 20
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, energy = monitor.track(outer), outer.energy
-        gain = monitor.estimate(outer)
         descent = descend(
             energy,
             q,
             gain_tolerance=self.end,
-            reference=energy(q).value + gain,
+            # relative to all there is to gain, so that a good start ends soon
+            reference=energy(q).value + monitor.estimate(outer),
             max_iterations=self.iterations,
             on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )
@@ -182,62 +69,166 @@ class Descent(Formulation):
 
 
 @dataclass(frozen=True)
-class Polished(Wrapper):
-    """Goes on from the end of a formulation to a stationary point.
+class Level:
+    """What was done on one mesh: whether the prolonged map was taken, None on the coarsest mesh, and the end.
+
+    ``energy`` is that at the end, without the distortion.
+    """
+
+    nodes: int
+    triangles: int
+    taken: bool | None
+    energy: float
+    iterations: int
+    contact_solves: int
+
+
+@dataclass(frozen=True)
+class CascadeFigures(Part):
+    """The outer solver, and the levels of a cascade, coarsest first."""
+
+    outer: str
+    cascade: list[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Cascade(Formulation):
+    """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh.
+
+    The rule for the loads is raised until the assessment agrees with the gain. On a mesh that was made for
+    the solution there are no coarser ones, which know less of it. docs/notes/large_moves.md has what other
+    values of the settings gave.
 
     Attributes
     ----------
-    nodes : int
-        Largest number of nodes of a mesh where it does.
-    finish : int
-        Limit of the iterations.
-    most : int
-        Contact solves of all together after which it does not.
+    regularisation : float
+        Final weight of the distortion, relative to the estimated error of the energy.
+    distortion : str
+        See :mod:`rmesh_nlp.fem.distortion`.
+    schedule : tuple of float
+        Weights before the final one on the coarsest mesh, relative to the error too.
+    coarsest : int
+        Least number of nodes of the coarsest mesh.
+    end : float
+        A descent ends where the model predicts less than this part of the error.
+    iterations : int
+        Limit of a descent.
+    brief : int
+        The same on the finest mesh, where that is a uniform refinement of the next coarser one: a map is
+        prolonged less well to others.
     """
 
-    nodes: Limit = CascadeSettings.stationary
-    finish: Count = CascadeSettings.finish
-    most: Count = CascadeSettings.most
+    regularisation: Positive = 3e-3
+    distortion: str = "shape-size"
+    schedule: tuple[float, ...] = (1.0, 0.1, 0.01)
+    coarsest: Count = 60
+    end: Positive = 1e-3
+    iterations: Count = 20
+    brief: Count = 10
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        regularised(1.0, 1.0, self.distortion)
+        schedule = weights((*weights(self.schedule, "schedule"), self.regularisation), "schedule")
+        object.__setattr__(self, "schedule", schedule[:-1])
+
+    def accepts(self, problem: ContactProblem, objective: Objective) -> None:
+        if not objective.is_energy:
+            raise BadInputError(
+                f"the cascade minimises the energy, not {objective.text!r}: use nested or mpcc"
+            )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        outcome = monitor.run(self.inner, outer, q)
-        end, q = outcome.outer, outcome.q
-        small = q.size > 0 and end.problem.mesh.p.shape[1] <= self.nodes
-        if monitor.is_over() or not small or not end.objective.has_barrier or not end.is_valid(q):
-            return outcome
-        energy = end.energy
-        if end.residual(energy(q)) <= end.tolerance:
-            return outcome
-        began, before = processor_seconds(), energy.contact_solves
-        last = before + max(self.most - monitor.spent.contact_solves - SPARE, 1)
-        track, begin = monitor.track(end), q
-        finish = monitor.attempt(
-            lambda: finished(
-                energy,
-                begin,
-                end.residual,
-                tolerance=end.tolerance,
-                reference=energy(begin).value + (end.gain or 0.0),
-                max_iterations=self.finish,
-                on_step=lambda i, x, _: (
-                    track.exact(i, x, energy(x), energy_given=end.given.energy)
-                    or energy.contact_solves >= last
-                ),
+        inner: Formulation = Levels(self)
+        if outer.is_near:
+            inner = Schedule(Descent(self.end, self.iterations), (self.regularisation,), self.distortion)
+        return Confirmed(inner, Descent(self.end, self.brief)).run(outer, q, monitor)
+
+
+@dataclass(frozen=True)
+class Levels(Formulation):
+    """The descents of a cascade: each mesh begins with the map of the next coarser one."""
+
+    settings: Cascade = field(default_factory=Cascade)
+
+    def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[Level]()
+
+        def descend() -> None:
+            with budget.during("build"):
+                problems = hierarchy(outer.problem, chosen.coarsest, budget)
+            for problem in problems:
+                with budget.during("build"):
+                    level = (
+                        outer if problem is outer.problem else Outer.of(problem, tolerance=outer.tolerance)
+                    )
+                first, solves = monitor.iterations, monitor.spent.contact_solves
+                taken = None
+                if ends:
+                    outcome, taken = self._corrected(level, ends[-1], monitor, brief=level is outer)
+                else:
+                    outcome = monitor.run(self._search(), level, np.zeros(level.n))
+                if outcome.outer.gain is None:  # stopped before there was a map
+                    return
+                ends.append(outcome)
+                sizes = problem.mesh.p.shape[1], problem.mesh.t.shape[1]
+                reached = outcome.outer.energy(outcome.q).equilibrium.energy
+                spent = monitor.iterations - first, monitor.spent.contact_solves - solves
+                levels.append(Level(*sizes, taken, reached, *spent))
+                budget.check()
+
+        monitor.attempt(descend)
+        if not ends:
+            return Outcome(outer, q, monitor.end)
+        outcome = ends[-1]
+        if outcome.outer.problem is not outer.problem:  # stopped before: the map so far, as it is
+            end = monitor.tracked(self._weighted(outer, outcome.outer))
+            q = _mapped(outcome, end)
+            while not end.is_valid(q):
+                q = 0.5 * q
+            outcome = Outcome(end, q, monitor.end)
+        gain, weight = outcome.outer.gain or 0.0, chosen.regularisation
+        remarks = [f"over meshes of {', '.join(str(level.nodes) for level in levels)} nodes"]
+        if left := [str(level.nodes) for level in levels if level.taken is False]:
+            remarks.append(
+                f"on {', '.join(left)} nodes from where they were given: the map raised the energy"
             )
+        return outcome.having(
+            Regularisation(weight, chosen.distortion, weight * gain, gain),
+            CascadeFigures("newton", [asdict(level) for level in levels]),
+            remarks=(*remarks, *outcome.remarks),
         )
-        if finish is None:
-            return outcome.having(q=track.best(q), status=monitor.end)
-        x, status = finish.result.x, finish.result.status
-        if status is Status.INTERRUPTED:
-            status = monitor.stopped or Status.ITERATION_LIMIT
-        figures = {
-            "iterations": finish.result.iterations,
-            "products": finish.result.products,
-            "contact_solves": energy.contact_solves - before,
-            "factorisations": finish.factorisations,
-            "seconds": processor_seconds() - began,
-        }
-        continuous = end.assessor.solve(end.nodes(x), energy(x).equilibrium.active)
-        if not (end.is_valid(x) and continuous.energy <= end.assessor.initial.energy):
-            return outcome
-        return outcome.having(FinishWork(figures), q=x, status=status)
+
+    def _search(self) -> Formulation:
+        """What runs on the coarsest mesh."""
+        chosen = self.settings
+        schedule = (*chosen.schedule, chosen.regularisation)
+        return Schedule(Descent(chosen.end, chosen.iterations), schedule, chosen.distortion)
+
+    def _weighted(self, level: Outer, coarser: Outer) -> Outer:
+        """The energy with the distortion on a finer mesh: its error falls like the number of nodes."""
+        chosen, problems = self.settings, (coarser.problem, level.problem)
+        coarse, fine = (float(problem.mesh.p.shape[1]) ** problem.order for problem in problems)
+        error = (coarser.gain or 0.0) * coarse / fine
+        return level.knowing(error).minimising(regularised(error, chosen.regularisation, chosen.distortion))
+
+    def _corrected(
+        self, level: Outer, before: Outcome, monitor: Monitor, *, brief: bool
+    ) -> tuple[Outcome, bool]:
+        """Where a descent from the map of the next coarser mesh ends, and whether the map was taken."""
+        chosen = self.settings
+        with monitor.budget.during("build"):
+            weighted = self._weighted(level, before.outer)
+            q = _mapped(before, weighted)
+            taken = lowers(weighted.energy, q)
+        is_nested = level.problem.mesh.t.shape[1] == 4 * before.outer.problem.mesh.t.shape[1]
+        # what is not a correction of a map takes more than a few iterations
+        limit = chosen.brief if brief and is_nested and taken else chosen.iterations
+        return monitor.run(Descent(chosen.end, limit), weighted, q if taken else np.zeros(level.n)), taken
+
+
+def _mapped(coarse: Outcome, fine: Outer) -> Array:
+    """Outer variables of a finer mesh that follow the map of a coarser one."""
+    outer = coarse.outer
+    shift = outer.nodes(coarse.q) - outer.problem.mesh.p
+    return prolonged(outer.problem.mesh.p, outer.problem.triangles, shift, fine.discretisation)

@@ -183,30 +183,11 @@ RULES = (
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
     Rule(
-        "cascade: factorised second derivatives near the end",
+        "Newton: factorised second derivatives near the end",
         ("auto",),
         FREE,
         {"rmesh_nlp.models.regularised_descent:NEAR": 0.0},
     ),
-    Rule(
-        "cascade: polish by factorisations",
-        ("auto",),
-        FREE,
-        {"rmesh_nlp.models.regularised_descent:POLISH": 0},
-    ),
-    Rule(
-        "cascade: several schedules where they are cheap",
-        ("auto",),
-        FREE,
-        {"rmesh_nlp.models.cascade:CHEAP": 1e9},
-    ),
-    Rule(
-        "cascade: brief descents at order 2",
-        ("auto",),
-        FREE,
-        {"rmesh_nlp.models.cascade:ENOUGH": {1: 1.0, 2: 1.0}},
-    ),
-    Rule("cascade: parts of a prolonged map", ("auto",), FREE, {"rmesh_nlp.models.levels:HALVINGS": 1}),
     Rule(
         "contact: patience with blocks",
         ("fixed", "nested"),

@@ -42,8 +42,8 @@ from rmesh_nlp.problem import ContactProblem  # noqa: E402
 PARTS = {
     "models": "contact.solver:ContactSolver models.reduced_model:ReducedEnergy "
     "models.second_derivatives:Curvature",
-    "coarser": "models.levels:coarsened models.levels:prolonged models.levels:accepted",
-    "descents": "models.regularised_descent:descend models.regularised_descent:finished",
+    "coarser": "models.levels:hierarchy models.levels:prolonged models.levels:lowers",
+    "descents": "models.regularised_descent:descend models.regularised_descent:to_stationary",
     "metric": "models.remeshing:metric_start",
     "estimate": "models.regularisation:gain_estimate",
     "unit": "optimize.budget:timed",

@@ -1,4 +1,4 @@
-"""Levels of a cascade of meshes: coarser meshes, prolongation of a map to a finer one, and its acceptance."""
+"""Levels of a cascade of meshes: coarser meshes, prolongation of a map to a finer one, whether it helps."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
@@ -18,9 +19,11 @@ from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
+from rmesh_nlp.problem.rigid import rigid_motions
 
 COARSER = 4
 """About how many times fewer nodes the next coarser mesh has."""
@@ -51,6 +54,27 @@ def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None
         if candidate is not None:
             return candidate
     return None
+
+
+def hierarchy(problem: ContactProblem, coarsest: int, budget: Budget) -> list[ContactProblem]:
+    """The problem on coarser and coarser meshes, coarsest first, itself last."""
+    levels = [problem]
+    while True:
+        budget.check()
+        coarser = coarsened(levels[-1], coarsest)
+        if coarser is None or not _is_fixed(coarser):
+            return levels[::-1]
+        levels.append(coarser)
+
+
+def _is_fixed(problem: ContactProblem) -> bool:
+    """Whether no rigid-body mode is left: a coarse mesh may touch at one node where contact excludes it."""
+    if rigid_motions(problem).size > 0:
+        try:
+            ContactSolver(problem)
+        except ProblemError:
+            return False
+    return True
 
 
 def _numbers(problem: ContactProblem) -> list[int]:
@@ -215,26 +239,17 @@ def _smoothed(shift: Array, triangles: NDArray, nodes: NDArray) -> Array:
     return result
 
 
-HALVINGS = 4
-"""Parts of a map that are tried: the whole, a half, a quarter, an eighth."""
+def lowers(energy: ReducedEnergy, q: Array) -> bool:
+    """Whether the energy at ``q`` is below that of the mesh as given.
 
-
-def accepted(energy: ReducedEnergy, q: Array) -> tuple[Array, float]:
-    """The part of ``q`` that is taken, times ``q``, and that part; 0 for the mesh as given.
-
-    The largest part counts whose energy is below that of the mesh as given. Where a foundation is curved
-    that is the continuous energy (:mod:`rmesh_nlp.assessment.admissible`), since what a coarse map gains by
-    penetration does not last on a finer mesh.
+    Where a foundation is curved that is the continuous energy (:mod:`rmesh_nlp.assessment.admissible`), since
+    what a coarse map gains by penetration does not last on a finer mesh.
     """
     rel = energy.relocation
-    curved = any(part.level is not None for part in rel.problem.obstacles) or bool(rel.problem.motion.curves)
-
-    def measured(q: Array) -> float:
-        state = energy(q).equilibrium
-        return energy.assessor.solve(rel.nodes(q), state.active).energy if curved else state.energy
-
-    given = energy.assessor.initial.energy if curved else energy.given.energy
-    for part in (0.5**k for k in range(HALVINGS)):
-        if energy.is_defined(part * q) and measured(part * q) < given:
-            return part * q, part
-    return np.zeros_like(q), 0.0
+    if not energy.is_defined(q):
+        return False
+    state = energy(q).equilibrium
+    if any(part.level is not None for part in rel.problem.obstacles) or rel.problem.motion.curves:
+        continuous = energy.assessor.solve(rel.nodes(q), state.active)
+        return bool(continuous.energy < energy.assessor.initial.energy)
+    return bool(state.energy < energy.given.energy)

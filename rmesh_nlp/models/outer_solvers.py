@@ -14,7 +14,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
-from rmesh_nlp.models.regularised_descent import descend
+from rmesh_nlp.models.regularised_descent import to_stationary
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
@@ -36,10 +36,7 @@ variables and displacements, for any number."""
 
 TIGHT = 1e-4
 """newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
-this part of the gain so far; ..."""
-
-TIGHT_REGULARISED = 1e-15
-"""... with a distortion in the objective less than this part."""
+this part of the gain so far."""
 
 LEAST_TOL, LEAST_ACCEPTABLE_TOL = 1e-12, 1e-9
 """Ipopt's least tolerances with exact Hessians, in units of the gradient on the given mesh. Many constraints
@@ -148,8 +145,13 @@ def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nested
     is_energy = isinstance(function, ReducedEnergy)
     if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
         most = settings.iterations or 200
-        result = descend(
-            function, start, gain_tolerance=TIGHT_REGULARISED, max_iterations=most, on_step=monitor
+        result = to_stationary(
+            function,
+            start,
+            problem.residual,
+            tolerance=problem.tolerance,
+            max_iterations=most,
+            on_step=monitor,
         )
     elif settings.enough is not None and problem.constraints is None:
         result = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)

@@ -3,13 +3,13 @@
 Far from a stationary point conjugate gradients with the diagonal are the cheapest per iteration. Near it the
 second derivatives are nearly singular in many directions, along which elements slide past each other at
 hardly any cost; there one factorisation of the second derivatives in outer variables and displacements
-together is a nearly exact preconditioner, and Newton's method converges quadratically (:func:`finished`).
+together is a nearly exact preconditioner, and Newton's method converges quadratically.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.second_derivatives import Curvature, Hessian
-from rmesh_nlp.optimize.newton_step import BoxStep, Preconditioner, Shifted, positive_definite, scaled
+from rmesh_nlp.optimize.newton_step import Preconditioner, Shifted, positive_definite
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
@@ -30,12 +30,8 @@ KEPT = 0.1
 NEAR = 3e-3
 """First-order residual below which the second derivatives are factorised (chosen on Example 6.1)."""
 
-FORCING, EXACT_FORCING = 0.01, 1e-4
-"""Conjugate gradients stop at this part of the residual they began with; at the second one in steps that are
-accepted by the first-order residual."""
-
-POLISH = 10
-"""Largest number of factorisations for such steps."""
+FORCING = 0.01
+"""Conjugate gradients stop at this part of the residual they began with, on the way to a stationary point."""
 
 OnPoint = Callable[[int, Array, float], bool | None]
 
@@ -126,87 +122,38 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
     return float(min(1.0, np.min(roots[real], initial=1.0)))
 
 
-@dataclass(frozen=True)
-class FinishedDescent:
-    """Where :func:`finished` ended: CONVERGED if the residual is at most the tolerance.
-
-    ``factorisations`` are those of second derivatives in outer variables and displacements together.
-    """
-
-    result: NewtonResult
-    residual: float
-    factorisations: int
-
-
-def finished(
+def to_stationary(
     energy: ReducedEnergy,
     q: Array,
     residual: Callable[[ReducedPoint], float],
     *,
     tolerance: float,
-    reference: float,
     max_iterations: int,
-    on_step: OnPoint | None = None,
-) -> FinishedDescent:
+    on_step: OnPoint,
+) -> NewtonResult:
     """Descend from ``q``, with a distortion, until the first-order residual is at most ``tolerance``.
 
-    ``reference`` is the value above which a decrease is a gain; the descent stops if ``on_step`` returns
+    The status is CONVERGED then, and STALLED where the descent ends before; it stops if ``on_step`` returns
     True.
     """
-    norm, factorisations = float("inf"), 0
+    norm = float("inf")
 
     def report(iteration: int, x: Array, value: float) -> bool:
         nonlocal norm
         norm = residual(energy(x))
-        stop = on_step is not None and on_step(iteration, x, value)
-        return bool(stop) or norm <= tolerance
+        return bool(on_step(iteration, x, value)) or norm <= tolerance
 
     def factorised(model: Hessian, width: Array) -> Shifted | None:
-        nonlocal factorisations
-        if norm > NEAR:
-            return None
-        shifted = positive_definite(*model.joint(width))
-        factorisations += 0 if shifted is None else shifted.factorisations
-        return shifted
+        return positive_definite(*model.joint(width)) if norm <= NEAR else None
 
     result = descend(
         energy,
         q,
         gain_tolerance=0.0,
-        reference=reference,
         max_iterations=max_iterations,
         on_step=report,
         forcing=FORCING,
         preconditioner=factorised,
     )
-    q, status, norm = result.x, result.status, residual(energy(result.x))
-    if status in (Status.CONVERGED, Status.STALLED) and tolerance < norm <= NEAR:
-        q, norm, count = _polished(energy, q, residual, norm, tolerance)
-        factorisations += count
-    if norm <= tolerance:
-        status = Status.CONVERGED
-    elif status is Status.CONVERGED:
-        status = Status.STALLED
-    return FinishedDescent(replace(result, x=q, value=energy(q).value, status=status), norm, factorisations)
-
-
-def _polished(
-    energy: ReducedEnergy, q: Array, residual: Callable[[ReducedPoint], float], norm: float, tolerance: float
-) -> tuple[Array, float, int]:
-    """Newton steps that are accepted by the residual: decreases of the value are rounding by now."""
-    curvature, free, count = Curvature(energy), energy.relocation.mesh_map, 0
-    while norm > tolerance and count < POLISH:
-        model, width = curvature.at(energy(q)), node_widths(energy.relocation, q)
-        factor = positive_definite(*model.joint(width))
-        if factor is None:
-            break
-        count += factor.factorisations
-        step = BoxStep(scaled(model, width), width * energy(q).gradient, factor)
-        low = np.maximum((free.lower - q) / width, -1.0)
-        high = np.minimum((free.upper - q) / width, 1.0)
-        y, _ = step.within(low, high, EXACT_FORCING)
-        trial = free.clipped(q + width * y)
-        if not energy.is_defined(trial) or not residual(energy(trial)) < norm:
-            break
-        q, norm = trial, residual(energy(trial))
-    return q, norm, count
+    status = Status.STALLED if result.status is Status.CONVERGED else result.status
+    return replace(result, status=Status.CONVERGED if norm <= tolerance else status)

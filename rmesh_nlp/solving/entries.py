@@ -318,10 +318,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("distortion", Text, "Its kind."),
         Entry("regularisation_weight", Number, "The last weight in units of the energy.", unit="energy"),
         Entry("gain_estimate", Number, "Estimated error of the energy on the given mesh.", unit="energy"),
-        Entry("stationary_for", Text, "What the end is stationary for."),
-        Entry("cascade", list[dict[str, Any]] | None, "What was done on each mesh; `taken` is the part of "
-              "the prolonged map that was taken."),
-        Entry("finish", dict[str, float], "Work of getting from the cascade to a stationary point."),
+        Entry("cascade", list[dict[str, Any]], "What was done on each mesh, coarsest first; `taken` says "
+              "whether the prolonged map was."),
         Entry("rules", list[str | int], "Quadrature degrees that `auto` took in turn."),
         Entry("start_seeds", list[Count], "With `--starts`: the seed of each; null for the given mesh."),
         Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),

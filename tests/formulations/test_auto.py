@@ -11,7 +11,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import cascade as of_formulation
 from formulations import confirmed as confirmed_by
 from formulations.auto import Auto
 from formulations.confirmed import agrees
@@ -21,12 +20,8 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
-from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.cascade import CascadeResult, cascade
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.regularised_descent import FinishedDescent, finished
-from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -54,7 +49,7 @@ def free(n: int, quadrature: int | None = None) -> ContactProblem:
 @pytest.mark.slow
 def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None:
     problem, seen = free(16), []
-    solution = auto.solve(problem, on_step=seen.append, **{"stationary": 300})
+    solution = auto.solve(problem, on_step=seen.append, **{"iterations": 20})
     row, exact = solution.record(), problem.exact.energy
     # move limits of a fifth of an edge give 1.6 times less
     assert row["energy_initial_audited"] - exact > 5 * (row["energy_audited"] - exact)
@@ -62,26 +57,10 @@ def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None
     assert "81, 289 nodes" in row["chosen"]
     assert (row["formulation"], row["outer"], row["quadrature"]) == ("cascade", "newton", 6)
     assert [level["nodes"] for level in row["cascade"]] == [81, 289]
-    assert row["cascade"][1]["energy"] < row["cascade"][1]["prolonged"] < row["energy_initial"]
-    assert row["status"] == "converged"
-    assert row["stationarity_residual"] <= 1e-6
-    assert row["stationary_for"].startswith("the energy with shape-size weighted 0.003")
-    own, finish = (part["iterations"] for part in (row["cascade"][1], row["finish"]))
-    assert finish > 0
-    assert row["iterations"] == row["cascade"][0]["iterations"] + own + finish
-    assert [step.q is None for step in seen].count(False) == own + 1 + finish
+    own = row["cascade"][1]["iterations"]
+    assert row["iterations"] == row["cascade"][0]["iterations"] + own
+    assert [step.q is None for step in seen].count(False) == own + 1
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
-
-
-def test_a_stationary_point_is_looked_for_where_that_is_asked_for_only() -> None:
-    brief, asked = (auto.solve(free(3), **settings) for settings in ({}, {"stationary": 100}))
-    assert (brief.success, brief.record().get("finish")) == (True, None)
-    assert brief.stationarity_residual > 1e-6
-    assert brief.status in (Status.NOT_STATIONARY, Status.ITERATION_LIMIT)
-    assert asked.status is Status.CONVERGED
-    assert asked.contact_solves > brief.contact_solves
-    # what is minimised is the energy with a distortion; the energy alone may be higher at its minimiser
-    assert asked.record()["objective_value"] <= brief.record()["objective_value"]
 
 
 SIDES = ("left", "bottom", "top", "contact")
@@ -115,7 +94,7 @@ def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
 def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     source = Laplace(lambda x, y: 200 * ca.sin(17 * x) * ca.cos(19 * y))
     problem = ContactProblem(rectangle(5, 5), source, ("left", "right"), motion=Motion(None))
-    row = auto.solve(problem, **{"iterations": 6, "stationary": 1}).record()
+    row = auto.solve(problem, **{"iterations": 6}).record()
     assert row["rules"][0] == 6
     assert row["rules"][-1] == row["quadrature"]
     assert row["gain_audited"] > 0
@@ -149,29 +128,6 @@ def test_many_outer_variables_within_move_limits_are_made_by_newton(n: int, chos
     assert choice.why.startswith(("joint", "nested, newton")[chosen is Nested])
 
 
-@pytest.mark.parametrize("limit", [None, 4])
-def test_a_worse_end_is_never_kept(limit: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither that of the way to a stationary point nor, where a limit stops it, that of the cascade."""
-
-    def worse(energy: ReducedEnergy, q: np.ndarray) -> np.ndarray:
-        return 0.02 * np.sign(energy(np.zeros(q.size)).gradient)
-
-    def spoilt_way(energy: ReducedEnergy, q: np.ndarray, *given: Any, **options: Any) -> FinishedDescent:
-        found = finished(energy, q, *given, **options)
-        return replace(found, result=replace(found.result, x=worse(energy, q)))
-
-    def spoilt_cascade(*given: Any) -> CascadeResult:
-        found = cascade(*given)
-        return found if limit is None else replace(found, q=worse(found.energy, found.q))
-
-    monkeypatch.setattr(of_formulation, "finished", spoilt_way)
-    monkeypatch.setattr(of_formulation, "cascade", spoilt_cascade)
-    problem = free(3, 6)
-    solution = auto.solve(problem, limits={"iterations": limit}, **{"iterations": 8, "finish": 2})
-    assert solution.success
-    assert solution.gain_audited > 0 if limit is None else solution.gain_audited == 0
-
-
 def over_a_parabola(n: int) -> ContactProblem:
     """A block that is pressed on a curved foundation, which passes between the nodes of a coarse mesh."""
     return ContactProblem(
@@ -187,7 +143,7 @@ def over_a_parabola(n: int) -> ContactProblem:
 @pytest.mark.slow
 def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> None:
     problem = over_a_parabola(3)
-    solution = auto.solve(problem, **{"iterations": 20, "finish": 20})
+    solution = auto.solve(problem, **{"iterations": 20})
     row = solution.record()
     assert row["success"]
     assert "gaps along edges" in row["chosen"]
@@ -202,7 +158,7 @@ def test_over_a_curved_foundation_gaps_hold_along_edges_and_gains_are_true() -> 
 def test_steps_of_a_cascade_say_residual_and_gain() -> None:
     steps: list[Step] = []
     problem = free(16, 6)
-    solution = auto.solve(problem, on_step=steps.append, **{"stationary": 1})
+    solution = auto.solve(problem, on_step=steps.append, **{"iterations": 20})
     last = steps[-1]
     assert all(math.isfinite(step.dual_residual) for step in steps)
     assert steps[0].dual_residual == pytest.approx(1.0)  # the mesh as given
@@ -228,33 +184,6 @@ def test_nothing_more_is_built_once_the_time_is_up(built: list[Any]) -> None:
     assert len(built) == 1  # that of the outer problem
 
 
-def test_a_cascade_that_is_late_prolongs_what_it_has(built: list[Any]) -> None:
-    problem = free(16, 6)
-    budget = Budget()
-    budget.is_over = lambda: len(built) > 0  # type: ignore[method-assign]
-    result = cascade(problem, budget=budget)
-    assert len(built) == 1  # the first weight on the coarsest mesh
-    assert [level.nodes for level in result.levels] == [81]
-    assert result.status is Status.INTERRUPTED
-    assert np.any(result.q != 0)
-    nodes = MeshMap.of(problem).positions.values(result.q)
-    assert np.all(signed_areas(nodes, problem.triangles) > 0)
-    energies = [ContactSolver(problem).solve(x).energy for x in (problem.mesh.p, nodes)]
-    assert energies[1] < energies[0]
-
-
-def test_a_time_limit_on_the_way_to_a_stationary_point_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    def late(*given, **options):
-        monkeypatch.setattr(Budget, "remaining", 0.0)
-        return finished(*given, **options)
-
-    monkeypatch.setattr(of_formulation, "finished", late)
-    row = auto.solve(free(3), **{"stationary": 100}).record()
-    assert (row["status"], row["valid"]) == ("time_limit", True)
-    assert row["gain_audited"] > 0
-    assert row.get("error_reduction") is None
-
-
 @pytest.mark.parametrize(
     ("n", "when", "coarse"),
     [
@@ -278,14 +207,3 @@ def test_ctrl_c_keeps_the_best_mesh_or_the_map_that_there_is(n: int, when: Any, 
     assert (solution.status, solution.valid) == (Status.INTERRUPTED, True)
     assert solution.energy <= (solution.energy_initial if coarse else finest[0].energy)
     assert solution.gain_audited > 0
-
-
-@pytest.mark.slow
-def test_the_way_to_a_stationary_point_keeps_to_its_contact_solves() -> None:
-    problem, asked = free(3, 8), {"stationary": 100}
-    # a tolerance that is not met
-    most = auto.solve(problem, tolerance=1e-15, **asked).contact_solves - 1
-    held = auto.solve(problem, tolerance=1e-15, **{**asked, "most": most})
-    assert held.contact_solves <= most
-    assert held.status is Status.ITERATION_LIMIT
-    assert held.success

@@ -8,7 +8,7 @@ import casadi as ca
 import pytest
 
 from formulations.auto import Auto
-from formulations.cascade import Cascade, Descent, Polished
+from formulations.cascade import Cascade, Descent
 from formulations.confirmed import Confirmed
 from formulations.fixed import Fixed
 from formulations.joint import Joint
@@ -18,7 +18,6 @@ from formulations.nested import Nested
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.models.cascade import CascadeSettings
 from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.budget import Limits
@@ -26,16 +25,16 @@ from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.vectorised import AssemblySettings
 
-WRAPPERS = (Confirmed, MultiStart, Polished, Remeshed, Schedule)
-FORMULATIONS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
-KINDS = (NewtonSettings, *FORMULATIONS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
+WRAPPERS = (Confirmed, MultiStart, Remeshed, Schedule)
+FORMULATIONS = (AllAtOnce, Auto, Cascade, Descent, Fixed, Joint, Nested, *WRAPPERS)
+KINDS = (NewtonSettings, *FORMULATIONS, NestedSettings, AssemblySettings, Options, Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_field_is_documented(kind: type[Settings]) -> None:
     documented = " ".join(re.findall(r"^ *([\w, ]+) : ", kind.__doc__ or "", re.M)).replace(",", " ").split()
     known = {field.name for field in fields(kind)}
-    assert documented == [name for name in vars(kind)["__annotations__"] if name in known]
+    assert documented == [name for name in vars(kind).get("__annotations__", {}) if name in known]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -56,12 +55,6 @@ def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
         solve(MPCC(*_pair()), [1.0, 1.0], cross=1.0)
 
 
-@pytest.mark.parametrize("schedules", [((1.0, -1.0),), ((1.0, "x"),), ((1.0, 0.0),), (1.0,), 8])
-def test_numbers_of_a_tuple_are_checked_one_by_one(schedules: Any) -> None:
-    with pytest.raises(BadInputError, match="schedule"):
-        Cascade(schedules=schedules)
-
-
 @pytest.mark.parametrize(
     ("kind", "given"),
     [(Joint, {"ipopt": 3}), (Options, {"warm_duals": "yes"}), (Cascade, {"distortion": 1})],
@@ -72,9 +65,9 @@ def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str,
 
 
 def test_a_change_keeps_what_was_chosen_before() -> None:
-    first = NestedSettings.of({"tol": 1e-5, "newton": {"close": 0.5}})
+    first = NestedSettings.of({"enough": 1e-5, "newton": {"close": 0.5}})
     both = first.having({"newton": {"max_products": 5}})
-    assert both.changed() == {"tol": 1e-5, "newton": {"max_products": 5, "close": 0.5}}
+    assert both.changed() == {"enough": 1e-5, "newton": {"max_products": 5, "close": 0.5}}
 
 
 def _pair() -> tuple[Any, ...]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 import benchmark_cost as script
+from formulations import cascade
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.models import cascade
 
 
 def test_parts_add_up_to_the_whole_and_are_told_apart_in_one_run_only(

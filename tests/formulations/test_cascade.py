@@ -1,0 +1,113 @@
+"""The cascade of meshes: weights and work of its levels, maps not taken, and what an interrupt keeps."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from formulations import cascade as module
+from formulations.cascade import Cascade
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models.levels import coarsened
+from rmesh_nlp.models.regularisation import gain_estimate
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PiecewiseLinear, PlaneStrain, Traction
+from support.problems import no_move_limits
+
+
+def square(n: int) -> ContactProblem:
+    return replace(no_move_limits(EXAMPLES["6.1"](n=n)), quadrature=8)
+
+
+def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
+    problem = square(8)
+    solution = rm.solve(problem, Cascade(coarsest=20, iterations=6))
+    row, (coarse, fine) = solution.record(), solution.record()["cascade"]
+    assert [level["nodes"] for level in (coarse, fine)] == [25, 81]
+    assert [level["triangles"] for level in (coarse, fine)] == [32, 128]
+    assert [level["taken"] for level in (coarse, fine)] == [None, True]
+    # the error falls like the number of nodes
+    coarser = coarsened(problem, 20)
+    assert coarser is not None
+    error = gain_estimate(coarser).value * 25 / 81
+    assert row["gain_estimate"] == pytest.approx(error)
+    assert row["regularisation_weight"] == pytest.approx(0.003 * error)
+    assert row["iterations"] == coarse["iterations"] + fine["iterations"] <= 4 * 6 + 6
+    assert 0 < coarse["contact_solves"] + fine["contact_solves"] <= row["contact_solves"]
+    assert fine["energy"] == pytest.approx(solution.energy)
+    assert solution.energy < solution.energy_initial
+
+
+def test_a_map_that_folds_triangles_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    def folded(*given: Any) -> np.ndarray:
+        return np.random.default_rng(0).uniform(-9, 9, given[-1].n_q)
+
+    monkeypatch.setattr(module, "prolonged", folded)
+    row = rm.solve(square(8), coarsest=20, iterations=2).record()
+    assert row["cascade"][-1]["taken"] is False
+    assert "on 81 nodes from where they were given" in row["chosen"]
+    assert row["gain_audited"] > 0
+
+
+def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
+    problem = square(8)
+    solution = rm.solve(problem, Cascade(coarsest=20), limits=rm.Limits(iterations=2))
+    row = solution.record()
+    assert (solution.status, row["valid"]) == (Status.ITERATION_LIMIT, True)
+    assert [level["nodes"] for level in row["cascade"]] == [25]
+    assert np.min(signed_areas(solution.mesh.p, problem.triangles)) > 0
+    assert solution.gain_audited > 0
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [{"schedule": (0.0,)}, {"schedule": (1.0, -1.0)}, {"schedule": "x"}, {"distortion": "oval"}, {"brief": 0}],
+)
+def test_bad_settings_are_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(BadInputError, match=next(iter(bad))):
+        Cascade.of(bad)
+
+
+@pytest.mark.slow
+def test_from_its_end_newton_comes_to_a_stationary_point_in_as_few_solves() -> None:
+    """A factorisation near the end: without it 8 to 19 times as many were taken."""
+    problem = square(16)
+    first = rm.solve(problem, "cascade")
+    solution = rm.solve(problem, start=first)
+    assert (first.status, solution.status) == (Status.ITERATION_LIMIT, Status.CONVERGED)
+    assert solution.stationarity_residual <= 1e-6
+    assert solution.contact_solves <= 2 * first.contact_solves
+    assert solution.energy_audited < first.energy_audited
+
+
+LEAST = -3.66907
+"""Energy of the block on a ridge, from relocated meshes refined four times."""
+
+
+def wedge(n: int) -> ContactProblem:
+    """A block on a ridge, 4 n times n cells."""
+    mesh = named(
+        rectangle(4 * n, n, x=(0, 4), diagonal="falling"), {"load": lambda x: (x[1] == 1) & (x[0] > 2)}
+    )
+    return ContactProblem(
+        mesh=mesh,
+        law=PlaneStrain(lame_lambda=1.15e4, lame_mu=0.83e4),
+        dirichlet=("left",),
+        obstacle=Obstacle.graph("bottom", PiecewiseLinear((0.0, 3.0, 4.0), (-0.12, -0.03, -0.06))),
+        motion=Motion(None),
+        tractions=(Traction("load", (-20.0, -57.5)),),
+    )
+
+
+@pytest.mark.slow
+def test_meshes_that_are_not_nested_gain_as_much_as_their_neighbours() -> None:
+    """Error times nodes hardly depends on the size, whether a mesh is a refinement of others or not."""
+    solutions = [rm.solve(wedge(n), "cascade") for n in (12, 13, 16, 17)]
+    products = [(one.energy_audited - LEAST) * one.mesh.p.shape[1] for one in solutions]
+    assert max(products) < 1.15 * min(products)
