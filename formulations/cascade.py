@@ -38,6 +38,9 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Part
 
+ON_THE_WAY = 1e-2
+"""Part of the error below which a descent at a weight before the final one ends."""
+
 
 @dataclass(frozen=True)
 class Descent(Formulation):
@@ -50,7 +53,7 @@ class Descent(Formulation):
     iterations : int
     """
 
-    end: Positive = 1e-3
+    end: Positive = 3e-4
     iterations: Count = 20
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
@@ -122,7 +125,7 @@ class Cascade(Formulation):
     distortion: str = "shape-size"
     schedule: tuple[float, ...] = (1.0, 0.1, 0.01)
     coarsest: Count = 60
-    end: Positive = 1e-3
+    end: Positive = 3e-4
     iterations: Count = 20
     brief: Count = 10
 
@@ -167,7 +170,7 @@ class Levels(Formulation):
                 if ends:
                     outcome, taken = self._corrected(level, ends[-1], monitor, brief=level is outer)
                 else:
-                    outcome = monitor.run(self._search(), level, np.zeros(level.n))
+                    outcome = self._searched(level, monitor)
                 if outcome.outer.gain is None:  # stopped before there was a map
                     return
                 ends.append(outcome)
@@ -199,11 +202,16 @@ class Levels(Formulation):
             remarks=(*remarks, *outcome.remarks),
         )
 
-    def _search(self) -> Formulation:
-        """What runs on the coarsest mesh."""
+    def _searched(self, level: Outer, monitor: Monitor) -> Outcome:
+        """Where the schedule of weights ends on the coarsest mesh."""
         chosen = self.settings
-        schedule = (*chosen.schedule, chosen.regularisation)
-        return Schedule(Descent(chosen.end, chosen.iterations), schedule, chosen.distortion)
+        heavier = Schedule(Descent(ON_THE_WAY, chosen.iterations), chosen.schedule, chosen.distortion)
+        begun = monitor.run(heavier, level, np.zeros(level.n))
+        if begun.outer.gain is None or monitor.is_over():
+            return begun
+        return monitor.run(
+            Descent(chosen.end, chosen.iterations), self._weighted(level, begun.outer), begun.q
+        )
 
     def _weighted(self, level: Outer, coarser: Outer) -> Outer:
         """The energy with the distortion on a finer mesh: its error falls like the number of nodes."""
