@@ -105,7 +105,7 @@ class Continuous:
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
             friction = np.zeros(space.n_nodes)
-            shares = shape_integrals(edges.at, edges.size, part.obstacle.friction, space.order)[0]
+            shares = shape_integrals(edges.at, edges.size, part.obstacle.friction, space.order).value
             np.add.at(friction, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = friction[part.nodes]
         rigid = self.parts.rigid_motions(nodes)

@@ -83,7 +83,7 @@ def _integral(
         slip = normals[1] * u[0] - normals[0] * u[1]
         return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
 
-    return float(np.sum(over_edges(edges.at, edges.size, integrand)[0]))
+    return float(np.sum(over_edges(edges.at, edges.size, integrand, (obstacle.friction,)).value))
 
 
 def growth(before: float | None, after: float | None) -> str | None:

@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.assessment.integrals import EdgePoints, over_edges, over_triangles
+from rmesh_nlp.assessment.integrals import Integral, over_edges, over_triangles
+from rmesh_nlp.assessment.parts import EdgePoints
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -38,7 +39,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
                 return _density(law, gradient).reshape(-1, *gradient.shape[2:])
 
             if elements.size:
-                local = over_triangles(body, elements, integrand, points)[0]
+                local = over_triangles(body, elements, integrand, points).value
                 nodes = problem.components * space.elements[:, None, elements]
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
@@ -64,8 +65,8 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     problem = body.problem
     load, doubt = np.zeros((2, space.n_nodes, problem.components))
 
-    def add(i: int, nodes: Index, integrals: tuple[Array, Array]) -> None:
-        for target, shares in zip((load, doubt), integrals, strict=True):
+    def add(i: int, nodes: Index, integral: Integral) -> None:
+        for target, shares in ((load, integral.value), (doubt, integral.doubt)):
             np.add.at(target[:, i], nodes, shares)
 
     for law, elements in problem.regions:
@@ -76,14 +77,14 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
-                integrals = shape_integrals(edges.at, edges.size, coefficient, space.order)
-                add(i, space.nodes_of(edges.ends), integrals)
+                integral = shape_integrals(edges.at, edges.size, coefficient, space.order)
+                add(i, space.nodes_of(edges.ends), integral)
     for point in problem.point_loads:
         load[space.number[point.node]] += point.force
     return load.ravel(), doubt.ravel()
 
 
-def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index) -> tuple[Array, Array]:
+def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index) -> Integral:
     degree = polynomial_degree(coefficient)
     straight = not np.any(body.is_curved[elements])
     points = None if degree is None or not straight else (degree + order + 3) // 2
@@ -91,18 +92,16 @@ def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index
     def integrand(_: Index, barycentric: Array, where: Array) -> Array:
         return functions(order, barycentric) * _values(coefficient, where)
 
-    return over_triangles(body, elements, integrand, points)
+    return over_triangles(body, elements, integrand, points, (coefficient,))
 
 
-def shape_integrals(
-    at: EdgePoints, size: int, coefficient: Coefficient, order: int = 1
-) -> tuple[Array, Array]:
-    """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges; their doubts."""
+def shape_integrals(at: EdgePoints, size: int, coefficient: Coefficient, order: int = 1) -> Integral:
+    """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges."""
 
     def integrand(_: Index, s: Array, where: Array) -> Array:
         return functions(order, np.stack([1 - s, s])) * _values(coefficient, where)
 
-    return over_edges(at, size, integrand)
+    return over_edges(at, size, integrand, (coefficient,))
 
 
 def _values(coefficient: Coefficient, where: Array) -> Array:
@@ -154,7 +153,7 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
         bound = on_points(obstacle.friction, where.reshape(2, -1), "the friction bound")
         return (bound.reshape(s.shape) * np.abs(slip(part % edges.size, along, where)))[None]
 
-    total, doubt = over_edges(at, low.size, integrand)
+    total, doubt, _ = over_edges(at, low.size, integrand, (obstacle.friction,))
     return total.reshape(2 * order, -1).sum(axis=0), doubt.reshape(2 * order, -1).sum(axis=0)
 
 

@@ -1,28 +1,25 @@
 """Integrals over triangles and edges of a body, by rules that are refined until two agree.
 
-A cell is a part of a triangle, in the coordinates (r, s) of its apex, or a part of an edge. On each one
-Gauss's rules of two orders are compared. Where they differ higher orders are tried, then the cell is cut.
+Triangles and edges are split where a coefficient jumps or kinks (:mod:`rmesh_nlp.assessment.parts`). A cell
+is a piece of a part, in the coordinates (r, s) of its apex, or along the edge. On each one Gauss's rules of
+two orders are compared. Where they differ higher orders are tried, then the cell is cut.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rmesh_nlp.assessment.parts import EdgePoints, Geometry, Index, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.body import Body
-
-Index = NDArray[np.int64]
+from rmesh_nlp.problem.coefficients import Coefficient
 
 Integrand = Callable[[Index, Array, Array], Array]
 """``(elements (m,), barycentric (3, m, k), points (2, m, k)) -> values (rows, m, k)``; on edges s (m, k) in
 the place of barycentric coordinates."""
-
-EdgePoints = Callable[[Index, Array], tuple[Array, Array]]
-"""``(edges (m,), s (m, k)) -> points (2, m, k) and lengths per unit of s (m, k)``."""
 
 OnCells = Callable[[Index, Array, Array, int], Array]
 """``(owners (m,), low (directions, m), width (m,), order) -> integrals (rows, m)``."""
@@ -43,41 +40,69 @@ CHUNK = 100_000
 """Points that are evaluated at once."""
 
 
+class Integral(NamedTuple):
+    """Integrals (rows, owners), what they may be wrong by, and whether the integrands' switches are located.
+
+    Where one jumps or kinks inside of an element or edge two rules may agree and both be wrong; where that
+    is known with certainty each part is integrated by itself.
+    """
+
+    value: Array
+    doubt: Array
+    is_certain: bool
+
+
 def over_triangles(
-    body: Body, elements: Index, integrand: Integrand, points: int | None = None
-) -> tuple[Array, Array]:
-    """Integrals (rows, elements) over triangles, and what they may be wrong by.
+    body: Geometry,
+    elements: Index,
+    integrand: Integrand,
+    points: int | None = None,
+    coefficients: Iterable[Coefficient] = (),
+) -> Integral:
+    """Integrals (rows, elements) over triangles, part by part where ``coefficients`` jump or kink.
 
     ``points`` is the number of Gauss points per direction that is known to suffice; by default two rules are
     compared.
     """
+    parts = triangle_parts(body, elements, coefficients)
 
-    def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
+    def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
         x, w = gauss(order)
         r = low[0, :, None] + width[:, None] * np.repeat(x, order)
         s = low[1, :, None] + width[:, None] * np.tile(x, order)
-        weights = np.outer(width**2, np.repeat(w, order) * np.tile(w, order)) * r
-        element = elements[owner]
-        barycentric = np.empty((3, *r.shape))
-        apex, every = body.apex[element], np.arange(element.size)
-        for turn, part in enumerate((1 - r, r * (1 - s), r * s)):
-            barycentric[(apex + turn) % 3, every] = part
+        element, corners = elements[parts.owner[part]], parts.corners[:, :, part]
+        weights = np.outer(width**2 * parts.share[part], np.repeat(w, order) * np.tile(w, order)) * r
+        barycentric = np.einsum("ipm,pmk->imk", corners, np.stack([1 - r, r * (1 - s), r * s]))
         where, det = body.points(element, barycentric)
         return np.einsum("amk,mk->am", integrand(element, barycentric, where), weights * det)
 
-    return _adaptive(on_cells, elements.size, 2, points)
+    sums = _adaptive(on_cells, parts.owner.size, 2, points)
+    return Integral(*_by_owner(sums, parts.owner, elements.size), parts.is_certain)
 
 
-def over_edges(at: EdgePoints, size: int, integrand: Integrand) -> tuple[Array, Array]:
-    """Integrals (rows, edges) along edges, and what they may be wrong by."""
+def over_edges(
+    at: EdgePoints, size: int, integrand: Integrand, coefficients: Iterable[Coefficient] = ()
+) -> Integral:
+    """Integrals (rows, edges) along edges, part by part where ``coefficients`` jump or kink."""
+    parts = edge_parts(at, size, coefficients)
+    begin, length = parts.begin, parts.end - parts.begin
 
-    def on_cells(owner: Index, low: Array, width: Array, order: int) -> Array:
+    def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
         x, w = gauss(order)
-        s = low[0, :, None] + np.outer(width, x)
+        owner, width = parts.owner[part], width * length[part]
+        s = begin[part, None] + low[0, :, None] * length[part, None] + np.outer(width, x)
         where, speed = at(owner, s)
         return np.einsum("amk,mk->am", integrand(owner, s, where), np.outer(width, w) * speed)
 
-    return _adaptive(on_cells, size, 1, None)
+    sums = _adaptive(on_cells, parts.owner.size, 1, None)
+    return Integral(*_by_owner(sums, parts.owner, size), parts.is_certain)
+
+
+def _by_owner(sums: tuple[Array, Array], owner: Index, size: int) -> tuple[Array, Array]:
+    if owner.size == size:
+        return sums
+    total, doubt = (np.array([np.bincount(owner, row, size) for row in rows]) for rows in sums)
+    return total, doubt
 
 
 def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None) -> tuple[Array, Array]:

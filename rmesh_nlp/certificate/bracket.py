@@ -57,6 +57,8 @@ DOUBT = 1e-2
 
 DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
 
+UNKNOWN = "a load, a traction or an obstacle jumps or kinks along a line that is not known with certainty"
+
 FEW = 500
 """Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
 tenth of a second there."""
@@ -125,6 +127,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     why = displacement_faults(problem, skeleton, conditions, u)
     if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
         why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
+    if not (conditions.is_certain and load.is_certain and field.is_certain):
+        why = (f"lower: {UNKNOWN}", *why, f"upper: {UNKNOWN}")
     if not residual <= TOLERANCE:
         why = (f"lower: the field is out of equilibrium by {residual:.1e} of the largest force", *why)
     lower_holds, upper_holds = (

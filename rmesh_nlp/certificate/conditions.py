@@ -16,17 +16,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.assessment.parts import edge_parts, straight_edges
 from rmesh_nlp.certificate.integrals import field_degree, integrals, values_at
 from rmesh_nlp.certificate.polynomials import lowered, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 
 Mask = NDArray[np.bool_]
 
 SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 """Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
+
+ONE_SIDED = 1e-9
+"""Part of a piece of an edge at which the limit of a coefficient at its end is looked at."""
 
 MIDDLE = 16
 """Number of the one in the middle."""
@@ -67,6 +72,7 @@ class Conditions:
     offset_doubt: Array  # (k, contact edges)
     friction: Array  # (k, contact edges), a function that nowhere exceeds the friction bound; 0 for a scalar
     axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
+    is_certain: bool  # whether it is known where the data jump and kink
     parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
 
     @property
@@ -86,8 +92,10 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     Raises NotCertifiableError for contact that tractions linear on edges cannot express.
     """
     degree = field_degree(problem)
-    supports, loads = _given_displacement(problem, skeleton, degree), _tractions(problem, skeleton, degree)
-    parts = _contact_parts(problem, supports[0])
+    held, given, given_doubt, given_error, is_certain = _given_displacement(problem, skeleton, degree)
+    traction, oscillation, traction_doubt, is_known = _tractions(problem, skeleton, degree)
+    is_certain &= is_known
+    parts = _contact_parts(problem, held)
     contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
     n = problem.components
     offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
@@ -97,18 +105,22 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         gap = integrals(obstacle.offset, corners, problem.order)
         offset[:, part.place] = lowered(gap.moments, degree)
         offset_doubt[:, part.place] = lowered(gap.doubt, degree)
+        is_certain &= gap.is_certain
         if n == 2:
-            friction[:, part.place] = _linear_below(values_at(obstacle.friction, corners, SAMPLE_POINTS))
+            friction[:, part.place], known = _linear_below(obstacle.friction, corners)
+            is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
-    return Conditions(*supports, *loads, contact, offset, offset_doubt, friction, axes, parts)
+    supports, loads = (held, given, given_doubt, given_error), (traction, oscillation, traction_doubt)
+    gaps = offset, offset_doubt, friction, axes
+    return Conditions(*supports, *loads, contact, *gaps, is_certain, parts)
 
 
 def _given_displacement(
     problem: ContactProblem, skeleton: Skeleton, degree: int
-) -> tuple[Mask, Array, float, float]:
+) -> tuple[Mask, Array, float, float, bool]:
     n, count, order = problem.components, skeleton.ends.shape[1], problem.order
     held, given = np.zeros((n, count), dtype=bool), np.zeros((n, degree + 1, count))
-    doubt = error = 0.0
+    doubt, error, is_certain = 0.0, 0.0, True
     for support in problem.supports:
         edges = np.unique(problem.mesh.boundaries[support.boundary])
         corners = skeleton.nodes[:, skeleton.ends[:, edges]]
@@ -120,16 +132,17 @@ def _given_displacement(
             interpolated = to_coefficients(order, 2) @ samples[[0, -1, MIDDLE]][: order + 1]
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
             doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
+            is_certain &= part.is_certain
             bend = np.abs(samples - functions(order, SAMPLE_POINTS).T @ interpolated)
             error = max(error, float(np.max(bend, initial=0.0)))
     scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
-    return held, given, doubt / scale, error / scale
+    return held, given, doubt / scale, error / scale, is_certain
 
 
-def _tractions(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Array, Array, Array]:
+def _tractions(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Array, Array, Array, bool]:
     n, count = problem.components, skeleton.ends.shape[1]
     traction, doubt = np.zeros((2, n, size(problem.order, 2), count))
-    oscillation = np.zeros(count)
+    oscillation, is_certain = np.zeros(count), True
     for load in problem.tractions:
         edges = np.unique(problem.mesh.boundaries[load.boundary])
         corners = skeleton.nodes[:, skeleton.ends[:, edges]]
@@ -138,11 +151,12 @@ def _tractions(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tupl
             part = integrals(coefficient, corners, problem.order)
             traction[i][:, edges] += part.moments
             doubt[i][:, edges] += part.doubt
+            is_certain &= part.is_certain
             if callable(coefficient):
                 tested = lowered(part.moments, degree)
                 square += np.maximum(part.square - np.sum(projection(tested) * tested, axis=0), 0.0)
         oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
-    return traction, oscillation, doubt
+    return traction, oscillation, doubt, is_certain
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:
@@ -169,11 +183,25 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
     return tuple(parts)
 
 
-def _linear_below(samples: Array) -> Array:
-    """Ends (2, edges) of linear functions below the samples (points, edges), as high as these allow."""
-    if samples.shape[1] == 0:
-        return np.zeros((2, 0))
+def _linear_below(friction: Coefficient, corners: Array) -> tuple[Array, bool]:
+    """Ends (2, edges) of linear functions below a friction bound on edges, as high as samples allow.
+
+    On an edge where the bound jumps or kinks it is a constant. The second value says whether it is known
+    where it does.
+    """
+    if corners.shape[2] == 0:
+        return np.zeros((2, 0)), True
+    samples = values_at(friction, corners, SAMPLE_POINTS)
     ends = samples[[0, -1]]
     excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
     scale = DEVIATION * np.max(np.abs(samples), axis=0)
-    return np.asarray(np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0))
+    ends = np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0)
+    at = straight_edges(corners)
+    parts = edge_parts(at, corners.shape[2], (friction,))
+    inner = ONE_SIDED * (parts.end - parts.begin)
+    s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
+    values = on_points(friction, at(parts.owner, s)[0].reshape(2, -1)).reshape(s.shape)
+    least = np.min(samples, axis=0)
+    np.minimum.at(least, parts.owner, np.min(values, axis=1))
+    is_split = np.bincount(parts.owner, minlength=least.size) > 1
+    return np.where(is_split, np.maximum(least, 0.0), ends), parts.is_certain

@@ -112,6 +112,7 @@ class EquilibratedField:
     obstacle_work: Array | float = 0.0  # (elements,), of an interior obstacle's reaction, on it
     obstacle_gap: Array | float = 0.0  # (elements,), the same on the gap
     obstacle_doubt: float = 0.0
+    is_certain: bool = True  # whether it is known where the obstacle jumps and kinks
 
 
 def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:

@@ -1,8 +1,7 @@
 """Moments of coefficients against polynomials, with the doubt that quadrature leaves.
 
-Constants are integrated exactly. Anything else is integrated by rules of increasing degree until two
-of them agree, as for any polynomial, or there are none left, as for a coefficient that jumps
-inside an element. The difference between the last two is the doubt.
+Constants are integrated exactly, anything else by :mod:`rmesh_nlp.assessment.integrals`: part by part
+where it jumps or kinks.
 """
 
 from __future__ import annotations
@@ -11,23 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.assessment.integrals import gauss
+from rmesh_nlp.assessment.integrals import over_edges, over_triangles
+from rmesh_nlp.assessment.parts import Index, Straight, straight_edges
 from rmesh_nlp.certificate.polynomials import lowered, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, size
-from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
-
-TRIANGLE_DEGREES = (5, 8, 13, 20)
-"""Degrees of the rules, tried in this order."""
-
-EDGE_POINTS = (4, 6, 10, 31)
-"""The same for edges, numbers of Gauss points."""
-
-NEGLIGIBLE = {1: 1e-6, 2: 1e-9}
-"""Doubt relative to the integrals that needs no better rule, by the order of the displacements."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +26,8 @@ class Integrals:
 
     moments: Array  # (functions, simplices), integrals of f phi_i over the simplex, divided by its measure
     square: Array  # (simplices,), mean of f^2
-    doubt: Array  # (functions, simplices), difference of ``moments`` between two rules; zero for a constant
+    doubt: Array  # (functions, simplices), what ``moments`` may be wrong by; zero for a constant
+    is_certain: bool = True  # whether it is known where f jumps and kinks
 
 
 def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integrals:
@@ -46,21 +37,22 @@ def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integ
     if not callable(coefficient):
         value = float(coefficient)  # all functions have the same integral
         return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
-    rules = map(edge_rule, EDGE_POINTS) if vertices == 2 else map(triangle_rule, TRIANGLE_DEGREES)
-    moments = np.zeros(shape)
-    for number, (barycentric, weights) in enumerate(rules):
-        values, coarser = values_at(coefficient, corners, barycentric), moments
-        moments, square = (functions(order, barycentric) * weights) @ values, weights @ values**2
-        doubt = np.abs(moments - coarser)
-        if number and np.sum(doubt) <= NEGLIGIBLE[order] * np.sum(np.abs(moments)):
-            break
-    return Integrals(moments, square, doubt)
 
+    def tested(barycentric: Array, where: Array) -> Array:
+        values = on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+        return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
 
-def edge_rule(points: int) -> tuple[Array, Array]:
-    """Barycentric coordinates (2, points) and weights of a Gauss rule, the weights summing to 1."""
-    s, weights = gauss(points)
-    return np.stack([s[::-1], s]), weights  # the rule is symmetric
+    def along(_: Index, s: Array, where: Array) -> Array:
+        return tested(np.stack([1 - s, s]), where)
+
+    def inside(_: Index, barycentric: Array, where: Array) -> Array:
+        return tested(barycentric, where)
+
+    if vertices == 2:
+        means = over_edges(straight_edges(corners), count, along, (coefficient,))
+    else:
+        means = over_triangles(Straight(corners), np.arange(count), inside, coefficients=(coefficient,))
+    return Integrals(means.value[:-1], means.value[-1], means.doubt[:-1], means.is_certain)
 
 
 def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> Array:
@@ -85,6 +77,7 @@ class Loads:
     doubt: Array  # the same
     balanced: Array  # (components, functions, elements), the best approximation that a field can balance
     remainder: Array  # (elements,), L2 norm of what that leaves
+    is_certain: bool  # whether it is known where they jump and kink
 
     def work(self, displacement: Array, skeleton: Skeleton) -> float:
         """Integral of f . u for a displacement with coefficients (components, nodes)."""
@@ -101,14 +94,16 @@ def loads(problem: ContactProblem, skeleton: Skeleton) -> Loads:
     """Moments of the load of a problem on each element."""
     n, count = problem.components, skeleton.triangles.shape[1]
     moments, doubt = np.zeros((2, n, size(problem.order, 3), count))
-    square, varies = np.zeros(count), np.zeros(count, dtype=bool)
+    square, varies, is_certain = np.zeros(count), np.zeros(count, dtype=bool), True
     for law, elements in problem.regions:
         varies[elements] = any(callable(coefficient) for coefficient in law.load)
         for i, coefficient in enumerate(law.load):
             part = integrals(coefficient, skeleton.corners[:, :, elements], problem.order)
             moments[i][:, elements], doubt[i][:, elements] = part.moments, part.doubt
             square[elements] += part.square
+            is_certain &= part.is_certain
     tested = lowered(moments, field_degree(problem), 3)
     balanced = np.where(varies, projection(tested, 3), tested.sum(axis=1, keepdims=True))
     beyond = np.maximum(square - np.sum(tested * balanced, axis=(0, 1)), 0.0)
-    return Loads(moments, doubt, balanced, np.sqrt(skeleton.areas * np.where(varies, beyond, 0.0)))
+    remainder = np.sqrt(skeleton.areas * np.where(varies, beyond, 0.0))
+    return Loads(moments, doubt, balanced, remainder, is_certain)

@@ -307,4 +307,5 @@ def equilibrated_flux(
         obstacle_work=-np.sum(reaction * below.moments.T, axis=1),
         obstacle_gap=np.sum(reaction * interior.gap, axis=1) if interior else 0.0,
         obstacle_doubt=float(np.sum(reaction * below.doubt.T)),
+        is_certain=below.is_certain,
     )

@@ -6,6 +6,9 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
@@ -21,12 +24,17 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import OPEN, is_nonzero
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
+from rmesh_nlp.problem.switches import switches
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
 higher one of the load is taken for tractions too."""
+
+
+MOST_BREAKS = 4
+"""Pieces of an edge are as many and one."""
 
 
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
@@ -77,14 +85,40 @@ def load_energy(law: Law, quadrature: str | int, order: int = 1) -> tuple[ca.Fun
 
 
 def traction_energy(traction: Traction, degree: int, order: int = 1) -> ca.Function:
-    """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge."""
+    """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge, piece by piece."""
     X, u = corners(2, len(traction.value), order=order)
     work = ca.SX(0)
     points, weights = line_rule(degree)
-    for point, weight in zip(points.T, weights, strict=True):
-        work += weight * ca.dot(vector(traction.value, X @ point), u @ functions(order, point))
+    ends = [ca.SX(0), *breaks(traction.value, X), ca.SX(1)]
+    for first, last in pairwise(ends):
+        for share, weight in zip(points[1], weights, strict=True):
+            s = first + share * (last - first)
+            at = ca.vertcat(1 - s, s)
+            shapes = at if order == 1 else ca.vertcat(at**2, 2 * s * (1 - s))
+            value = vector(traction.value, X @ at)
+            work += weight * (last - first) * ca.dot(value, u @ shapes)
     length = ca.norm_2(X[:, 1] - X[:, 0])
     return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS], OPEN)
+
+
+def breaks(coefficients: Sequence[Coefficient], X: ca.SX) -> list[ca.SX]:
+    """Where coefficients jump or kink on an edge with ends ``X`` (2, 2), in ascending order from 0 to 1.
+
+    They follow the nodes, so that a rule has nothing to gain by a node that goes past a jump. Only zeros of
+    affine switches are looked for, and only up to ``MOST_BREAKS``; one that is not on the edge is 0.
+    """
+    found: dict[str, ca.SX] = {}
+    for one in filter(None, map(switches, coefficients)):
+        for function, degree in zip(one.functions, one.degrees, strict=True):
+            if degree == 1:
+                first, last = (function(*ca.vertsplit(X[:, k])) for k in (0, 1))
+                zero = ca.if_else(first * last < 0, first / (first - last), 0)
+                found.setdefault(str(zero), zero)
+    zeros = list(found.values()) if len(found) <= MOST_BREAKS else []
+    for end in range(len(zeros) - 1, 0, -1):
+        for k in range(end):
+            zeros[k : k + 2] = ca.fmin(*zeros[k : k + 2]), ca.fmax(*zeros[k : k + 2])
+    return zeros
 
 
 def point_energy(load: PointLoad) -> ca.Function:

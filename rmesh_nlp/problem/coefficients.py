@@ -87,7 +87,7 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
     elif points.shape[1] == 0:
         return np.zeros(0)
     else:
-        values = columnwise(_function(coefficient), points.shape[1])([points[:1], points[1:]])[0].ravel()
+        values = columnwise(as_function(coefficient), points.shape[1])([points[:1], points[1:]])[0].ravel()
     if not np.all(np.isfinite(values)):
         bad = int(np.flatnonzero(~np.isfinite(values))[0])
         raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")
@@ -95,7 +95,8 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
 
 
 @once
-def _function(coefficient: Coefficient) -> ca.Function:
+def as_function(coefficient: Coefficient) -> ca.Function:
+    """The graph ``(x, y) -> value`` of a coefficient."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
 

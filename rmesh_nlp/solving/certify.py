@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.certificate.bracket import Bracket, refined_bracket
+from rmesh_nlp.certificate.bracket import UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.certificate.displacement import GIVEN
 from rmesh_nlp.certificate.equilibration import Guess
@@ -85,7 +85,11 @@ def _with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     """The bracket with the energy of an admissible displacement as its upper bound."""
     if continuous.status is not Status.CONVERGED:
         return bracket
-    kept = tuple(reason for reason in bracket.why if not reason.startswith("upper") or GIVEN in reason)
+    kept = tuple(
+        reason
+        for reason in bracket.why
+        if not reason.startswith("upper") or any(text in reason for text in (GIVEN, UNKNOWN))
+    )
     holds = not any(reason.startswith("upper") for reason in kept)
     upper = continuous.energy + continuous.doubt
     return replace(bracket, upper=upper, guaranteed_upper=holds, why=kept)

@@ -87,13 +87,11 @@ def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int, or
     assert lumped >= found.friction * (1 - 1e-12)
 
 
-def test_a_bound_that_jumps_within_an_edge_leaves_a_doubt() -> None:
+def test_what_jumps_along_a_line_leaves_no_doubt() -> None:
     jump = Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.if_else(x > 1.9, 0.8, 0.2))
-    plain = block(replace(jump, friction=0.8))
-    assert admissible(block(jump)).doubt > 1e3 * admissible(plain).doubt
     step = lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)  # noqa: E731
-    load = replace(plain, law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
-    assert admissible(load).doubt > 1e3 * admissible(plain).doubt
+    load = replace(block(jump), law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
+    assert admissible(load).doubt < 1e-12
 
 
 def test_beside_a_narrow_bump_nodes_come_closer_than_its_height() -> None:

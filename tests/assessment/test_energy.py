@@ -54,7 +54,7 @@ def test_areas_are_those_of_the_true_domains() -> None:
 def test_edges_are_as_long_as_their_arcs() -> None:
     problem = disc({"arc": ARC})
     edges = Body(problem, problem.mesh.p).edges("arc")
-    lengths, doubt = over_edges(edges.at, edges.size, lambda _, s, __: np.ones((1, *s.shape)))
+    lengths, doubt, _ = over_edges(edges.at, edges.size, lambda _, s, __: np.ones((1, *s.shape)))
     assert lengths.sum() == pytest.approx(np.pi / 2 - CUT, rel=1e-12)
     assert doubt.max() < 1e-12
 
@@ -67,7 +67,7 @@ def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
         far = (where[0] - 0.3) ** 2 + (where[1] - 0.4) ** 2
         return np.exp(-far / 0.02**2)[None] * np.ones_like(barycentric[:1])
 
-    total, doubt = over_triangles(body, np.arange(8), bump)
+    total, doubt, _ = over_triangles(body, np.arange(8), bump)
     assert total.sum() == pytest.approx(np.pi * 0.02**2, rel=1e-8)
     assert doubt.sum() < 1e-8
 
@@ -120,7 +120,7 @@ def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pyte
     def kink(_: Array, s: Array, __: Array) -> Array:
         return np.stack([np.abs(s - 0.3), s > 1 / 3])
 
-    found, doubt = over_edges(at, 2, kink)
+    found, doubt, _ = over_edges(at, 2, kink)
     assert found[0] == pytest.approx(np.full(2, 0.09 + 0.49), abs=1e-6)
     error = np.abs(found[1] - 4 / 3)
     assert np.all((error > 0) & (error < 2 * doubt[1]) & (doubt[1] < 2 / 2**8))

@@ -67,7 +67,13 @@ def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
 
 @pytest.mark.parametrize(
     "bad",
-    [{"schedule": (0.0,)}, {"schedule": (1.0, -1.0)}, {"schedule": "x"}, {"distortion": "oval"}, {"brief": 0}],
+    [
+        {"schedule": (0.0,)},
+        {"schedule": (1.0, -1.0)},
+        {"schedule": "x"},
+        {"distortion": "oval"},
+        {"brief": 0},
+    ],
 )
 def test_bad_settings_are_refused(bad: dict[str, Any]) -> None:
     with pytest.raises(BadInputError, match=next(iter(bad))):

@@ -1,0 +1,62 @@
+"""Tractions that jump or kink along an edge: exact nodal loads on any mesh, and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.assessment.energy import load_vector
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import where
+from rmesh_nlp.solving.outer import Outer
+
+JUMPS = (
+    lambda x, y: where(x > 1.51787, -5.62, -1.3534646),
+    lambda x, y: where(ca.logic_and(x > 0.3, x < 0.35), -7.0, ca.fabs(x - 0.9)),
+)
+
+
+def pulled(order: int) -> rm.ContactProblem:
+    return rm.ContactProblem(
+        rm.shapes.rectangle(5, 3, x=(0, 2)),
+        rm.PlaneStrain.from_young(1000.0, 0.3),
+        ("left",),
+        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0)),
+        rm.Motion(None),
+        (rm.Traction("top", JUMPS),),
+        order=order,
+    )
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
+    problem = pulled(order)
+    for seed in range(4):
+        mesh, rng = problem.mesh, np.random.default_rng(seed)
+        p = np.array(mesh.p)
+        inner = (p[0] > 0) & (p[0] < 2)
+        p[0, inner] += rng.uniform(-0.15, 0.15, np.count_nonzero(inner))
+        moved = replace(problem, mesh=replace(mesh, doflocs=p))
+        space = DisplacementSpace.of(moved)
+        exact, doubt = load_vector(Body(moved, p), space)
+        held = space.given()[0].T.ravel()
+        system = ContactSolver(moved).system(p)
+        assert np.max(doubt) < 1e-12
+        np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_energy_has_no_gain_by_quadrature_and_a_gradient(order: int) -> None:
+    outer = Outer.of(pulled(order))
+    rng, q = np.random.default_rng(1), np.zeros(outer.n)
+    q = 0.1 * rng.uniform(-1, 1, outer.n)
+    d, step = rng.uniform(-1, 1, outer.n), 1e-5
+    ends = [outer.energy(q + sign * step * d) for sign in (1, -1)]
+    slope = (ends[0].value - ends[1].value) / (2 * step)
+    assert outer.energy(q).gradient @ d == pytest.approx(slope, rel=1e-5)
