@@ -5,8 +5,6 @@ Numbering: component i of node k is entry ``components * k + i`` of a nodal vect
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -109,16 +107,11 @@ def _values(coefficient: Coefficient, where: Array) -> Array:
     return on_points(coefficient, where.reshape(2, -1), "a load").reshape(where.shape[1:])
 
 
-STEPS = 8
-"""Steps to a point of an edge at which the slip changes sign; one is exact on a straight foundation. A disc
-as large as an edge needs eight: rules do not see what is left behind the end of a part."""
-
-
 def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
     """(edges,) integrals of the friction bound times the size of the slip, and what they may be wrong by.
 
     The displacement has the coefficients (2, 2 or 3 nodes, edges). Edges are split where the slip changes
-    sign, a parabola at its vertex first.
+    sign.
     """
     order = displacement.shape[1] - 1
 
@@ -128,53 +121,10 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
         u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
         return np.asarray(normals[1] * u[0] - normals[0] * u[1])
 
-    def slip_at(s: Array) -> Array:
-        rows = np.arange(s.size) % edges.size
-        return slip(rows, s[:, None], edges.at(rows, s[:, None])[0])[:, 0]
-
-    ends, bend = np.array([np.zeros(edges.size), np.ones(edges.size)]), np.zeros(edges.size)
-    if order == 2:
-        first, middle, last = (slip_at(np.full(edges.size, s)) for s in (0.0, 0.5, 1.0))
-        bend = 4 * (first - 2 * middle + last)
-        top = np.divide(first - last, bend, out=np.zeros(edges.size), where=bend != 0) + 0.5
-        ends = np.insert(ends, 1, np.clip(top, 0.0, 1.0), axis=0)
-    begin, end = ends[:-1].ravel(), ends[1:].ravel()
-    split = _zeros(slip_at, begin, end, np.tile(bend, order))
-    # each part twice: before and behind the point where the slip changes sign
-    low = np.concatenate([begin, split])
-    width = np.concatenate([split - begin, end - split])
-
-    def at(part: Index, s: Array) -> tuple[Array, Array]:
-        where, speed = edges.at(part % edges.size, low[part, None] + width[part, None] * s)
-        return where, speed * width[part, None]
-
-    def integrand(part: Index, s: Array, where: Array) -> Array:
-        along = low[part, None] + width[part, None] * s
+    def integrand(rows: Index, s: Array, where: Array) -> Array:
         bound = on_points(obstacle.friction, where.reshape(2, -1), "the friction bound")
-        return (bound.reshape(s.shape) * np.abs(slip(part % edges.size, along, where)))[None]
+        return (bound.reshape(s.shape) * np.abs(slip(rows, s, where)))[None]
 
-    total, doubt, _ = over_edges(at, low.size, integrand, (obstacle.friction,))
-    return total.reshape(2 * order, -1).sum(axis=0), doubt.reshape(2 * order, -1).sum(axis=0)
-
-
-def _zeros(slip: Callable[[Array], Array], begin: Array, end: Array, bend: Array) -> Array:
-    """(parts,) where the slip changes sign between ``begin`` and ``end``; the middle where it does not.
-
-    In the regula falsi a parabola with the second derivative ``bend`` (parts,) takes the place of a line.
-    """
-    low, high = begin, end
-    at_low, at_high = slip(low), slip(high)
-    changes = at_low * at_high < 0
-    middle = (low + high) / 2
-    for _ in range(STEPS):
-        rise, width = np.where(changes, at_high - at_low, 1.0), high - low
-        curved = np.where(changes, bend * width**2 / 2, 0.0)
-        slope = rise - curved  # at the lower end
-        inner = np.copysign(np.sqrt(np.maximum(slope**2 - 4 * curved * at_low, 0.0)), rise)
-        middle = np.where(changes, np.clip(low - 2 * at_low * width / (slope + inner), low, high), middle)
-        at_middle = slip(middle)
-        is_low = at_middle * at_low > 0
-        low, at_low = np.where(is_low, middle, low), np.where(is_low, at_middle, at_low)
-        high, at_high = np.where(is_low, high, middle), np.where(is_low, at_high, at_middle)
-        changes = changes & (at_middle != 0)
-    return middle
+    along = (lambda rows, s: slip(rows, s, edges.at(rows, s)[0])), order if obstacle.level is None else None
+    total = over_edges(edges.at, edges.size, integrand, (obstacle.friction,), [along])
+    return total.value[0], total.doubt[0]

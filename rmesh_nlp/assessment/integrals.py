@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.assessment.parts import EdgePoints, Geometry, Index, edge_parts, triangle_parts
+from rmesh_nlp.assessment.parts import AlongEdges, EdgePoints, Geometry, Index, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient
 
@@ -81,10 +81,17 @@ def over_triangles(
 
 
 def over_edges(
-    at: EdgePoints, size: int, integrand: Integrand, coefficients: Iterable[Coefficient] = ()
+    at: EdgePoints,
+    size: int,
+    integrand: Integrand,
+    coefficients: Iterable[Coefficient] = (),
+    others: Iterable[AlongEdges] = (),
 ) -> Integral:
-    """Integrals (rows, edges) along edges, part by part where ``coefficients`` jump or kink."""
-    parts = edge_parts(at, size, coefficients)
+    """Integrals (rows, edges) along edges, part by part where ``coefficients`` jump or kink.
+
+    Edges are split at the zeros of ``others`` too.
+    """
+    parts = edge_parts(at, size, coefficients, others)
     begin, length = parts.begin, parts.end - parts.begin
 
     def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:

@@ -26,6 +26,9 @@ Index = NDArray[np.int64]
 EdgePoints = Callable[[Index, Array], tuple[Array, Array]]
 """``(edges (m,), s (m, k)) -> points (2, m, k) and lengths per unit of s (m, k)``."""
 
+AlongEdges = tuple[Callable[[Index, Array], Array], int | None]
+"""A function ``(edges (m,), s (m, k)) -> values (m, k)``, and its degree in s if it is a polynomial."""
+
 SAMPLES = 32
 """Pieces of an edge between whose ends the sign of a switch that is no polynomial is compared."""
 
@@ -96,22 +99,24 @@ class TriangleParts:
     is_certain: bool
 
 
-def edge_parts(at: EdgePoints, size: int, coefficients: Iterable[Coefficient]) -> EdgeParts:
-    """The pieces of ``size`` edges between the zeros of the switches of coefficients."""
-    owner, begin, end = np.arange(size), np.zeros(size), np.ones(size)
-    found = [one for one in map(switches, coefficients) if one is not None]
-    if not found or size == 0:
-        return EdgeParts(owner, begin, end, True)
-    is_straight, is_certain = _are_straight(at, size), all(one.are_all for one in found)
-    edges, zeros = [owner], [begin]
-    for one in found:
+def edge_parts(
+    at: EdgePoints, size: int, coefficients: Iterable[Coefficient], others: Iterable[AlongEdges] = ()
+) -> EdgeParts:
+    """The pieces of ``size`` edges between the zeros of coefficients' switches, and of ``others``."""
+    owner, begin, is_straight = np.arange(size), np.zeros(size), size > 0 and _are_straight(at, size)
+    functions, is_certain = list(others), True
+    for one in filter(None, map(switches, coefficients)):
+        is_certain &= one.are_all
         for number, degree in enumerate(one.degrees):
 
             def value(rows: Index, s: Array, one: Switches = one, number: int = number) -> Array:
                 return one(number, at(rows, s)[0])
 
-            rows, s, certain = _zeros_along(value, size, degree if is_straight else None)
-            edges, zeros, is_certain = [*edges, rows], [*zeros, s], is_certain and certain
+            functions.append((value, degree if is_straight else None))
+    edges, zeros = [owner], [begin]
+    for function, degree in functions if size else ():
+        rows, s, certain = _zeros_along(function, size, degree)
+        edges, zeros, is_certain = [*edges, rows], [*zeros, s], is_certain and certain
     owner, begin = np.concatenate(edges), np.concatenate(zeros)
     order = np.lexsort((begin, owner))
     owner, begin = owner[order], begin[order]
@@ -179,9 +184,9 @@ def triangle_parts(body: Geometry, elements: Index, coefficients: Iterable[Coeff
     owner, corners = np.arange(elements.size), np.zeros((3, 3, elements.size))
     for turn in range(3):
         corners[(body.apex[elements] + turn) % 3, turn, owner] = 1.0
-    found = [one for one in map(switches, coefficients) if one is not None]
-    is_certain, curved = all(one.are_all for one in found), body.is_curved[elements]
-    for one in found:
+    is_certain, curved = True, body.is_curved[elements]
+    for one in filter(None, map(switches, coefficients)):
+        is_certain &= one.are_all
         for number, degree in enumerate(one.degrees):
 
             def value(owner: Index, barycentric: Array, one: Switches = one, number: int = number) -> Array:

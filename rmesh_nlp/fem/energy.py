@@ -107,14 +107,14 @@ def breaks(coefficients: Sequence[Coefficient], X: ca.SX) -> list[ca.SX]:
     They follow the nodes, so that a rule has nothing to gain by a node that goes past a jump. Only zeros of
     affine switches are looked for, and only up to ``MOST_BREAKS``; one that is not on the edge is 0.
     """
-    found: dict[str, ca.SX] = {}
+    zero_of: dict[str, ca.SX] = {}
     for one in filter(None, map(switches, coefficients)):
         for function, degree in zip(one.functions, one.degrees, strict=True):
             if degree == 1:
                 first, last = (function(*ca.vertsplit(X[:, k])) for k in (0, 1))
                 zero = ca.if_else(first * last < 0, first / (first - last), 0)
-                found.setdefault(str(zero), zero)
-    zeros = list(found.values()) if len(found) <= MOST_BREAKS else []
+                zero_of.setdefault(str(zero), zero)
+    zeros = list(zero_of.values()) if len(zero_of) <= MOST_BREAKS else []
     for end in range(len(zeros) - 1, 0, -1):
         for k in range(end):
             zeros[k : k + 2] = ca.fmin(*zeros[k : k + 2]), ca.fmax(*zeros[k : k + 2])

@@ -86,16 +86,16 @@ def switches(coefficient: Coefficient) -> Switches | None:
     if len(ca.symvar(ca.SX(at(coefficient, *position)) + sum(position))) > len(position):
         return Switches((), (), are_all=False)  # it depends on design variables
     graph = as_function(coefficient)
-    found, are_all = _walked(graph, position)
-    if not found and are_all:
+    each, are_all = _walked(graph, position)
+    if not each and are_all:
         return None
-    functions = tuple(ca.Function("switch", [*position], [ca.densify(one)]) for one in found)
+    functions = tuple(ca.Function("switch", [*position], [ca.densify(one)]) for one in each)
     return Switches(functions, tuple(map(polynomial_degree, functions)), are_all)
 
 
 def _walked(graph: ca.Function, position: tuple[ca.SX, ca.SX]) -> tuple[list[ca.SX], bool]:
     """The switches in a graph, each once, and whether every operation is known."""
-    work, logical, found = dict[int, ca.SX](), set[int](), dict[str, ca.SX]()
+    work, logical, each = dict[int, ca.SX](), set[int](), dict[str, ca.SX]()
     for k in range(graph.n_instructions()):
         operation, given, to = (
             graph.instruction_id(k),
@@ -113,7 +113,7 @@ def _walked(graph: ca.Function, position: tuple[ca.SX, ca.SX]) -> tuple[list[ca.
         elif operation in BINARY:
             value = ca.SX.binary(operation, *(work[place] for place in given))
         else:
-            return list(found.values()), False
+            return list(each.values()), False
         switch = None
         if operation in DIFFERENCE:
             switch = work[given[0]] - work[given[1]]
@@ -122,7 +122,7 @@ def _walked(graph: ca.Function, position: tuple[ca.SX, ca.SX]) -> tuple[list[ca.
         elif operation in ROUNDED:
             switch = ca.sin(np.pi * work[given[0]])
         if switch is not None and not switch.is_constant():
-            found.setdefault(str(switch), switch)
+            each.setdefault(str(switch), switch)
         work[to[0]] = value
         (logical.add if operation in LOGICAL else logical.discard)(to[0])
-    return list(found.values()), True
+    return list(each.values()), True
