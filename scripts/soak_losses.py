@@ -45,7 +45,7 @@ for record in run(plan, Results(Path(sys.argv[1])), resume=True):
 CASES = 12
 
 STUDY = 'random = {{ seed = 0, count = {count} }}\nformulations = ["fixed", "joint"]\nfields = false\n'
-RMESH = "from rmesh_nlp.cli.app import main; main()"
+RMESH = "from rmesh_nlp.cli.entry import main; main()"
 
 
 def rows(folder: Path) -> dict[str, str]:

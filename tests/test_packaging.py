@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 import rmesh_nlp
 from rmesh_nlp.cli import app as cli
+from rmesh_nlp.cli import entry
 from rmesh_nlp.cli import commands
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
@@ -67,8 +68,8 @@ def test_there_is_one_version() -> None:
 
 
 def test_the_command_is_installed() -> None:
-    (entry,) = importlib.metadata.entry_points(group="console_scripts", name="rmesh")
-    assert entry.load() is cli.main
+    (entry_point,) = importlib.metadata.entry_points(group="console_scripts", name="rmesh")
+    assert entry_point.load() is entry.main
 
 
 def test_the_readme_has_the_two_commands_of_the_set_up() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from typing import Any
 
@@ -10,10 +9,10 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp.cli.commands import app
+from rmesh_nlp.cli.entry import INTERRUPTED
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
-from rmesh_nlp.optimize.budget import end_like_interrupts
 
-BAD_INPUT, INTERRUPTED = 2, 130
+BAD_INPUT = 2
 
 # typer brings its own click, or uses the installed one: its exceptions are found either way
 ClickException: Any = typer.BadParameter.__mro__[2]
@@ -43,15 +42,3 @@ def _complain(message: str) -> int:
     for line in message.splitlines() or [""]:
         print(f"rmesh: error: {line}", file=sys.stderr)
     return BAD_INPUT
-
-
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables of the threads of linear algebra, which are read when numpy is imported."""
-
-
-def main() -> None:
-    """Entry point of ``rmesh``; linear algebra takes one thread unless the environment says otherwise."""
-    end_like_interrupts()
-    if not any(name in os.environ for name in THREADS):
-        os.environ.update(dict.fromkeys(THREADS, "1"))
-    sys.exit(run(sys.argv[1:]))

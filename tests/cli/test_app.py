@@ -55,7 +55,7 @@ def test_interrupt_keeps_finished_rows(rmesh, formulation: str) -> None:
     """CasADi swallows Ctrl-C, and mpcc would go on with its next program."""
     arguments = ["compare", "6.1", "--formulations", f"fixed,{formulation}", "--n", "40", "--out", "cut"]
     with subprocess.Popen(
-        [sys.executable, "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
+        [sys.executable, "-c", "from rmesh_nlp.cli.entry import main; main()", *arguments],
         stderr=subprocess.PIPE,
         text=True,
         # a test run in the background of a script ignores SIGINT, and so would its children
@@ -79,10 +79,10 @@ def test_interrupt_keeps_finished_rows(rmesh, formulation: str) -> None:
 def threads(**environment: str) -> str:
     """What ``rmesh`` makes of the environment."""
     code = (
-        "import os, sys; from rmesh_nlp.cli import app; app.run = lambda _: 0\n"
+        "import os, sys; from rmesh_nlp.cli import app, entry; app.run = lambda _: 0\n"
         "assert 'numpy' not in sys.modules\n"
-        "try: app.main()\n"
-        "except SystemExit: print(*(os.environ.get(name) for name in app.THREADS))"
+        "try: entry.main()\n"
+        "except SystemExit: print(*(os.environ.get(name) for name in entry.THREADS))"
     )
     kept = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
     done = subprocess.run(

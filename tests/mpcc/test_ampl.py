@@ -12,6 +12,7 @@ import pytest
 from rmesh_nlp import __version__
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.mpcc import ampl, read, solve
+from rmesh_nlp.cli import entry
 from rmesh_nlp.mpcc.__main__ import main
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
@@ -190,7 +191,7 @@ def test_options_of_the_environment_are_written_as_ampl_writes_them(text):
 def test_console_script_is_the_command():
     scripts = read_toml(ROOT / "pyproject.toml")["project"]["scripts"]
     module, _, name = scripts[EXECUTABLE].partition(":")
-    assert getattr(import_module(module), name) is main
+    assert getattr(import_module(module), name) is entry.mpcc
 
 
 def test_words_of_options_become_numbers_and_names():

@@ -226,7 +226,7 @@ def test_failures_are_tried_again_when_that_is_asked_for(tmp_path, answers):
 def rmesh(*arguments):
     """``rmesh`` as a process that heeds Ctrl-C, also where this one does not."""
     return subprocess.Popen(
-        [sys.executable, "-W", "ignore", "-c", "from rmesh_nlp.cli.app import main; main()", *arguments],
+        [sys.executable, "-W", "ignore", "-c", "from rmesh_nlp.cli.entry import main; main()", *arguments],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
