@@ -18,8 +18,7 @@ from scipy.sparse.csgraph import connected_components
 
 import rmesh_nlp
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.cli import entry
-from rmesh_nlp.cli import commands
+from rmesh_nlp.cli import commands, entry
 from rmesh_nlp.io.problem_file import read_table, read_toml
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import available, find

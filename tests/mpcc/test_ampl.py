@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from rmesh_nlp import __version__
+from rmesh_nlp.cli import entry
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.mpcc import ampl, read, solve
-from rmesh_nlp.cli import entry
 from rmesh_nlp.mpcc.__main__ import main
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
