@@ -131,17 +131,17 @@ def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | No
 
 
 def _write(results: Results, done: Done, series: Series, path: Path, stated: ProblemTable) -> None:
-    """Put the files of a solve in place, the record last; what an earlier solve left goes first."""
+    """Put the files of a solve in place, the result first; what an earlier solve left goes before."""
     folder, solution, manifest = results.folder, done.solution, results.manifest
     manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
     manifest.claim(*FILES, *kept_problem.names(stated))
     kept_problem.keep(path, stated, folder)
+    write_single(folder, done.row, done.save)
     if solution is not None:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
         if series.frames:
             manifest.claim(*(f"iterations/{name}" for name in series.names()))
             series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
-    write_single(folder, done.row, done.save)
 
 
 def _say_certificate(done: Done) -> None:

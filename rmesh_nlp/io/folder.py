@@ -95,12 +95,23 @@ def write_whole(
     The file is filled in a new folder that only this user can enter, with a name that cannot be
     foreseen: nobody can put a link in its way. A link at ``path`` itself is replaced, not followed.
     """
-    with folder_aside(path.parent) as folder:
+    with folder_aside(path.parent) as folder, _naming(path):
         aside = folder / path.name
         write(aside)
         with aside.open("rb") as file:
             os.fsync(file.fileno())  # a renamed file that is not yet on the disk is empty after a power cut
         put(aside, path)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """An OSError that names no file, or one aside, is one of ``path``."""
+    try:
+        yield
+    except FileExistsError:
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def write_text(path: Path, text: str) -> None:

@@ -11,6 +11,7 @@ Names come from the files ``.col`` and ``.row`` beside it, where there are some.
 from __future__ import annotations
 
 import operator
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -115,6 +116,7 @@ class _Reader:
 
     def __init__(self, path: Path, records: Records) -> None:
         self.path, self.records = path, records
+        self.counts: Counter[str] = Counter()
 
     def table(self, kinds: str, n: int) -> list[list[Any]]:
         """The next ``n`` records."""
@@ -140,15 +142,20 @@ class _Reader:
         )  # fmt: skip
         while self.records.more:
             self._segment(self.records.key())
+        if again := [segment for segment, count in self.counts.items() if count > 1]:
+            raise ValueError(f"{self.path}: segment {again[0]} stands there {self.counts[again[0]]} times")
         return self.rows
 
     def _segment(self, key: str) -> None:
         rows, read, n, m = self.rows, self.records.read, int(self.rows.x.shape[0]), len(self.rows.bodies)
         match key:
             case "C":
-                rows.bodies[_place(read("i")[0], m)] += self._expression()
+                number = _place(read("i")[0], m)
+                rows.bodies[number] += self._expression()
+                self.counts[f"C{number}"] += 1
             case "O":
                 number, sense = read("ii")
+                self.counts[f"O{number}"] += 1
                 expression = self._expression()
                 if number == 0:
                     rows.f += expression
@@ -164,13 +171,16 @@ class _Reader:
                 for i, start in self.table("if", read("i")[0]):
                     rows.x0[_place(i, n)] = start
             case "r":
+                self.counts["r"] += 1
                 for row in range(m):
                     rows.lower[row], rows.upper[row] = self._bound(row)
             case "b":
+                self.counts["b"] += 1
                 for j in range(n):
                     rows.lbx[j], rows.ubx[j] = self._bound(None)
             case "J" | "G":
                 number, n_terms = read("ii")
+                self.counts[f"{key}{number}"] += 1
                 used = [c * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
                 linear = _fold(operator.add, used) if used else 0
                 if key == "J":

@@ -19,7 +19,7 @@ from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.expressions import FUNCTIONS
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, on_points, once
 
-RESERVED = ("x", "y", "pi", *FUNCTIONS)
+RESERVED = ("x", "y", "pi", "inf", "nan", *FUNCTIONS)
 """Names that expressions of position have already."""
 
 
@@ -125,7 +125,7 @@ class Constraint:
 def _check(variable: DesignVariable | Shape) -> None:
     name, start, bounds = variable.name, variable.start, tuple(variable.bounds)
     object.__setattr__(variable, "bounds", bounds)
-    if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED:
+    if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
     if len(bounds) != 2 or not (np.all(np.isfinite(bounds)) and bounds[0] < bounds[1]):
         raise ValueError(f"the bounds of {name!r} must be finite and increase, got {list(bounds)}")
