@@ -118,6 +118,8 @@ def error_reduction(
 def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | None]:
     """Lower and upper bound of the error of the energy; the admissible displacement on the finest mesh."""
     finest, falls = last, []
+    if last.problem.locking:
+        return None, None  # a refinement that locks as well is no yardstick
     for _ in range(2 if last.body.nodes.shape[1] <= FEW else 1):
         try:
             finer = on_refined(finest)

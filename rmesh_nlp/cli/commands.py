@@ -91,7 +91,12 @@ def solve(
     settings: o.Set = None,
     out: Annotated[
         Path | None,
-        Option("--out", metavar="DIR", help="Folder to write; default: results/<name of the solve>."),
+        Option(
+            "--out",
+            metavar="DIR",
+            help="Folder to write; default: results/<name of the solve>.",
+            parser=o.folder_of,
+        ),
     ] = None,
     json: o.Json = False,
     quiet: o.Quiet = False,

@@ -162,7 +162,16 @@ Columns = Annotated[
 ]
 Folder = Annotated[Path, Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 File = Annotated[Path, Argument(metavar="FILE", help="A problem file.")]
-Out = Annotated[Path, Option("--out", metavar="DIR", help="Folder to write.")]
+
+
+def folder_of(text: str) -> Path:
+    """A folder by its name; an empty one would be the current folder."""
+    if not str(text).strip():  # a default is a path already
+        raise BadInputError("--out needs the name of a folder, got an empty text")
+    return Path(text)
+
+
+Out = Annotated[Path, Option("--out", metavar="DIR", help="Folder to write.", parser=folder_of)]
 Figures = Annotated[
     bool,
     Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),

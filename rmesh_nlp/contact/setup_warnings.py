@@ -20,14 +20,11 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
-from rmesh_nlp.problem.laws import PlaneStrain
+from rmesh_nlp.problem.laws import LOCKING
 from rmesh_nlp.problem.units import after
 
 PENETRATION = 0.05
 """Part of the length of a contact edge that a foundation may pass into it between its nodes."""
-
-LOCKING = 0.45
-"""Poisson's ratio from which on linear triangles in plane strain are too stiff."""
 
 LARGE = 0.1
 """Part of the extent of the body from which on displacements are not small."""
@@ -157,15 +154,9 @@ def _open(
 
 def _problem(problem: ContactProblem) -> Found:
     """What needs no solution: materials that lock, point loads, round boundaries without a curve."""
-    for law in problem.laws:
-        if not isinstance(law, PlaneStrain):
-            continue
-        poisson = law.lame_lambda / (2 * (law.lame_lambda + law.lame_mu))
-        if poisson > LOCKING and problem.order == 1:
-            text = (
-                f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
-            )
-            yield "locking", text + "and displacements come out too small"
+    for poisson in problem.locking:
+        text = f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
+        yield "locking", text + "and displacements come out too small"
     if problem.point_loads:
         text = "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
         yield "point-load", text + "refined, so compare energies on this mesh only"

@@ -160,15 +160,17 @@ LARGEST_EXPRESSION = 5_000
 """Operations in a derivative beyond which it is not looked at further."""
 
 
-def suitable_rule(loads: Sequence[Coefficient], tractions: Sequence[Coefficient]) -> str | int:
-    """The cheapest rule that is exact for these loads times linear functions, or ``HIGH``.
+def suitable_rule(
+    loads: Sequence[Coefficient], tractions: Sequence[Coefficient], order: int = 1
+) -> str | int:
+    """The cheapest rule that is exact for these loads times functions of an order, or ``HIGH``.
 
     Tractions are integrated with degree 4 at least, whatever the rule.
     """
     degrees = [[polynomial_degree(part) for part in parts] for parts in (loads, tractions)]
     if None in [*degrees[0], *degrees[1]]:
         return HIGH
-    body, edge = (max((d + 1 for d in part if d is not None), default=0) for part in degrees)
+    body, edge = (max((d + order for d in part if d is not None), default=0) for part in degrees)
     needed = max(body, edge if edge > 4 else 0)
     return MIDPOINT if needed <= 2 else needed
 

@@ -17,7 +17,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.problem.coefficients import on_points, suitable_rule
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
-from rmesh_nlp.problem.laws import Law
+from rmesh_nlp.problem.laws import LOCKING, Law, PlaneStrain
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
 from rmesh_nlp.problem.units import NO_UNITS, Units
@@ -93,7 +93,14 @@ class ProblemData:
         if self.quadrature != "auto":
             return self.quadrature
         loads = [part for law in self.laws for part in law.load]
-        return suitable_rule(loads, [part for traction in self.tractions for part in traction.value])
+        tractions = [part for traction in self.tractions for part in traction.value]
+        return suitable_rule(loads, tractions, self.order)
+
+    @property
+    def locking(self) -> tuple[float, ...]:
+        """Poisson's ratios for which linear triangles are much too stiff; none at order 2."""
+        ratios = (law.poisson for law in self.laws if isinstance(law, PlaneStrain))
+        return tuple(ratio for ratio in ratios if self.order == 1 and ratio > LOCKING)
 
     @property
     def components(self) -> int:

@@ -14,6 +14,9 @@ from rmesh_nlp.display import describe
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
 
+LOCKING = 0.45
+"""Poisson's ratio from which on linear triangles in plane strain are too stiff."""
+
 
 @dataclass(frozen=True)
 class Laplace:
@@ -122,6 +125,11 @@ class Elastic(ABC):
 @dataclass(frozen=True)
 class PlaneStrain(Elastic):
     """Elasticity of a long body: no strain out of the plane (3.7)."""
+
+    @property
+    def poisson(self) -> float:
+        """Poisson's ratio."""
+        return self.lame_lambda / (2 * (self.lame_lambda + self.lame_mu))
 
     @property
     def in_plane_lambda(self) -> float:

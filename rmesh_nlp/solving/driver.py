@@ -21,7 +21,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.exploited import End, back, is_spurious, once_more
+from rmesh_nlp.solving.exploited import End, back, is_spurious, never_worse, once_more
 from rmesh_nlp.solving.formulation import Chooser, Formulation, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
@@ -93,6 +93,8 @@ def solve(
         end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
     if monitor.stopped is not None:
         end = monitor.finish(lambda: back(end, monitor.stopped))
+    elif plan.why:  # what chooses by itself hands nothing back that is worse
+        end = monitor.finish(lambda: never_worse(end))
     return _made(plan, end, safe, monitor, certify)
 
 

@@ -67,6 +67,16 @@ def test_the_interval_holds_from_one_refinement_and_from_two(
         assert found.factor <= errors[0] / errors[1] <= found.factor_upper
 
 
+def test_nothing_is_claimed_where_linear_triangles_lock() -> None:
+    def claimed(poisson: float, order: int) -> bool:
+        law, sides = PlaneStrain.from_young(1000.0, poisson, (0.0, -50.0)), ("left",)
+        given = ContactProblem(rectangle(3, 2), law, sides, Obstacle.graph("bottom", -0.01), order=order)
+        finer = refined(given)
+        return error_reduction(admissible(given), admissible(finer), 2)[0] is not None
+
+    assert [claimed(0.499, 1), claimed(0.3, 1), claimed(0.499, 2)] == [False, True, True]
+
+
 def test_an_exact_energy_gives_the_factor_itself() -> None:
     problem = EXAMPLES["6.1"](n=4)
     nodes = np.array(problem.mesh.p)

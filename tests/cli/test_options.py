@@ -136,6 +136,7 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("check my.toml --order 3", "'3'"),
         ("advise my.toml --order true", "'true'"),
         ("solve 6.1 --quadrature 0", "'0'"),
+        ("solve 6.1 --out ''", "--out needs the name of a folder"),
         ("solve 6.1 --quadrature 51", "'51'"),
         ("solve 6.1 --objective energie", "energie"),
         ("solve 6.1 --objective error-l2", "error-l2"),

@@ -62,6 +62,11 @@ def test_rule_is_the_cheapest_exact_one(loads: list, tractions: list, rule: str 
     assert suitable_rule(loads, tractions) == rule
 
 
+def test_a_rule_is_exact_for_the_order_of_displacements() -> None:
+    assert suitable_rule([power(2)], [], 2) == 4
+    assert suitable_rule([1.0], [1.0], 2) == "midpoint"
+
+
 def test_rule_is_exact_for_a_polynomial_load() -> None:
     problem = ContactProblem(rectangle(3, 3), Laplace(lambda x, y: 10 * x * x * y), ("left",))
     assert problem.rule == 4
