@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from skfem import ElementTriRT2
 
 from rmesh_nlp.certificate import johnson_mercier as jm
 from rmesh_nlp.certificate import raviart_thomas as rt
@@ -18,35 +17,6 @@ from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, PlaneStrain, PlaneStress
 from support.certificates import distorted, guess_on, of_values
-
-
-def test_johnson_mercier_is_unisolvent():
-    """9 functions without divergence, determined by their tractions, and 6 for linear body forces."""
-    reference = jm.reference()
-    assert np.linalg.matrix_rank(reference.basis.reshape(54, 15)) == 15
-    found = jm.divergence(reference.basis, jm.on_thirds(jm.CORNERS)[..., None]).reshape(18, 15)
-    assert np.allclose(found[:, :9], 0, atol=1e-12)
-    conditions = np.vstack([reference.forces.reshape(12, 15), found])
-    assert np.linalg.matrix_rank(reference.forces.reshape(12, 15)[:, :9]) == 9
-    assert np.linalg.matrix_rank(conditions) == 15
-    assert all(np.allclose(jump, 0, atol=1e-12) for jump in jm.jumps(reference.basis, jm.CORNERS[..., None]))
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-def test_raviart_thomas_is_the_element_of_scikit_fem_and_of_its_definition(degree: int) -> None:
-    """Its functions span the same space: polynomials of the degree, and x times the homogeneous ones."""
-    barycentric, _ = triangle_rule(8)
-    x, y = barycentric[1:]
-    powers = [x**i * y ** (k - i) for k in range(degree + 1) for i in range(k + 1)]
-    wanted = [(q, 0 * q) for q in powers] + [(0 * q, q) for q in powers]
-    wanted += [(x * q, y * q) for q in powers[-degree - 1 :]]
-    theirs, size = np.array(wanted).reshape(len(wanted), -1).T, {1: 8, 2: 15}[degree]
-    ours = rt._functions(barycentric, degree).reshape(-1, size)
-    assert np.linalg.matrix_rank(ours) == np.linalg.matrix_rank(np.hstack([ours, theirs])) == size
-    if degree == 1:
-        element = ElementTriRT2()
-        theirs = np.hstack([element.lbasis(barycentric[1:], i)[0].reshape(-1, 1) for i in range(8)])
-        assert np.linalg.matrix_rank(np.hstack([ours, theirs])) == size
 
 
 def flux_elements(degree: int) -> tuple[rt.RaviartThomas, np.ndarray]:
@@ -91,58 +61,17 @@ def test_a_flux_balances_its_source_and_has_the_energy_of_its_values(degree: int
         through = np.einsum("ce,cpe->ep", skeleton.normals[:, i], along)
         forces = elements.forces(coefficients).reshape(len(traces), 3, -1)[:, i]
         np.testing.assert_allclose(forces @ functions(degree, shares), through, atol=1e-12)
-    # it minimises the energy less the work on the traces
-    forces = np.einsum("eij,ej->ei", elements.stiffness, traces) - elements.source
-    np.testing.assert_allclose(forces, elements.forces(coefficients), atol=1e-9)
-    slopes = np.einsum("eij,ej->ei", elements.compliance, coefficients) - traces @ elements.rows
-    np.testing.assert_allclose(slopes[:, : rt.FREE[degree]], 0, atol=1e-9)
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-def test_a_constant_or_linear_flux_is_its_own_coefficients(degree: int) -> None:
-    elements, _ = flux_elements(degree)
-    q = np.random.default_rng(1).normal(size=(2, 3, elements.load.shape[1]))
-    constant = rt.linear_flux(elements.skeleton, q[:, :1], degree)
-    np.testing.assert_allclose(elements.mean(constant), q[:, 0], atol=1e-12)
-    np.testing.assert_allclose(elements.variation(constant), 0, atol=1e-12)
-    linear, (points, _) = rt.linear_flux(elements.skeleton, q, degree), triangle_rule(3)
-    wanted = np.einsum("vp,cve->cpe", points, q)
-    if degree == 2:
-        np.testing.assert_allclose(at_points(elements, linear, points), wanted, atol=1e-12)
-
-
-@pytest.mark.parametrize("lame", [(3.0, 2.0), (0.0, 1.0)])
-def test_stresses_have_the_energy_of_their_law_balance_the_load_and_minimise(
-    lame: tuple[float, float],
-) -> None:
+def test_a_stress_that_does_not_balance_its_load_is_noticed() -> None:
     mesh = distorted(rectangle(3, 2), 0.3, seed=1)
     skeleton = skeleton_of(ContactProblem(mesh, PlaneStrain(3.0, 2.0), ("left",)), mesh.p)
     rng, count = np.random.default_rng(0), mesh.t.shape[1]
-    moduli = (np.full(count, part) for part in lame)
-    elements = jm.JohnsonMercier(skeleton, *moduli, rng.normal(size=(2, 3, count)))
-    traces = rng.normal(size=(count, 12))
-    coefficients = elements.coefficients(traces)
+    elements = jm.JohnsonMercier(skeleton, *np.full((2, count), 1.0), rng.normal(size=(2, 3, count)))
+    coefficients = elements.coefficients(rng.normal(size=(count, 12)))
     stress, through = elements.stress(coefficients), elements.forces(coefficients)
-    form = np.einsum("ei,eij,ej->e", coefficients, elements.compliance, coefficients) / 2
-    np.testing.assert_allclose(elements.energy(stress), form)
-    # a constant stress by Hooke's law: strain energy of the strain that makes it
-    lam, mu = lame
-    strain = np.array([0.3, -0.2, 0.1])
-    made = np.array([lam * 0.1 + 2 * mu * 0.3, lam * 0.1 - 2 * mu * 0.2, 2 * mu * 0.1])
-    density = (made[:2] @ strain[:2] + 2 * made[2] * strain[2]) / 2
-    everywhere = np.broadcast_to(made[:, None], (3, 6, 3, count))
-    np.testing.assert_allclose(elements.energy(everywhere), density * skeleton.areas)
-    forces = np.einsum("eij,ej->ei", elements.stiffness, traces) - elements.source
-    np.testing.assert_allclose(forces, through, atol=1e-9)
-    # for any traces the stress balances the load, element by element, to rounding
     assert residual(elements, stress, through) < 1e-12
     assert residual(replace(elements, load=elements.load * 1.01), stress, through) > 1e-8
-    # among stresses with the same divergence it has the least energy less the work on the traces
-    work = [
-        elements.energy(elements.stress(c)) - np.sum(elements.forces(c) * traces, axis=1)
-        for c in (coefficients, *(coefficients + 1e-3 * free for free in np.eye(15)[: jm.FREE]))
-    ]
-    assert np.all(work[1:] > work[0])
 
 
 @pytest.mark.parametrize("order", [1, 2])

@@ -13,7 +13,7 @@ from rmesh_nlp.io.results import read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import CERTIFICATES
-from rmesh_nlp.report.figures import block_figures, bracket_figure
+from rmesh_nlp.report.figures import block_figures
 from rmesh_nlp.report.tables import markdown
 
 FLAT = "normal = [0.0, 1.0]\nfriction = 0.1"
@@ -74,14 +74,6 @@ def test_tables_and_figures_show_it(certified):
     assert "relocated, error at most" in titles[1]
 
 
-def test_brackets_of_several_meshes_are_drawn(certified):
-    record = read_results(certified)[0].record
-    finer = {**record, "nodes": 4 * record["nodes"], "energy_lower_bound": record["energy"] - 1e-3}
-    (axis,) = bracket_figure([record, finer]).axes
-    lower = axis.lines[1].get_ydata()
-    assert list(lower) == [record["energy_lower_bound"], finer["energy_lower_bound"]]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("foundation", "printed", "bounded"),
@@ -100,10 +92,3 @@ def test_a_problem_file_may_ask_for_it_and_what_was_found_is_printed(
     assert all(part in text for part in printed)
     record = json.loads((tmp_path / "o" / "record.json").read_text())
     assert (record.get("energy_lower_bound") is not None) is bounded
-
-
-def test_comparison_without_certificates_has_no_such_table(tmp_path):
-    assert run(["solve", "6.2", "--n", "4x2", "--formulation", "fixed", "--out", str(tmp_path)]) == 0
-    assert CERTIFICATES[-1].heading.replace("|", " ") not in markdown(
-        [r.record for r in read_results(tmp_path)]
-    )
