@@ -67,10 +67,9 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("frequency", [3, 8, 16])
-def test_friction_is_the_integral_of_the_bound_times_the_slip(frequency: int, order: int) -> None:
+def test_friction_is_the_integral_of_the_bound_times_the_slip(order: int) -> None:
     def bound(x: object, y: object) -> object:
-        return 8 * (1 + 0.95 * np.sin(frequency * np.pi * x + 0.3))
+        return 8 * (1 + 0.95 * np.sin(8 * np.pi * x + 0.3))
 
     found = admissible(replace(block(Obstacle.graph("bottom", 0.0, friction=bound)), order=order))
     edges = found.problem.mesh.facets[:, found.problem.mesh.boundaries["bottom"]]
@@ -207,7 +206,7 @@ def falling(problem: ContactProblem, times: int) -> list[float]:
     return energies
 
 
-@pytest.mark.parametrize(("seed", "order"), [(0, 1), (1, 1), (1, 2)])
+@pytest.mark.parametrize(("seed", "order"), [(0, 1), (1, 2)])
 def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int, order: int) -> None:
     falls = -np.diff(falling(replace(random_problem(seed), quadrature="auto", order=order), 3))
     assert np.all(falls[1:] < 0.75 * falls[:-1])

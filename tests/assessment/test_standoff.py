@@ -13,7 +13,6 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain
 from rmesh_nlp.problem.body import Body
 
-S = np.linspace(0, 1, 4001)[1:]
 RIDGE = (SAMPLES / 2 + 0.5) / SAMPLES
 """Halfway between two samples."""
 
@@ -92,35 +91,6 @@ def test_between_points_a_parabola_is_lower_by_its_bend() -> None:
     u[1, cells.nodes[:, 0]] = np.array([at**2, (1 - at) ** 2, -at * (1 - at)]) - 1.0
     assert np.min(cells.gaps(u)) == pytest.approx(0.0, abs=1e-12)
     assert np.min(cells.gaps(u) + cells.dips(u)) > 1e-5
-
-
-def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
-    """The held end is 1/4 above its place, the other one must give the rest: max (a - N_j G_j) / N_i."""
-    height = lambda s: 12 * s * (1 - s) ** 2  # noqa: E731
-    cells = edge(height, ("left",))
-    held = cells.rows[:, 0] < 0
-    assert held.sum() == 1
-    given = np.full(4, 0.25)
-    wanted = np.max((height(S) - (1 - S) * 1.25) / S)
-    assert wanted <= cells.off(given)[0] <= wanted * (1 + 2e-3)  # the margin between samples is one-sided
-    assert cells.off(given)[0] > 0
-    force = np.zeros(1)
-    cells.share(force, np.array([0]), np.array([32]), np.array([8.0]))
-    share = cells.shares[~held, 32]
-    assert force == pytest.approx(8 * share)
-    assert sorted(cells.shares[:, 32]) == [0.25, 0.75]
-
-
-def test_triangles_all_of_whose_nodes_are_held_are_found_where_the_foundation_rises() -> None:
-    sides = tuple(Dirichlet(side, (0.0,)) for side in ("left", "right", "top", "bottom"))
-    hill = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
-    problem = ContactProblem(rectangle(2, 2, diagonal="falling"), Laplace(0.0), sides, hill)
-    body = Body(problem, problem.mesh.p)
-    (cells,) = cells_on(problem)
-    inside = np.all(body.nodes[:, body.triangles].sum(axis=0) <= 0.5 + 1e-12, axis=0)
-    np.testing.assert_array_equal(cells.unreachable(np.zeros(9)), np.flatnonzero(inside))
-    assert cells.unreachable(np.full(9, 0.0801)).size == 0  # the hill is 0.08 high
-    assert cells.unreachable(np.full(9, 0.077)).size == 1
 
 
 def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:

@@ -7,12 +7,11 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.report import columns
-from rmesh_nlp.report.blocks import contact_units
 from rmesh_nlp.report.columns import Column
 
 MAIN, COST, COMMON = columns.MAIN, columns.COSTS, columns.COMMON
 ENERGY, RESIDUAL, CERTIFICATE = columns.ENERGIES, columns.RESIDUALS, columns.CERTIFICATES
-REACHED, BOTH = "cost to that J", ("guaranteed_lower", "guaranteed_upper")
+PAID, REACHED, BOTH = "cost [contact solves]", "cost to that J", ("guaranteed_lower", "guaranteed_upper")
 
 
 def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
@@ -26,35 +25,28 @@ def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
         (COST, "build [s]", {}, "-"),
         (COST, "build [s]", {"build_time_s": 0.12345}, "0.123"),
         (COST, "build [s]", {"build_time_s": 0.12, "build_time_range_s": [0.1, 0.256]}, "0.12 (0.1 to 0.26)"),
-        (COST, "contact solves, cold + warm", {"contact_solves": 7}, "7"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7, "cold_contact_solves": 2}, "2 + 5"),
+        (COST, PAID, {"build_time_s": 1.0, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, "6"),
+        (COST, PAID, {"build_time_s": None, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, "18"),
+        (COST, PAID, {"wall_time_s": 9.0, "contact_time_s": 0.0}, "-"),
+        (COST, PAID, {"wall_time_s": 0.0, "contact_time_s": 0.5}, "0"),
+        (COST, PAID, {"wall_time_s": 49.97, "contact_time_s": 0.5}, "99.9"),
         (COST, "factorisations, contact; KKT", {"kkt_factorisations": 3}, "-"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 0}, "9"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 4},
          "9; 4 or more"),
-        (COST, "start", {"start": "joint"}, "joint"),
         (ENERGY, "J relocated, own rule", {"energy": 0.0}, "0.000000"),
         (MAIN, "J relocated", {"energy_audited": -1.23456789e-5}, "-1.234568e-05"),
-        (MAIN, "J relocated", {"energy_audited": -123456.789}, "-123456.8"),
         (MAIN, "J relocated", {"energy_audited": 1000.5}, "1000.5"),
-        (MAIN, "J relocated", {"energy_audited": 999.5}, "999.500000"),
-        (MAIN, "J relocated", {"energy_audited": 0.001}, "0.001000"),
         (MAIN, "J relocated", {"energy_audited": 0.00099}, "0.00099"),
         (MAIN, "gain [%]", {"energy_audited": -2.5, "energy_initial_audited": -2.0}, "25.00"),
-        (MAIN, "gain [%]", {"energy_audited": 2.5, "energy_initial_audited": 2.0}, "-25.00"),
         (MAIN, "gain [%]", {"energy_audited": -200.0, "energy_initial_audited": -2.0}, "9.9e+03"),
         (MAIN, "gain [%]", {"energy_audited": 0.5, "energy_initial_audited": 0.0}, "-"),
-        (MAIN, "gain [%]", {"energy_initial_audited": 2.0}, "-"),
-        (MAIN, "time [s]", {"wall_time_s": 0.0751}, "0.075"),
         (MAIN, "time [s]", {"wall_time_s": 123.4}, "123"),
         (RESIDUAL, "biactive", {"biactive_nodes": [4, 5]}, "2"),
-        (RESIDUAL, "biactive", {"biactive_nodes": []}, "0"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 0}, "S (KKT)"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 1}, "S"),
-        (RESIDUAL, "label", {"stationarity": "", "biactive": 0}, "-"),
-        (COMMON, REACHED, {"cost_to_objective": 99.94}, "99.9"),
         (COMMON, REACHED, {"cost_to_objective": 1234.4}, "1234"),
-        (COMMON, REACHED, {}, "-"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": 0.125}, "0.875000"),
         (columns.ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": None}, "-"),
         (CERTIFICATE, "error after [%]", {"relative_error_bound": 0.1234, **dict.fromkeys(BOTH, True)},
@@ -67,20 +59,3 @@ def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
 )  # fmt: skip
 def test_cells(table: tuple[Column, ...], head: str, record: dict[str, Any], text: str) -> None:
     assert cell(table, head, record) == text
-
-
-@pytest.mark.parametrize(
-    ("record", "units", "text"),
-    [
-        ({"build_time_s": 1.0, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 6.0, "6"),
-        ({"build_time_s": None, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5}, 18.0, "18"),
-        ({"wall_time_s": 9.0}, None, "-"),
-        ({"wall_time_s": 9.0, "contact_time_s": 0.0}, None, "-"),
-        ({"wall_time_s": 0.0, "contact_time_s": 0.5}, 0.0, "0"),
-        ({"wall_time_s": 49.97, "contact_time_s": 0.5}, 99.94, "99.9"),
-        ({"wall_time_s": 617.2, "contact_time_s": 0.5}, 1234.4, "1234"),
-    ],
-)
-def test_costs_are_counted_in_contact_solves(record: dict[str, Any], units: float | None, text: str) -> None:
-    assert contact_units(record) == (None if units is None else pytest.approx(units))
-    assert cell(COST, "cost [contact solves]", record) == text

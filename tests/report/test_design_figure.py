@@ -8,17 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rmesh_nlp.io import kept_problem
-from rmesh_nlp.io.problem_file import load_problem, read_table
-from rmesh_nlp.io.results import Result, single_result, write_single
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.report.design_figure import PANELS, design_figure
 from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page
-from rmesh_nlp.study.plan import planned
-from rmesh_nlp.study.runner import perform
-from support.designs import BOW, FILE, H0, E, block
+from support.designs import BOW, H0, E, block
 from support.formulations import nested
 from support.reporting import designed
 
@@ -88,33 +84,3 @@ def test_pictures_are_of_the_first_and_the_last_design() -> None:
     expected = nested.solve(replace(begin, design=(), motion=Motion(0)), objective="area").pressure
     assert np.max(first) == pytest.approx(expected.max(), rel=1e-9)
     assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)
-
-
-BOWED = f"""{FILE}
-[design.shapes]
-bow = {{ boundary = "bottom", motion = ["0", "x*(4-x)/4"], bounds = [-0.02, 0.03] }}
-"""
-
-
-@pytest.mark.slow
-def test_a_kept_design_is_drawn_again_from_its_folder(tmp_path: Path) -> None:
-    path, folder = tmp_path / "my.toml", tmp_path / "out"
-    path.write_text(BOWED)
-    folder.mkdir()
-    done = perform(planned(load_problem(path), "nested", {"objective": "square(resultant(bottom) - 30)"}))
-    kept_problem.keep(path, read_table(path), folder)
-    write_single(folder, done.row, done.save)
-    steps = single_result(folder, done.row).steps()
-    assert [steps[-1][f"design.{name}"] for name in done.row["design"]] == pytest.approx(
-        list(done.row["design"].values())
-    )
-    kept = kept_problem.read_kept(folder, done.row)
-    assert kept is not None
-    assert kept.designed is not None
-    assert kept.designed.start == {"E": 1.0, "h": 0.0, "bow": 0.0}
-    assert done.solution is not None
-    np.testing.assert_allclose(kept.problem.mesh.p, done.solution.problem.mesh.p, atol=1e-15)
-    assert set(dict(pictures(kept, Page()))) == set(dict(pictures(done.solution, Page())))
-    figure = figure_of_designs([single_result(folder, done.row)])
-    assert figure is not None
-    assert len(figure.axes) == 4

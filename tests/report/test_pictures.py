@@ -10,7 +10,6 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from rmesh_nlp.cli import app as cli
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
 from rmesh_nlp.report.pictures import Limit, after, before, limits, pictures, write_pictures
@@ -138,18 +137,3 @@ def test_limits_name_move_limits_and_areas() -> None:
     assert Limit.AREA in wide
     corner = int(np.argmin(problem.mesh.p.sum(axis=0)))
     assert wide[corner] is Limit.PINNED
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("wanted", [True, False])
-def test_rmesh_solve_draws_unless_told_not_to(tmp_path: Path, wanted: bool) -> None:
-    path, out = tmp_path / "my.toml", tmp_path / "out"
-    path.write_text(
-        '[mesh]\nshape = "rectangle"\nnx = 4\nny = 2\nx = [0, 2]\n[material]\nlaw = "plane-strain"\n'
-        'young = 100\npoisson = 0.3\n[dirichlet]\nleft = "symmetry"\n[tractions]\ntop = [0, -1]\n'
-        '[[contact]]\nboundary = "bottom"\ncurve = "y + 0.01 + 0.05*x**2"\n'
-    )
-    options = [] if wanted else ["--no-figures"]
-    assert cli.run(["solve", str(path), "--out", str(out), "--columns", "1", *options]) in (0, 1)
-    assert (out / "figures" / "mesh.png").exists() is wanted
-    assert (out / "record.json").exists()
