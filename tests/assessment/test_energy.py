@@ -16,7 +16,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -25,36 +24,9 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     PointLoad,
     Traction,
-    signed_areas,
 )
 from rmesh_nlp.problem.body import Body
-from support.curved import HOLE, disc, plate, spline_of_the_hole
-
-ARC = Circle((0.0, 1.0), 1.0)
-CUT = np.arcsin(0.2)
-
-
-def area(problem: ContactProblem) -> float:
-    body = Body(problem, problem.mesh.p)
-    every = np.arange(body.triangles.shape[1])
-    return float(over_triangles(body, every, lambda _, s, __: np.ones((1, *s.shape[1:])), 8)[0].sum())
-
-
-def test_areas_are_those_of_the_true_domains() -> None:
-    # a square of side 10 with a hole of radius 2.5; a quarter of a disc, cut off at half-length 0.2
-    for curve, error in ((HOLE, 1e-10), (spline_of_the_hole(), 1e-3)):
-        assert area(plate({"hole": curve})) == pytest.approx(100 - np.pi * 2.5**2, rel=error)
-    quarter = disc({"arc": ARC})
-    assert area(quarter) == pytest.approx(np.pi / 4 - (CUT - np.sin(CUT) * np.cos(CUT)) / 2, rel=1e-9)
-    assert signed_areas(quarter.mesh.p, quarter.triangles).sum() < 0.996 * area(quarter)
-
-
-def test_edges_are_as_long_as_their_arcs() -> None:
-    problem = disc({"arc": ARC})
-    edges = Body(problem, problem.mesh.p).edges("arc")
-    lengths, doubt = over_edges(edges.at, edges.size, lambda _, s, __: np.ones((1, *s.shape)))
-    assert lengths.sum() == pytest.approx(np.pi / 2 - CUT, rel=1e-12)
-    assert doubt.max() < 1e-12
+from support.curved import HOLE, plate
 
 
 def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:

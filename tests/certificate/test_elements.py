@@ -8,59 +8,12 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.certificate import johnson_mercier as jm
-from rmesh_nlp.certificate import raviart_thomas as rt
 from rmesh_nlp.certificate.bracket import bracket
 from rmesh_nlp.certificate.johnson_mercier import residual
-from rmesh_nlp.certificate.skeleton import AFTER, skeleton_of
-from rmesh_nlp.fem.bernstein import functions
-from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, PlaneStrain, PlaneStress
 from support.certificates import distorted, guess_on, of_values
-
-
-def flux_elements(degree: int) -> tuple[rt.RaviartThomas, np.ndarray]:
-    mesh = distorted(rectangle(3, 2), 0.3, seed=1)
-    skeleton = skeleton_of(ContactProblem(mesh, Laplace(0.0), ("left",), order=degree), mesh.p)
-    rng, count = np.random.default_rng(0), mesh.t.shape[1]
-    elements = rt.RaviartThomas(skeleton, np.full(count, 2.5), rng.normal(size=(3 * degree, count)))
-    return elements, rng.normal(size=(count, 3 * (degree + 1)))
-
-
-def at_points(elements: rt.RaviartThomas, coefficients: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
-    """(2, points, elements) fluxes by Piola's map."""
-    inside = np.einsum("apk,ek->ape", rt._functions(barycentric, elements.degree), coefficients)
-    pushed = np.einsum("eab,bpe->ape", elements.skeleton.jacobian, inside)
-    return pushed / (2 * elements.skeleton.areas)
-
-
-@pytest.mark.parametrize("degree", [1, 2])
-def test_a_flux_balances_its_source_and_has_the_energy_of_its_values(degree: int) -> None:
-    elements, traces = flux_elements(degree)
-    coefficients, skeleton = elements.coefficients(traces), elements.skeleton
-    points, weights = triangle_rule(6)
-    flux = at_points(elements, coefficients, points)
-    mean = np.einsum("p,ape->ae", weights, flux)
-    squares = [np.einsum("p,ape->e", weights, part**2) for part in (flux, flux - mean[:, None])]
-    np.testing.assert_allclose(elements.energy(coefficients), skeleton.areas * squares[0] / (2 * 2.5))
-    np.testing.assert_allclose(elements.variation(coefficients), skeleton.areas * squares[1] / 2.5)
-    np.testing.assert_allclose(elements.mean(coefficients), mean, atol=1e-12)
-    # pointwise: these differences are exact for cubic functions
-    for where in triangle_rule(6)[0].T:
-        steps = [n * 1e-2 * np.array(way) for n in (1, -1, 2, -2) for way in ((-1, 1, 0), (-1, 0, 1))]
-        around = at_points(elements, coefficients, (where + np.array(steps)).T)
-        one, back, two, far = around.reshape(2, 4, 2, -1).transpose(1, 0, 2, 3)
-        slope = (8 * (one - back) - (two - far)) / 12e-2  # (component, reference direction, element)
-        divergence = np.einsum("cre,erc->e", slope, np.linalg.inv(skeleton.jacobian))
-        source = functions(degree, where) @ elements.load
-        np.testing.assert_allclose(divergence, -source, atol=1e-9)
-    # forces are Bernstein's coefficients along the edges, counter-clockwise
-    shares = np.array([[0.8, 0.5, 0.1], [0.2, 0.5, 0.9]])
-    for i, ends in enumerate(AFTER):
-        along = at_points(elements, coefficients, np.eye(3)[ends].T @ shares)
-        through = np.einsum("ce,cpe->ep", skeleton.normals[:, i], along)
-        forces = elements.forces(coefficients).reshape(len(traces), 3, -1)[:, i]
-        np.testing.assert_allclose(forces @ functions(degree, shares), through, atol=1e-12)
 
 
 def test_a_stress_that_does_not_balance_its_load_is_noticed() -> None:

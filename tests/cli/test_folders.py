@@ -13,7 +13,6 @@ from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run
 
 
-@pytest.mark.slow
 def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
     mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t"}
     for name, text in mine.items():

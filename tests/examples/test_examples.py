@@ -7,7 +7,6 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import truncated
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.problem.coefficients import on_points
 
 
@@ -43,16 +42,6 @@ def test_examples_of_order_2_have_lower_energies_by_a_better_rule(name: str) -> 
         assert energies[1] > EXACT_ENERGY_61
 
 
-@pytest.mark.parametrize("kind", ["scalar", "membrane", "elastic", "rough"])
-def test_random_problems_of_order_2_are_those_of_order_1(kind: str) -> None:
-    one, two = (random_problem(3, kind=kind, order=order) for order in (1, 2))
-    np.testing.assert_array_equal(one.mesh.p, two.mesh.p)
-    accurate = replace(one, quadrature=8)
-    energies = [ContactSolver(problem).solve(problem.mesh.p).energy for problem in (accurate, two)]
-    assert (two.order, two.motion) == (2, one.motion)
-    assert energies[1] < energies[0]
-
-
 def test_figures_are_truncated_as_the_paper_does() -> None:
     assert [truncated(value) for value in (-1.124602, -1.12469, 0.1)] == [-11246, -11246, 1000]
     assert all(truncated(k / 1e4) == k for k in range(-20_000, 20_000))  # no binary fractions
@@ -75,10 +64,6 @@ def test_extremes_of_61_are_those_of_the_paper() -> None:
     # the paper's digits are rounded up or truncated, so one unit in the last place
     assert u.min() == pytest.approx(PAPER["6.1"].u_min_initial, abs=1e-4)
     assert u.max() == pytest.approx(PAPER["6.1"].u_max_initial, abs=1e-4)
-
-
-def test_printed_closed_form_of_the_exact_energy() -> None:
-    assert pytest.approx(-1.9456096613, abs=1e-10) == EXACT_ENERGY_61
 
 
 def test_exact_energy_of_61_by_integration() -> None:

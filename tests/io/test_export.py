@@ -27,7 +27,6 @@ from support.curved import disc
 from support.designs import LOAD, E, block
 from support.formulations import fixed, joint, nested
 from support.orders import ORDERS
-from support.solved import with_final
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -98,31 +97,6 @@ def test_file_has_all_fields(solution, tmp_path):
     )
     np.testing.assert_allclose(cells["area_ratio"], after / before, rtol=1e-12)
     assert np.ptp(cells["area_ratio"]) > 0.01
-
-
-def test_a_space_with_another_numbering_writes_the_same_fields_at_the_same_places(
-    problem, solution, tmp_path, monkeypatch
-):
-    series = series_of(problem, [np.full(MeshMap.of(problem).n, 0.01)])
-    write_solution(solution, tmp_path / "one.vtu")
-    series.write(tmp_path, "one", solution.pressure)
-    order = np.random.default_rng(3).permutation(DisplacementSpace.of(problem).n_nodes)
-    monkeypatch.setattr(DisplacementSpace, "of", staticmethod(lambda made: DisplacementSpace(made, order)))
-    fields = {name: getattr(solution, name) for name in ("displacement", "pressure", "tangential_stress")}
-    back = np.argsort(order)
-    permuted = with_final(solution, **{name: values[..., back] for name, values in fields.items()})
-    write_solution(permuted, tmp_path / "two.vtu")
-    series.write(tmp_path, "two", permuted.pressure)
-    for end in (".vtu", "-00000.vtu"):
-        found, theirs = (meshio.read(tmp_path / (name + end)) for name in ("one", "two"))
-        np.testing.assert_array_equal(theirs.points[order], found.points)
-        np.testing.assert_array_equal(theirs.cells[0].data, order[found.cells[0].data])
-        assert set(theirs.point_data) == set(found.point_data)
-        for name, values in found.point_data.items():
-            np.testing.assert_allclose(theirs.point_data[name][order], values, atol=1e-12, err_msg=name)
-    vertices = order[: problem.mesh.p.shape[1]]
-    np.testing.assert_array_equal(node_table(permuted)[["x", "y"]].to_numpy()[vertices], solution.mesh.p.T)
-    np.testing.assert_array_equal(element_table(permuted)["node_2"], order[problem.triangles[1]])
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -214,15 +188,6 @@ def test_names_of_boundaries_and_subdomains_are_groups_of_gmsh(tmp_path):
     assert sizes[0] == sizes[1]
 
 
-def test_mesh_without_names_is_triangles_alone(tmp_path):
-    write_mesh(replace(rectangle(2, 1), _boundaries=None, _subdomains=None), tmp_path / "mesh.msh")
-    file = meshio.read(tmp_path / "mesh.msh")
-    assert [block.type for block in file.cells] == ["triangle"]
-    assert file.field_data == {}
-    assert np.all(signed_areas(file.points[:, :2].T, file.cells[0].data.T) > 0)
-    np.testing.assert_array_equal(file.points[:, 2], 0)
-
-
 @pytest.mark.parametrize(
     ("every", "most", "kept"),
     [
@@ -258,19 +223,6 @@ def played(series, folder):
     """The frames of a series, as its PVD file names them."""
     root = ET.parse(series.write(folder)).getroot()
     return [meshio.read(folder / element.attrib["file"]) for element in root.iter("DataSet")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("formulation", [joint, nested])
-def test_series_plays_the_iterates(problem, tmp_path, formulation):
-    series = Series(problem, every=5)
-    final = formulation.solve(problem, on_step=series)
-    first, *between, last = played(series, tmp_path)
-    n = problem.mesh.p.shape[1]
-    assert between
-    np.testing.assert_allclose(first.points[:n, :2].T, problem.mesh.p, atol=0.02)
-    np.testing.assert_allclose(last.points[:n, :2].T, final.mesh.p, atol=1e-6)
-    np.testing.assert_allclose(last.point_data["displacement"][:, :2].T, final.displacement, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -278,16 +278,6 @@ def test_the_command_line_reads_problem_files(tmp_path, capsys):
     ]
 
 
-@pytest.mark.slow
-def test_starts_on_the_command_line(tmp_path):
-    size = ["--n", "4", "--quadrature", "6", "--delta", "0.05", "--out", str(tmp_path)]
-    assert cli.run(["solve", "6.1", "--starts", "2", *size]) == 0
-    record = json.loads((tmp_path / "record.json").read_text())
-    assert record["start_seeds"] == [None, 1, 2]
-    assert record["energy_audited"] == min(record["start_energies"])
-    assert cli.run(["solve", "6.1", "--formulation", "fixed", "--starts", "1", *size]) == 2
-
-
 @pytest.mark.parametrize(
     ("error", "said"),
     [

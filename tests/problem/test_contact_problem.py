@@ -27,9 +27,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
-from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.motion import BY_BARRIER
-from rmesh_nlp.problem.rigid import rigid_motions
 from support.formulations import fixed, mpcc
 
 
@@ -176,16 +174,6 @@ def test_what_does_not_contradict_itself_is_taken() -> None:
     ContactProblem(**(BODY | {"obstacle": (Obstacle("bottom"), WALL)}))
     ContactProblem(**(BODY | {"dirichlet": ("left", Dirichlet("bottom", (0.0, None)))}))
     ContactProblem(**(BODY | {"dirichlet": Dirichlet("left", (0.0, None))}))  # the floor holds the rest
-
-
-def test_rigid_motions_of_a_free_body_are_translations_and_the_rotation() -> None:
-    mesh = rectangle(3, 2, x=(1, 4))
-    motions = rigid_motions(ProblemData(mesh, PlaneStrain(1.0, 1.0), ()))
-    (x, y), zero = mesh.p, np.zeros(mesh.p.shape[1])
-    known = np.array([[zero + 1, zero], [zero, zero + 1], [-y, x]]).reshape(3, -1).T
-    found = motions.reshape(len(motions), -1).T
-    assert np.linalg.matrix_rank(found) == 3
-    np.testing.assert_allclose(known @ np.linalg.lstsq(known, found, rcond=None)[0], found, atol=1e-12)
 
 
 def boundary_lengths(problem: ContactProblem) -> dict[str, float]:

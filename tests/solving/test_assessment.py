@@ -15,9 +15,7 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import EXPLOITS, ContactResiduals
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, ProblemError
 from rmesh_nlp.solving import driver, outer
 from rmesh_nlp.solving.assessment import EXPLOITED, FAILURES, Assessment
 from rmesh_nlp.solving.monitor import Monitor
@@ -219,23 +217,6 @@ def test_a_solver_that_met_its_test_is_believed_only_with_a_displacement_that_ho
     q, exact = np.zeros(outer.n), outer.given
     found = ended(outer, q, own=replace(exact, u=(1 + part) * exact.u))
     assert (found.status, found.success) == (status, status is Status.NOT_STATIONARY)
-
-
-@pytest.mark.parametrize(
-    ("law", "dirichlet", "obstacle"),
-    [
-        (Laplace(-1.0), ("left", "right", "top", "bottom"), Obstacle.interior(0.5)),
-        (
-            PlaneStrain(1.0, 1.0),
-            (Dirichlet("left", (0.0, -0.1)),),
-            Obstacle("bottom", (0.0, 1.0), 0.0),
-        ),
-        (PlaneStrain(1.0, 1.0), ("left",), Obstacle.graph("bottom", 0.2)),
-    ],
-)
-def test_given_displacements_that_violate_a_gap_are_refused(law, dirichlet, obstacle) -> None:
-    with pytest.raises(ProblemError, match=r"no displacement is admissible.* node \d+.* gap -0\.[125]"):
-        ContactProblem(rectangle(4, 4), law, dirichlet, obstacle)
 
 
 def test_the_default_tolerance_is_what_docs_promise() -> None:

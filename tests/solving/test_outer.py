@@ -9,11 +9,10 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, PlaneStrain
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
@@ -96,18 +95,6 @@ class TestStart:
         assert min(found) < 0.2 < max(found)
 
 
-def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -> None:
-    assert outer.function is outer.energy
-    other = outer.minimising(parse_objective("mean(top, -uy)"))
-    assert other.function is other.function is not other.energy
-    assert str(other.function.objective) == "mean(top, -uy)"
-    assert outer.function is outer.energy
-    mixed = outer.minimising(parse_objective("energy + 0.1*quality"))
-    assert mixed.function is mixed.energy is not outer.energy
-    assert mixed.contact is other.contact is outer.contact
-    assert not parse_objective("2*energy + 0.1*quality").collapses  # of another inner problem
-
-
 class TestAssessment:
     def test_zones_residuals_and_counts_of_a_record(self, outer: Outer) -> None:
         found, problem = ended(outer, np.zeros(outer.n)), outer.problem
@@ -136,19 +123,6 @@ class TestAssessment:
         assert found.final.energy == pytest.approx(state.energy, rel=1e-12)
         assert found.status is Status.INACCURATE
         assert ended(outer, q, Status.STALLED, own=off).status is Status.STALLED
-
-    def test_pressures_carry_the_weight_of_the_block(self) -> None:
-        law = PlaneStrain(0.0, 50.0, body_force=(0.0, -4.0))
-        sides = (rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("right", (0.0, None)))
-        floor = Obstacle("bottom", (0.0, 1.0), 0.0)
-        block = ContactProblem(rectangle(3, 2, x=(0, 2)), law, sides, floor, Motion(0.01))
-        solution, x = fixed.solve(block), block.mesh.p[0]
-        nodes = np.flatnonzero(block.mesh.p[1] == 0)
-        nodes = nodes[np.argsort(x[nodes])]
-        weights = np.convolve(np.diff(x[nodes]), [0.5, 0.5])  # half of the edges beside each node
-        assert weights @ solution.pressure[nodes] == pytest.approx(8.0)
-        assert not np.any(np.delete(solution.pressure, nodes))
-        assert not np.any(solution.tangential_stress)
 
     def test_rounding_is_relative_to_parts_of_the_energy_that_cancel(self) -> None:
         """Weight and lift: the strain energy is larger than their sum."""
@@ -202,18 +176,3 @@ class TestAssessment:
         final = found.final
         assert np.all(np.isnan([*final.displacement.ravel(), *final.pressure, final.energy]))
         assert final.min_area_ratio < 0
-
-
-def test_all_models_of_a_mesh_share_the_contact_solution_as_given_and_its_assessment() -> None:
-    first = Outer.of(EXAMPLES["6.1"](n=3))
-    other = Outer.around(first.minimising(parse_objective("energy + 0.01*quality")).energy)
-    assert other.given is first.given is first.contact.given
-    assert other.assessor is other.energy.assessor
-    near = first.near()
-    assert near.energy is first.energy
-    nodes = np.asarray(first.problem.mesh.p)
-    assert first.assessor.solve(nodes, first.given.active) is first.assessor.initial
-    moved = first.nodes(0.1 * np.ones(first.n))
-    found = first.assessor.solve(moved, first.given.active)
-    assert first.assessor.solve(moved.copy(), first.given.active) is found
-    assert first.assessor.solve(first.nodes(-0.1 * np.ones(first.n)), first.given.active) is not found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.solving.verification import (
     ErrorTerms,
@@ -48,43 +46,6 @@ class TestTaylor:
         values = [value.strip() for _, value in self.made([2.0, 1.5]).summary()]
         assert values == ["2", "1.00e+00", "1.00e+00 order 2.00", "1.00e+00 order 1.50", "WRONG: order 1.50"]
         assert self.made([1.0, 2.0]).summary()[-1][1] == "right: order 2.00"
-
-    def test_it_measures_what_it_says_inside_of_the_move_limits(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        points: list[Any] = []
-        evaluate = ReducedEnergy.__call__
-
-        def noted(self: ReducedEnergy, q: np.ndarray) -> Any:
-            points.append((q.copy(), evaluate(self, q)))
-            return points[-1][1]
-
-        monkeypatch.setattr(ReducedEnergy, "__call__", noted)
-        test = verify_gradient(problem, seed=2)
-        assert test
-        (q, here), *others = points
-        assert np.max(np.abs([point for point, _ in points])) <= 1
-        assert np.max(np.abs(q)) > 0.3  # not the mesh as given
-        np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
-        direction = (others[0][0] - q) / test.steps[0]
-        assert 0.5 < np.max(np.abs(direction)) <= 1
-        np.testing.assert_allclose([p for p, _ in others], q + np.outer(test.steps, direction), atol=1e-12)
-        values = np.array([found.value for _, found in others])
-        exact = np.abs(values - here.value - test.steps * (here.gradient @ direction))
-        np.testing.assert_allclose(test.remainders, exact, rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(test.orders, np.log2(test.remainders[:-1] / test.remainders[1:]))
-        assert test.slope == pytest.approx(here.gradient @ direction)
-        assert (test.value, test.objective) == (here.value, "energy")
-        assert [verify_gradient(problem, seed=n).value == test.value for n in (2, 3)] == [True, False]
-
-    def test_a_wrong_gradient_is_of_first_order(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        gradient = ReducedEnergy.gradient
-        monkeypatch.setattr(ReducedEnergy, "gradient", lambda *arguments: 1.01 * gradient(*arguments))
-        test = verify_gradient(problem)
-        assert test.order == pytest.approx(1, abs=0.1)
-        assert not test.passed
 
     def test_rounding_says_nothing(self) -> None:
         """The position of a node is linear: its remainders are rounding, and no order is known."""

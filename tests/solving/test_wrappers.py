@@ -22,7 +22,6 @@ from rmesh_nlp.models.regularisation import regularised
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.solving import formulation
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
@@ -100,13 +99,6 @@ class TestMultiStart:
         script, found, _ = self.made(problem, parts=(50.0, 60.0))
         np.testing.assert_array_equal(found.q, script.ends[0].q)
         assert found.part(Starts) == Starts((None, 1), (None, None), None)
-
-    def test_an_end_on_which_contact_is_not_solved_has_no_energy(self, problem: ContactProblem) -> None:
-        outer = Outer.of(problem)
-        there = outer.assessor.initial
-        sick = replace(there, state=replace(there.state, status=Status.CYCLED))
-        outer.assessor.solve = lambda *_: sick
-        assert np.isnan(continuous_energy(Outcome(outer, outer.variables(), Status.CONVERGED)))
 
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)
@@ -251,18 +243,3 @@ class TestRemeshed:
     def test_a_number_of_nodes_is_one(self, nodes: Any) -> None:
         with pytest.raises(BadInputError, match="number of nodes of at least 3"):
             Remeshed(Script().formulation, nodes)
-
-
-def test_installed_formulations_are_looked_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    groups: list[str] = []
-    installed = formulation.entry_points
-
-    def counted(group: str) -> Any:
-        groups.append(group)
-        return installed(group=group)
-
-    monkeypatch.setattr(formulation, "entry_points", counted)
-    assert formulation.available() == formulation.available()
-    formulation.available().clear()  # each has its own copy
-    assert "joint" in formulation.available()
-    assert groups == [formulation.GROUP]
