@@ -14,17 +14,17 @@ from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
-    mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t"}
+    mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t"}
     for name, text in mine.items():
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_text(text)
-    command = "compare 6.1 --formulations fixed --n 3 --out ."
+    command = "compare 6.1 --formulations fixed --n 3 --no-figures -q --out ."
     for _ in range(3):
         assert rmesh(command).code == 0
     assert {name: Path(name).read_text() for name in mine} == mine
     rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-2", "previous-3")]
     assert len(set(rows)) == 3  # their times differ
-    assert Path("previous-3/figures/6.1-3-grid.png").exists()
+    assert len(list(Path("previous-3/solutions").glob("*.vtu"))) == 1
     Path("records.jsonl").unlink()
     Path("records.jsonl").write_text("my own records")
     Path(".rmesh-files").unlink()

@@ -192,4 +192,4 @@ def test_without_move_limits_validity_alone_limits() -> None:
 
 def test_a_least_angle_that_the_given_mesh_has_not_is_named() -> None:
     with pytest.raises(ValueError, match=r"min_angle is 50.0 degrees, but element 0"):
-        discretise(problem(Motion(None, min_angle=50.0))).validity
+        joint.solve(problem(Motion(None, min_angle=50.0)))
