@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.io.results import read_results
+from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.columns import CERTIFICATES
+from rmesh_nlp.report.figures import block_figures
+from rmesh_nlp.report.tables import markdown
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import bounded, certified, certify
@@ -23,6 +32,7 @@ from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Solution
 from support.designs import BOW, E, block
 from support.formulations import fixed
+from support.problem_files import VALID
 
 SIDES = ("left", "right", "top", "bottom")
 TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion
@@ -126,3 +136,57 @@ def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     assert found is None
     assert "polygon" in remark
     assert "take order = 1" in remark
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certified")
+    assert run(["solve", "6.3", "--n", "6x4", "--certify", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_record_and_file_hold_the_certificate(folder):
+    record = json.loads((folder / "record.json").read_text())
+    assert record["energy_lower_bound"] < record["energy"] == pytest.approx(record["energy_upper_bound"])
+    assert record["error_bound"] < record["error_bound_initial"]
+    assert record["guaranteed_lower"] is record["guaranteed_upper"] is True
+    cells = meshio.read(folder / "solution.vtu").cell_data
+    assert cells["equilibrated_stress"][0].shape == (record["triangles"], 3)
+    # the lower bound may be the better one of the other mesh
+    assert np.sum(cells["error_bound"][0]) >= 0.5 * record["error_bound"] ** 2 - 1e-12
+    assert read_vtu(folder / "solution.vtu").error_bound is not None
+
+
+def test_tables_and_figures_show_it(folder):
+    results = read_results(folder)
+    records = [result.record for result in results]
+    text = markdown(records)
+    assert CERTIFICATES[-1].heading.replace("|", " ") in text
+    assert "at most" in text
+    figures = dict(block_figures(blocks(records)[0], results))
+    (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]
+    titles = [axis.get_title() for axis in error.axes]
+    assert "given, error at most" in titles[0]
+    assert "relocated, error at most" in titles[1]
+
+
+@pytest.mark.parametrize(
+    ("foundation", "printed", "bounded"),
+    [
+        ("offset = 0.01", ("error in the energy norm at most", "least energy between"), True),
+        (
+            "circle = { centre = [1.0, -5.01], radius = 5.0 }",
+            ("no certificate: the normal of a curved foundation",),
+            False,
+        ),
+    ],
+)
+def test_what_was_found_is_printed(foundation: str, printed: tuple, bounded: bool, tmp_path, capsys) -> None:
+    text = VALID.replace('height = "-0.01*x**2"', foundation).replace('right = ["free", 0.0]\n', "")
+    (tmp_path / "my.toml").write_text(text)
+    options = ["-f", "fixed", "--certify", "--no-figures", "--out", str(tmp_path / "o")]
+    assert run(["solve", str(tmp_path / "my.toml"), *options]) == 0
+    text = capsys.readouterr().out
+    assert all(part in text for part in printed)
+    record = json.loads((tmp_path / "o" / "record.json").read_text())
+    assert (record.get("energy_lower_bound") is not None) is bounded

@@ -78,12 +78,6 @@ def less_half_the_work(corners: list[complex]) -> float:
     return -total / 2
 
 
-def graded(problem: ContactProblem) -> ContactProblem:
-    """The same on a mesh that crowds around the origin."""
-    x = problem.mesh.p
-    return replace(problem, mesh=replace(problem.mesh, doflocs=x * np.abs(x)))
-
-
 EXACT = {
     smooth: -(np.pi**2) / 4,
     signorini: less_half_the_work([1, 1 + 1j, -1 + 1j, -1]),
@@ -112,17 +106,6 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
         assert np.all(found.local >= 0)
         widths.append(found.upper - found.lower)
     assert np.log2(widths[0] / widths[1]) > rate - 0.3
-
-
-@pytest.mark.slow
-def test_on_graded_meshes_a_singularity_costs_neither_the_rate_nor_the_effectivity() -> None:
-    coarse, fine = (on(graded(signorini(n, 2))) for n in (4, 8))
-    for found in (coarse, fine):
-        assert found.guaranteed_lower
-        assert found.guaranteed_upper
-        assert found.lower < EXACT[signorini] < found.upper
-        assert found.upper - found.lower < 1.2 * (found.upper - EXACT[signorini])
-    assert np.log2((coarse.upper - coarse.lower) / (fine.upper - fine.lower)) > 3
 
 
 @pytest.mark.parametrize("make", EXACT)
