@@ -7,6 +7,7 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import truncated
+from rmesh_nlp.examples.reference import reference_solution, with_reference
 from rmesh_nlp.problem.coefficients import on_points
 
 
@@ -109,3 +110,26 @@ def test_a_folded_mesh_is_refused() -> None:
     p[1, middle] = -0.25
     with pytest.raises(ValueError, match="the mesh is folded at the edge between nodes"):
         replace(problem, mesh=replace(problem.mesh, doflocs=p))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_splines_reproduce_the_fine_solution_at_its_nodes_and_the_exact_one_between(order: int) -> None:
+    fine = EXAMPLES["6.1"](32 // order, order=order)
+    reference = reference_solution(replace(fine, quadrature=6))
+    for x, y in [(0.3, 0.2), (0.77, 0.13), (0.5, 0.9)]:
+        exact = float(fine.exact.value(x, y))
+        assert float(reference.value(x, y)) == pytest.approx(exact, abs=5e-3)
+    assert reference.energy > fine.exact.energy
+
+
+def test_scattered_nodes_are_refused() -> None:
+    problem = EXAMPLES["6.1"](4)
+    p = problem.mesh.p.copy()
+    p[:, 12] += 0.01
+    with pytest.raises(ValueError, match="rectangular grid: 25 nodes lie on 6 x 6 grid lines"):
+        reference_solution(replace(problem, mesh=replace(problem.mesh, doflocs=p)))
+
+
+def test_exact_solutions_are_kept() -> None:
+    problem = EXAMPLES["6.1"](4)
+    assert with_reference(problem) is problem
