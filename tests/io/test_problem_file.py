@@ -1,6 +1,5 @@
 """Problem files: what they mean, and one line that names file, key, value and what was expected."""
 
-import json
 import sys
 from collections import Counter
 from pathlib import Path
@@ -10,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 
-from rmesh_nlp.cli import app as cli
 from rmesh_nlp.cli.preparing import solve_options
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
@@ -18,7 +16,6 @@ from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -264,29 +261,6 @@ def test_random_edits_never_end_in_a_traceback(tmp_path):
     attempt()
     assert set(counts) == {"valid", "refused"}
     assert min(counts.values()) > 5
-
-
-@pytest.mark.slow
-def test_the_command_line_reads_problem_files(tmp_path, capsys):
-    path, out = tmp_path / "mine.toml", tmp_path / "out"
-    assert cli.run(["new", str(path)]) == 0
-    assert cli.run(["new", str(path)]) == 2
-    assert cli.run(["check", str(path), "--picture", str(tmp_path / "roles.pdf")]) == 0
-    assert (tmp_path / "roles.pdf").exists()
-    assert cli.run(["solve", str(path), "--seed", "3", "--out", str(out)]) == 0
-    assert json.loads((out / "record.json").read_text())["seed"] == 3
-    assert (out / "iterations" / "iterations.pvd").exists()
-    assert set(read_mesh(out / "mesh.msh").boundaries) == {"left", "right", "bottom", "top", "load"}
-    capsys.readouterr()
-    assert cli.run(["solve", str(path), "-f", "fixed", "--seed", "1", "--out", str(out)]) == 2
-    assert "'fixed' takes no seed" in capsys.readouterr().err
-    path.write_text(path.read_text().replace("nx = 16", "nx = 0").replace("left =", "lft ="))
-    assert cli.run(["check", str(path)]) == 2
-    assert cli.run(["solve", str(path), "--n", "8"]) == 2
-    assert capsys.readouterr().err.splitlines() == [
-        f"rmesh: error: {path}: mesh.nx = 0: nx must be a whole number of at least 1, got 0",
-        f"rmesh: error: --n 8 is for the examples: write it into {path}",
-    ]
 
 
 @pytest.mark.parametrize(

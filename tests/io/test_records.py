@@ -44,12 +44,11 @@ def test_every_required_entry_is_asked_for(name):
 
 
 WRONG = [
-    ("energy", "abc"), ("energy", True), ("energy", None), ("u_min", None), ("contact_time_s", None),
-    ("contact_time_s", "x"), ("wall_time_s", [1]), ("wall_time_s", -1.0), ("iterations", 4.5), ("seed", "a"),
-    ("seed", True), ("success", "yes"), ("success", 1), ("example", None), ("n", 8), ("delta", "x"),
-    ("delta", [1.0]), ("delta", 3), ("delta", [1.0, True]), ("delta", {"absolute": 1.0}), ("key", [1]),
-    ("key", "../../esc"), ("key", "/abs"), ("key", "a\0b"), ("relaxation", [1]), ("objective_value", "<svg>"),
-    ("biactive_nodes", 3), ("quadrature", [[]]), ("guaranteed_lower", "yes"), ("nodes", 1.5),
+    ("energy", True), ("energy", None), ("u_min", None), ("contact_time_s", "x"), ("wall_time_s", -1.0),
+    ("iterations", 4.5), ("seed", True), ("success", 1), ("example", None), ("n", 8), ("delta", "x"),
+    ("delta", [1.0]), ("delta", [1.0, True]), ("delta", {"absolute": 1.0}), ("key", [1]), ("key", "a\0b"),
+    ("key", "../../esc"), ("relaxation", [1]), ("objective_value", "<svg>"), ("biactive_nodes", 3),
+    ("quadrature", [[]]), ("guaranteed_lower", "yes"), ("nodes", 1.5),
 ]  # fmt: skip
 
 
@@ -71,12 +70,10 @@ def test_failed_solve_may_have_no_figures():
 
 HOSTILE = {
     "a number beyond floats": ('"energy"', "1" + "0" * 400),
-    "a number of 5000 digits": ('"energy"', "7" * 5000),
     "a float beyond floats": ('"energy"', "1e999"),
     "the least whole number that is too large": ('"energy"', str(2**63)),
     "not a number": ('"energy"', "NaN"),
     "an unpaired surrogate": ('"message"', r'"\ud800"'),
-    "an unpaired surrogate in a name": (r'"\ud800"', "1"),
     "depth": ('"deep"', "[" * 100_000 + "]" * 100_000),
 }
 
@@ -108,12 +105,10 @@ def test_broken_line_is_named_with_file_and_number(tmp_path, line, message):
 @pytest.mark.parametrize(
     ("content", "kept", "damaged"),
     [
-        (b"", 0, b""),
         (b"\n", 1, b""),
         (b'{"a": 1}\n', 9, b""),
         (b'{"a": 1}', 0, b'{"a": 1}'),  # no end: the next row would be glued to it
         (b'{"a": 1}\n{"b"\n', 9, b'{"b"\n'),
-        (b'{"a": 1}\n\0\0\n', 9, b"\0\0\n"),
         (b'{"a": 1}\ngarbage\n', 17, b""),  # whole lines of others are for the reader to name
         (b'{"a"\n', 5, b""),  # the only line: a file of something else
         (b'{"a": 1}\n{"b": \xff}\n', 9, b'{"b": \xff}\n'),

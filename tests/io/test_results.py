@@ -162,10 +162,8 @@ HEAD = ",".join(HISTORY_FIELDS) + "\n"
 GARBAGE = {
     "text for a number": HEAD + "0,abc,,,,,\n",
     "too few cells": HEAD + "0,1\n",
-    "too many cells": HEAD + "1," * 99 + "\n",
     "another head": "a,b\n1,2\n",
     "nothing": "",
-    "zeros": "\0\0\0",
     "bytes": "\udcff\udcfe",
 }
 

@@ -23,7 +23,7 @@ from rmesh_nlp.report.figures import (
     stress_figure,
     write_figures,
 )
-from rmesh_nlp.report.histories import Curve, curve
+from rmesh_nlp.report.histories import Curve
 from rmesh_nlp.report.style import SETTINGS, TWO_COLUMNS, add_legend, new_figure
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.reporting import joint_61
@@ -105,27 +105,6 @@ def test_grids_have_equal_axes_and_show_both_meshes(
     moved = fields.nodes + magnification * fields.displacement
     for corner in (moved[:, 0], moved[:, -1]):
         assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
-
-
-@pytest.mark.slow
-def test_convergence_is_drawn_over_contact_solves(results: list[Result], figures: dict[str, Figure]) -> None:
-    by_name = {r.record["formulation"]: r for r in results if r.record["n"] == "4"}
-    for name in ("joint", "nested", "mpcc"):
-        found, result = curve(by_name[name]), by_name[name]
-        assert found is not None
-        last = result.steps()[-1]["seconds"] / result.record["contact_time_s"]
-        assert found.cost[-1] == pytest.approx(max(last, 1.0))
-    # mpcc begins at the given mesh, but Ipopt pushes forces and gaps off their bounds
-    assert found.iteration[0] == 0
-    assert found.energy[0] == pytest.approx(result.record["energy_initial"], rel=2e-2)
-    assert found.energy[-1] == pytest.approx(result.record["energy"], abs=1e-8)
-    left, right = figures["6.1-4-convergence"].axes
-    assert "build and solve" in right.get_xlabel()
-    best = min(by_name[name].record["energy"] for name in ("joint", "nested", "mpcc"))
-    drawn = {line.get_color(): line.get_ydata() for line in left.lines if len(line.get_ydata()) > 1}
-    reference = -float(left.get_xlabel().split("−")[1].split(",")[0])
-    assert reference == pytest.approx(best, rel=1e-5)
-    assert len(drawn) == 3
 
 
 @pytest.mark.parametrize("content", [None, "<VTKFile/>", "no XML"])

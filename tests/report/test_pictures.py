@@ -132,18 +132,6 @@ def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
     )
 
 
-@pytest.mark.slow
-def test_limits_name_move_limits_and_areas() -> None:
-    problem = membrane()
-    tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
-    assert np.sum(tight == Limit.MOVE_LIMIT) > np.sum(tight == Limit.AREA)
-    wide = limits(joint.solve(replace(problem, motion=Motion(None, min_area_fraction=0.5))))
-    assert Limit.MOVE_LIMIT not in wide
-    assert Limit.AREA in wide
-    corner = int(np.argmin(problem.mesh.p.sum(axis=0)))
-    assert wide[corner] is Limit.PINNED
-
-
 BOUNDS = {"E": (0.5, 2.0), "h": (-0.1, 0.1)}
 
 

@@ -281,13 +281,6 @@ def test_several_starts_are_joined(rows: list[Record], cells: list[str]) -> None
     assert not multistart_rows(STARTS[:1])
 
 
-def test_problem_of_ones_own_is_not_compared_with_the_paper() -> None:
-    text = markdown([joint_62(example="mine", n="144 triangles")])
-    assert "### Problem mine: 144 triangles, delta = " in text
-    assert "Example" not in text
-    assert "paper" not in text
-
-
 def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
     text = markdown([joint_62(I1=0.5, I2=1e-3, I3=0.0, energy_above_exact=0.501)])
     assert "| 0.500000 | 1.00e-03 |   0 | 0.501000 |            0.501000 |" in text
