@@ -74,15 +74,6 @@ def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
         rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), [Joint()], tol=1e-3)
 
 
-@pytest.mark.slow
-def test_options_go_to_those_that_take_them() -> None:
-    problem = rm.EXAMPLES["6.1"](n=3)
-    found = rm.compare(problem, ["fixed", "joint"], seed=4)
-    assert [record["seed"] for record in found.records] == [None, 4]
-    with pytest.raises(ValueError, match="sede"):
-        rm.compare(problem, ["fixed", "joint"], sede=4)
-
-
 def test_a_formulation_that_refuses_leaves_its_record() -> None:
     found = rm.compare(rm.EXAMPLES["6.1"](n=3), ["joint"], objective="quality")
     assert found.records[0]["status"] == "refused"

@@ -79,17 +79,6 @@ def test_exact_energy_of_61_by_integration() -> None:
     assert total == pytest.approx(EXACT_ENERGY_61, abs=1e-9)
 
 
-@pytest.mark.slow
-def test_energy_error_of_fixed_meshes_is_of_second_order() -> None:
-    # accurate quadrature, so that J_h - J is the discretisation error alone (Theorem 4.1)
-    errors = []
-    for n in (16, 32, 64):
-        problem = replace(EXAMPLES["6.1"](n), quadrature=8)
-        errors.append(ContactSolver(problem).solve(problem.mesh.p).energy - EXACT_ENERGY_61)
-    orders = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert np.all(np.abs(orders - 2) < 0.2), orders
-
-
 @pytest.mark.parametrize("n", [1, 0, -3, 2.5, (8, 8, 8), "8"])
 def test_bad_sizes_name_the_value(n: object) -> None:
     with pytest.raises(ValueError, match=re.escape(repr(n))):

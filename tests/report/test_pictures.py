@@ -63,17 +63,6 @@ def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_units_stand_on_the_axes_only_if_they_were_given() -> None:
-    for units, words in ((Units(), False), (Units("mm", "N"), True)):
-        problem = replace(block_between_two_foundations(), units=units)
-        figures = dict(pictures(fixed.solve(problem), Page()))
-        labels = [axis.get_xlabel() + axis.get_ylabel() for f in figures.values() for axis in f.axes]
-        assert any("[mm]" in label for label in labels) is words
-        assert any("[N/mm²]" in label for label in labels) is words
-        assert not any("[m]" in label for label in labels)
-
-
-@pytest.mark.slow
 def test_nothing_that_is_zero_is_drawn() -> None:
     # held and not loaded: no displacement, no stress, no pressure; and nothing moved
     rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))

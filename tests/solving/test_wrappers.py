@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.confirmed import Confirmed
 from formulations.multistart import MultiStart, Starts
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
@@ -132,19 +131,6 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
 
 def pressed(*_: Any) -> Any:
     signal.raise_signal(signal.SIGINT)
-
-
-def test_a_higher_rule_goes_on_from_where_the_last_one_ended(
-    problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    answers = [False, False, True]
-    monkeypatch.setattr("formulations.confirmed.agrees", lambda _: answers.pop(0))
-    first, then = Script(0.1), Script(0.2, 0.3)
-    solution = solve(replace(problem, quadrature=6), Confirmed(first.formulation, then.formulation))
-    assert [outer.problem.rule for outer, _ in then.begun] == [10, 14]
-    for before, (_, q) in zip((*first.ends, *then.ends), then.begun, strict=False):
-        np.testing.assert_array_equal(q, before.q)
-    assert (solution.record()["rules"], solution.record()["quadrature"]) == ((6, 10, 14), 14)
 
 
 @pytest.fixture(scope="module")
