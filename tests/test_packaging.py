@@ -115,9 +115,7 @@ def python_blocks(name: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if python_blocks(page)])
-def test_the_python_of_the_readme_and_the_pages_runs(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_python_of_the_readme_and_the_pages_runs(page, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # it writes files
     space: dict[str, object] = {}
     for block in python_blocks(page):

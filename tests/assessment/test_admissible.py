@@ -123,9 +123,7 @@ ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.
     ],
     ids=["friction", "two foundations"],
 )
-def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bound(
-    obstacles, load, order: int
-) -> None:
+def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bound(obstacles, load, order):
     """Normals are the same everywhere on each, so what points press is shared among nodes exactly."""
     here = Continuous(replace(block(obstacles), tractions=(load,), order=order))
     system = here.system(here.first_standoff())
@@ -258,9 +256,7 @@ def test_a_body_on_a_curve_touches_with_its_true_shape(order: int) -> None:
     ("height", "status", "order"),
     [(-0.3, Status.CONVERGED, 1), (-0.4, Status.INACCURATE, 1), (-0.3, Status.CONVERGED, 2)],
 )
-def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(
-    height: float, status: Status, order: int
-) -> None:
+def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height, status, order) -> None:
     """A disc smaller than an edge, over which the body is dragged: stand-offs must be raised."""
     disc = Obstacle.circle("bottom", (1.1, height), 0.3)
     given = (Dirichlet("top", (-0.3, -0.05)),)

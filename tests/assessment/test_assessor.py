@@ -135,9 +135,7 @@ def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> No
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
-def test_the_resultant_is_what_holds_the_body_friction_included(
-    example: str, n: tuple[int, int], order: int
-) -> None:
+def test_the_resultant_is_what_holds_the_body_friction_included(example, n, order) -> None:
     found = admissible(replace(EXAMPLES[example](n), order=order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest

@@ -47,9 +47,7 @@ def truth(problem: ContactProblem) -> float:
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize("seed", [101, 103])  # the interval was chosen on seeds 0 to 39
-def test_the_interval_holds_from_one_refinement_and_from_two(
-    seed: int, order: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_interval_holds_from_one_refinement_and_from_two(seed, order, monkeypatch) -> None:
     before, after = graded(seed, order)
     least = truth(replace(before.problem, mesh=relocated_mesh(before.problem.mesh, before.body.nodes)))
     errors = before.energy - least, after.energy - least
@@ -78,9 +76,7 @@ def test_an_exact_energy_gives_the_factor_itself() -> None:
     assert error_reduction(before, below, 1)[0] is None
 
 
-def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(monkeypatch) -> None:
     def failed(*given: object, **start: object) -> Admissible:
         found = admissible(*given, **start)
         return replace(found, state=replace(found.state, status=Status.CYCLED))
@@ -126,9 +122,7 @@ class Refinement:
         ((0.0,), 0, None, None),
     ],
 )
-def test_errors_are_bounded_by_what_refinements_gain(
-    falls: tuple[float, ...], few: int, low: float, high: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_errors_are_bounded_by_what_refinements_gain(falls, few, low, high, monkeypatch) -> None:
     before, last = on_square(0.5)
     monkeypatch.setattr(module, "FEW", few)
     monkeypatch.setattr(module, "on_refined", Refinement(falls))
@@ -154,9 +148,7 @@ def test_errors_are_bounded_by_what_refinements_gain(
         ((1.0, 1.0), None, None),
     ],
 )
-def test_a_small_new_mesh_may_miss_what_refinements_of_the_given_one_show(
-    given: tuple[float, float], low: float, high: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_small_new_mesh_may_miss_what_refinements_of_the_given_one_show(given, low, high, monkeypatch):
     before, last = on_square(0.5)
     other = replace(before.problem, mesh=rectangle(3, 3))
     before = replace(before, parts=replace(before.parts, problem=other))

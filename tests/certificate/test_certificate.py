@@ -81,9 +81,7 @@ def test_a_guarantee_needs_both_bounds_on_both_meshes(unknown: str, monkeypatch:
     assert found.guaranteed_initial is (unknown not in ("lower", "upper before"))
 
 
-def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(monkeypatch) -> None:
     found = relocated(monkeypatch, replace(KNOWN, lower=-0.5), replace(KNOWN, guaranteed_lower=False))
     assert (found.lower, found.guaranteed_lower) == (-0.5, True)
 

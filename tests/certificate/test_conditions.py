@@ -15,7 +15,6 @@ from rmesh_nlp.certificate.displacement import penetration, potential
 from rmesh_nlp.certificate.integrals import integrals, loads
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
-from rmesh_nlp.fem.energy import triangle_rule
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.certificates import distorted
@@ -52,26 +51,6 @@ def test_rules_grow_until_two_agree_and_the_doubt_bounds_what_is_left() -> None:
     jump = integrals(JUMP, corners)
     exact = np.array([0.63**2 / 2, (1 - 0.37**2) / 2])
     assert 1e-6 < np.max(np.abs(jump.moments[:, 0] - exact)) < 3 * np.max(jump.doubt)
-
-
-def test_a_load_is_split_into_its_best_linear_part_and_the_rest() -> None:
-    linear, bent = (lambda x, y: 2 * x - 3 * y + 1), (lambda x, y: 6 * x * x)
-    problem = plate(mesh=distorted(plate().mesh, 0.2, 1), law=PlaneStrain(3.0, 2.0, (linear, 5.0)))
-    skeleton = on(problem)
-    found, force = loads(problem, skeleton), np.stack([linear(*skeleton.corners), np.full((3, 16), 5.0)])
-    np.testing.assert_allclose(found.balanced, force, atol=1e-12)
-    assert np.max(found.remainder) < 1e-6
-    u = np.random.default_rng(0).normal(size=problem.mesh.p.shape)
-    mass = (np.ones((3, 3)) + np.eye(3)) / 12
-    by_hand = np.einsum("cie,ij,cje,e->", u[:, skeleton.triangles], mass, force, skeleton.areas)
-    assert found.work(u, skeleton) == pytest.approx(by_hand)
-    assert found.doubtful_work(u, skeleton) < 1e-10
-    found = loads(plate(mesh=problem.mesh, law=PlaneStrain(3.0, 2.0, (0.0, bent))), skeleton)
-    points, weights = triangle_rule(8)
-    rest = 6 * (skeleton.corners[0].T @ points) ** 2 - found.balanced[1].T @ points
-    np.testing.assert_allclose((rest * weights) @ points.T, 0, atol=1e-12)  # orthogonal to linear functions
-    np.testing.assert_allclose(found.remainder**2, skeleton.areas * (rest**2 @ weights))
-    assert not np.any(loads(plate(law=PlaneStrain(3.0, 2.0, (1.0, 5.0))), skeleton).remainder)
 
 
 def test_data_are_doubted_by_what_any_displacement_may_make_of_them() -> None:

@@ -93,9 +93,7 @@ EXACT = {
         (signorini, 2, 3),
     ],
 )
-def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
-    make: Callable[[int, int], ContactProblem], order: int, rate: float
-) -> None:
+def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(make, order, rate) -> None:
     widths = []
     for n in (4, 8):
         found = on(make(n, order))
@@ -133,9 +131,7 @@ def frictional() -> ContactProblem:
 
 @pytest.mark.parametrize("warm", [1, equilibration.WARM])
 @pytest.mark.parametrize("make", [scalar, membrane, frictional])
-def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(
-    make: Callable[[], ContactProblem], warm: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(make, warm, monkeypatch) -> None:
     """Contact and friction of the field are found exactly, from any contact that it begins with."""
     monkeypatch.setattr(equilibration, "WARM", warm)
     problem = make()

@@ -45,9 +45,7 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(rmesh, command: str) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["/abs/path", "../../esc"])
-def test_a_problem_s_name_does_not_lead_out_of_the_folder(
-    rmesh, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_problem_s_name_does_not_lead_out_of_the_folder(rmesh, name, tmp_path, monkeypatch) -> None:
     work = tmp_path / "a" / "b"
     work.mkdir(parents=True)
     monkeypatch.chdir(work)
@@ -71,9 +69,7 @@ def test_figures_of_a_foreign_folder_stay_inside(rmesh) -> None:
     assert [path.name for path in Path().iterdir()] == ["in"]
 
 
-def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(
-    rmesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(rmesh, monkeypatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 

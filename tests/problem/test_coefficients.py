@@ -109,9 +109,7 @@ def step(x, y):
         (lambda x, y: math.sin(x), {}, "not those of math"),
     ],
 )
-def test_function_that_takes_no_symbols_is_refused_with_advice(
-    source: Any, parts: dict, message: str
-) -> None:
+def test_function_that_takes_no_symbols_is_refused_with_advice(source, parts, message) -> None:
     with pytest.raises(ProblemError, match=message):
         stated(source, **parts)
 

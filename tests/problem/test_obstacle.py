@@ -32,7 +32,7 @@ from support.contact_geometry import (
     block_in_a_corner,
     punch_held_by_symmetry,
 )
-from support.formulations import fixed, joint
+from support.formulations import fixed
 from support.taylor import difference_order, taylor_order
 
 Make = Callable[[], ContactProblem]
@@ -199,36 +199,6 @@ PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.
 def test_bodies_that_contact_does_not_hold_in_one_place_are_refused(parts: dict, message: str) -> None:
     with pytest.raises(ProblemError, match=message):
         ContactSolver(ContactProblem(**parts))
-
-
-def tilted(obstacle: Obstacle) -> ContactProblem:
-    """A block turned by 0.3 on a foundation along its lower side, pressed down and pushed along it."""
-    flat = rectangle(6, 3, x=(0, 2))
-    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    down, along = turn @ [0, -1], turn @ [1, 0]
-    return ContactProblem(
-        mesh=replace(flat, doflocs=turn @ flat.p),
-        law=LAW,
-        dirichlet=("left",),
-        obstacle=obstacle,
-        motion=Motion(0.04, pinned=("top",)),
-        tractions=(Traction("top", tuple(120 * down + 90 * along)),),
-    )
-
-
-NORMAL = (-np.sin(0.3), np.cos(0.3))
-
-
-def test_friction_on_a_straight_curve_is_that_on_the_line() -> None:
-    line = tilted(Obstacle.line("bottom", (0, 0), NORMAL, friction=70.0))
-    curve = tilted(Obstacle.curve("bottom", lambda x, y: 3 * (NORMAL[0] * x + NORMAL[1] * y), friction=70.0))
-    before, after = (joint.solve(problem) for problem in (line, curve))
-    sliding = ContactSolver(curve).solve(curve.mesh.p).active.sliding
-    assert np.any(sliding != 0)
-    assert np.any(sliding == 0)
-    assert after.energy == pytest.approx(before.energy, rel=1e-8)
-    np.testing.assert_allclose(after.mesh.p, before.mesh.p, atol=1e-5)
-    np.testing.assert_allclose(after.tangential_stress, before.tangential_stress, atol=1e-2)
 
 
 def test_point_load_pins_its_node_and_does_its_work() -> None:

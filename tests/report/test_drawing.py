@@ -111,9 +111,7 @@ def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation()
         (2, 9.0, (7.0, 3.125 * 2 + 0.62), 1),  # as tall as twice their width at most
     ],
 )
-def test_panels_fill_the_width_of_the_page(
-    columns: int, height: float, size: tuple[float, float], rows: int
-) -> None:
+def test_panels_fill_the_width_of_the_page(columns, height, size, rows) -> None:
     figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], "mm")
     assert figure.get_size_inches() == pytest.approx(size)
     assert axes.shape == (1, 2)
@@ -123,9 +121,7 @@ def test_panels_fill_the_width_of_the_page(
 
 
 @pytest.mark.parametrize("fine", [True, False])
-def test_lines_of_fine_meshes_are_rasterised_and_fields_always(
-    fine: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_lines_of_fine_meshes_are_rasterised_and_fields_always(fine, monkeypatch) -> None:
     monkeypatch.setattr("rmesh_nlp.solving.plotting.FINE", 1 if fine else 100)
     mesh, axis = rectangle(3, 2), new_figure(2, 2).subplots()
     draw_mesh(axis, mesh.p, mesh.t)

@@ -51,9 +51,7 @@ def figures(results: list[Result]) -> dict[str, Figure]:
 
 
 @pytest.mark.slow
-def test_every_example_has_its_figures_without_a_solve(
-    results: list[Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_example_has_its_figures_without_a_solve(results, tmp_path, monkeypatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("a solver was called")
 
@@ -91,9 +89,7 @@ def test_texts_are_legible_and_do_not_overlap(figures: dict[str, Figure]) -> Non
 
 
 @pytest.mark.slow
-def test_grids_have_equal_axes_and_show_both_meshes(
-    results: list[Result], figures: dict[str, Figure]
-) -> None:
+def test_grids_have_equal_axes_and_show_both_meshes(results, figures) -> None:
     grids = [axis for axis in figures["6.3-4x3-joint-grid"].axes if axis.get_label() != "<colorbar>"]
     assert [axis.get_aspect() for axis in grids] == [1.0] * 4
     titles = [axis.get_title() for axis in grids]
@@ -108,9 +104,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(
 
 
 @pytest.mark.parametrize("content", [None, "<VTKFile/>", "no XML"])
-def test_missing_or_broken_solution_file_is_named(
-    results: list[Result], tmp_path: Path, content: str | None
-) -> None:
+def test_missing_or_broken_solution_file_is_named(results, tmp_path, content) -> None:
     path = tmp_path / "it.vtu"
     if content is not None:
         path.write_text(content)

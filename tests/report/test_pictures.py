@@ -1,6 +1,5 @@
 """Pictures of a solve and of a design: what is drawn, what is left out, that letters are large enough."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -44,9 +43,7 @@ def letters(figure: Figure) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("columns", [1, 2])
 @pytest.mark.parametrize("make", [block_between_two_foundations, membrane])
-def test_every_letter_is_legible_at_the_width_of_the_page(
-    make: Callable[[], ContactProblem], columns: int
-) -> None:
+def test_every_letter_is_legible_at_the_width_of_the_page(make, columns) -> None:
     page = Page(columns)
     for name, figure in pictures(joint.solve(make()), page):
         assert min(letters(figure)) >= SMALLEST, name

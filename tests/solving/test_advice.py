@@ -80,9 +80,7 @@ def test_advice_on_example_61_holds() -> None:
         (1.26, 9.0, "remesh"),
     ],
 )
-def test_a_new_mesh_is_recommended_where_it_is_worthwhile(
-    remeshing: float, relocation: float, what: str
-) -> None:
+def test_a_new_mesh_is_recommended_where_it_is_worthwhile(remeshing, relocation, what) -> None:
     assert recommended(remeshing, relocation) == what
 
 

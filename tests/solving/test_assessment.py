@@ -153,9 +153,7 @@ def test_no_conclusion_contradicts_itself(said: Status, measured: dict[str, Any]
 
 
 @pytest.mark.parametrize("given_is_sick", [True, False])
-def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(
-    given_is_sick: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(given_is_sick, monkeypatch) -> None:
     """Of either mesh: a gain is a difference of four of them."""
     outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     found, q = outer.assessor.initial, np.full(outer.n, 0.01)
@@ -183,9 +181,7 @@ def pressed(*_: Any) -> Any:
 
 @pytest.mark.parametrize("sign", [0.0, 1.0])
 @pytest.mark.parametrize("when", ["during", "after"])
-def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
-    sign: float, when: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(sign, when, monkeypatch) -> None:
     """``during`` the solve the mesh as given takes the place of a worse end, ``after`` it none does."""
 
     def end(outer: Outer, q: Array, monitor: Monitor) -> Outcome:
@@ -205,9 +201,7 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(
 
 
 @pytest.mark.parametrize(("part", "status"), [(1e-5, Status.INACCURATE), (1e-8, Status.NOT_STATIONARY)])
-def test_a_solver_that_met_its_test_is_believed_only_with_a_displacement_that_holds(
-    part: float, status: Status
-) -> None:
+def test_a_solver_that_met_its_test_is_believed_only_with_a_displacement_that_holds(part, status) -> None:
     outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
     q, exact = np.zeros(outer.n), outer.given
     found = ended(outer, q, own=replace(exact, u=(1 + part) * exact.u))
@@ -292,9 +286,7 @@ def test_a_body_at_rest_is_measured_too(gap: float, force: float, residual: floa
     [(8.0, 3.0, 2.0, 12 / 8), (20.0, 3.0, 2.0, 7 / 20), (20.0, 10.0, 2.0, 4 / 20), (20.0, 10.0, 6.0, 0.0),
      (20.0, 10.0, None, 6 / 20)],
 )  # fmt: skip
-def test_equilibrium_is_the_largest_force_out_of_balance(
-    load: float, normal: float, friction: float | None, residual: float
-) -> None:
+def test_equilibrium_is_the_largest_force_out_of_balance(load, normal, friction, residual) -> None:
     """K u - F - N^T lambda - T^T tau by hand: (20 - F, 10 - lambda, 6 - tau) over F."""
     system = replace(SMOOTH if friction is None else SYSTEM, load=np.array([load, 0.0, 0.0]))
     tau = np.zeros(0) if friction is None else np.array([friction])

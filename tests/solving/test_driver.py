@@ -54,9 +54,7 @@ def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactPro
     [(Limits(iterations=3), Status.ITERATION_LIMIT), (Limits(seconds=1e-6), Status.TIME_LIMIT)],
 )
 @pytest.mark.parametrize("around", [lambda inner: inner, lambda inner: MultiStart(inner, 2)])
-def test_limits_hold_for_it_and_for_what_wraps_it(
-    problem: ContactProblem, limits: Limits, status: Status, around: Any
-) -> None:
+def test_limits_hold_for_it_and_for_what_wraps_it(problem, limits, status, around) -> None:
     solution = solve(problem, around(Alternating()), limits=limits)
     assert (solution.status, solution.success) == (status, True)
     assert solution.iterations == (limits.iterations or 0)
@@ -66,9 +64,7 @@ def test_limits_hold_for_it_and_for_what_wraps_it(
 
 
 @pytest.mark.parametrize("during", ["reduced_error", "surviving_gain"])
-def test_ctrl_c_after_the_assessment_keeps_the_solution(
-    problem: ContactProblem, during: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_ctrl_c_after_the_assessment_keeps_the_solution(problem, during, monkeypatch) -> None:
     usual = solve(problem)
 
     def press(*_: Any) -> None:

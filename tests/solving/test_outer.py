@@ -25,9 +25,7 @@ def outer() -> Outer:
 
 
 @pytest.mark.parametrize("step", [-1e-3, 1e-3])
-def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(
-    outer: Outer, step: float
-) -> None:
+def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(outer, step) -> None:
     start, track = np.zeros(outer.n), Monitor().track(outer)
     gradient = outer.energy(start).gradient
     q = step * gradient / np.max(np.abs(gradient))
@@ -138,9 +136,7 @@ class TestAssessment:
         ("label", "weak"),
         [*((label, (False, True)) for label in ("S", "B", "M", None)), ("S", (False, False))],
     )
-    def test_a_label_proves_stationarity_where_some_node_is_weak(
-        self, outer: Outer, label: str | None, weak: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_a_label_proves_stationarity_where_some_node_is_weak(self, outer, label, weak, monkeypatch):
         """The mesh as given is not stationary by its residual."""
         monkeypatch.setattr(ReducedPoint, "weak", property(lambda point: np.array(weak)))
         found = ended(outer, np.zeros(outer.n), label=label)
@@ -149,9 +145,7 @@ class TestAssessment:
         assert found.first_order.stationarity == (label or "")
 
     @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])
-    def test_a_distortion_counts_in_what_has_improved(
-        self, outer: Outer, weight: float, improved: bool
-    ) -> None:
+    def test_a_distortion_counts_in_what_has_improved(self, outer, weight, improved) -> None:
         """A mesh of lower energy is distorted: whether it is better depends on the weight."""
         lower, there = joint.solve(outer.problem), Outer.of(outer.problem, f"energy + {weight}*quality")
         found = ended(there, there.variables(lower.mesh.p))

@@ -228,9 +228,7 @@ def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | N
 @pytest.mark.parametrize(
     ("upper", "proved", "disproved"), [(-3.5, True, True), (-3.5, False, False), (-3.0, True, False)]
 )
-def test_an_energy_below_a_proven_bound_is_not_admissible(
-    upper: float, proved: bool, disproved: bool
-) -> None:
+def test_an_energy_below_a_proven_bound_is_not_admissible(upper, proved, disproved) -> None:
     found = replace(CERTIFIED, upper=upper, guaranteed_lower=proved)
     assert found.is_disproved is disproved
     assert ("-3.5 lies below the proven bound -3," in found.sentence) is disproved

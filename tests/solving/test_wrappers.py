@@ -147,9 +147,7 @@ def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
 
 
 class TestRemeshed:
-    def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(
-        self, given: ContactProblem
-    ) -> None:
+    def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(self, given):
         script = Script(0.001)
         solution = solve_once(given, Remeshed(script.formulation, 60))
         ((outer, q),) = script.begun
@@ -200,23 +198,17 @@ class TestRemeshed:
             (Motion(None), "quality", "not 'quality'"),
         ],
     )
-    def test_what_belongs_to_the_given_mesh_is_refused(
-        self, given: ContactProblem, motion: Motion, objective: str, words: str
-    ) -> None:
+    def test_what_belongs_to_the_given_mesh_is_refused(self, given, motion, objective, words) -> None:
         with pytest.raises(BadInputError, match=words):
             solve(replace(given, motion=motion), Remeshed(Script().formulation), objective=objective)
 
-    def test_without_mmgpy_it_says_what_to_install(
-        self, given: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_without_mmgpy_it_says_what_to_install(self, given, monkeypatch) -> None:
         monkeypatch.setattr("formulations.remeshed.is_available", lambda: False)
         with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
             solve(given, Remeshed(Script().formulation))
 
     @pytest.mark.parametrize("other", [{"starts": 2}, {"seed": 0}, {"start": "given"}])
-    def test_it_is_not_combined_with_what_belongs_to_the_given_mesh(
-        self, given: ContactProblem, other: dict[str, Any]
-    ) -> None:
+    def test_it_is_not_combined_with_what_belongs_to_the_given_mesh(self, given, other) -> None:
         with pytest.raises(BadInputError, match=f"combined with {next(iter(other))}"):
             solve(given, "nested", remesh=True, **other)
 
