@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
+from rmesh_nlp.assessment.assessor import equilibrium_residual
 from rmesh_nlp.assessment.standoff import SAMPLES, Cells, cells_of
-from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
@@ -125,22 +125,18 @@ ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.
 )
 def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bound(obstacles, load, order):
     """Normals are the same everywhere on each, so what points press is shared among nodes exactly."""
-    here = Continuous(replace(block(obstacles), tractions=(load,), order=order))
-    system = here.system(here.first_standoff())
-    found = tightened(system, solve(system), here.cells, here.field)
-    assert found is not None
-    assert np.all(np.abs(found.tangential_force) <= system.slip_bound * (1 + 1e-9))
-    for part in here.space.contact_sets:
-        assert np.max(found.normal_force[part.rows]) > 1
-    forces = system.normals.T @ found.normal_force
+    found = admissible(replace(block(obstacles), tractions=(load,), order=order))
+    system, state = found.system, found.state
+    assert np.any(found.standoff > 0)
+    for part in found.parts.space.contact_sets:
+        assert np.max(state.normal_force[part.rows]) > 1
+    assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
     if system.slip_bound.size:
-        assert np.max(np.abs(found.tangential_force)) > 0.1
-        forces += system.tangents.T @ found.tangential_force
-        slides = found.active.sliding != 0
-        slipped = -system.slip_bound[slides] * found.active.sliding[slides]
-        np.testing.assert_allclose(found.tangential_force[slides], slipped)
+        assert np.all(np.abs(state.tangential_force) <= system.slip_bound * (1 + 1e-9))
+        slides = state.active.sliding != 0
         assert np.any(slides)
-    np.testing.assert_allclose(system.stiffness @ found.u - system.load, forces, atol=1e-7)
+        slipped = -system.slip_bound[slides] * state.active.sliding[slides]
+        np.testing.assert_allclose(state.tangential_force[slides], slipped)
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -303,16 +299,6 @@ def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: C
     cells = edge(height)
     found = cells.off(np.zeros(4))
     assert off - 1e-12 <= found[0] <= off + 1e-4
-    # so raised the gap is closed at the crest and nowhere violated; without it is violated by as much
-    u = np.zeros((2, 4))
-    u[1] = -1.0
-    on_chord = u.copy()
-    x = cells.points[0, 0, [0, -1]]
-    on_chord[1, cells.nodes[:, 0]] = -(1 - height(x / 2)) + found[0]
-    assert -1e-12 <= np.min(cells.gaps(on_chord)) <= 1e-4
-    assert cells.missing(on_chord)[0] < 1e-12
-    on_chord[1] -= 0.05
-    assert cells.missing(on_chord)[0] == pytest.approx(0.05, abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -335,6 +321,8 @@ def test_nodes_of_order_2_keep_off_by_the_height_over_the_parabola(height: Calla
     u[1, cells.nodes[:, 0]] = found - cells.at_nodes[:, 0]
     assert -1e-12 <= np.min(cells.gaps(u)) <= 1e-4
     assert cells.missing(u)[0] < 1e-12
+    u[1] -= 0.05
+    assert cells.missing(u)[0] == pytest.approx(0.05, abs=2e-4)
 
 
 def test_between_points_a_parabola_is_lower_by_its_bend() -> None:

@@ -95,27 +95,21 @@ def test_state_before_is_the_solution_on_the_given_mesh() -> None:
         assert (cold.title, again.title) == ("given mesh", "given mesh, nothing moved")
 
 
-def test_a_node_is_at_its_move_limit_if_its_multiplier_counts() -> None:
+def test_nodes_are_at_their_limits_if_multipliers_count() -> None:
     problem = membrane()
+    problem = replace(problem, motion=Motion(None))
     nodes = np.flatnonzero(limits(SimpleNamespace(problem=problem, multipliers=None)) == Limit.NOTHING)
     push, nothing = np.zeros(problem.mesh.p.shape[1]), np.zeros(problem.mesh.t.shape[1])
     push[nodes[:3]] = 1.0, 1e-3, 1e-7
-    found = limits(
-        SimpleNamespace(problem=problem, multipliers=SimpleNamespace(area=nothing, angle=nothing, limit=push))
-    )
+    pulls = SimpleNamespace(area=nothing, angle=nothing, limit=push)
+    found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
     assert np.flatnonzero(found == Limit.MOVE_LIMIT).tolist() == nodes[:2].tolist()
     assert Limit.AREA not in found
-
-
-def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
-    problem = replace(membrane(), motion=Motion(None))
-    angle = np.eye(problem.mesh.t.shape[1])[0]
-    pulls = SimpleNamespace(area=0 * angle, angle=angle, limit=np.zeros(problem.mesh.p.shape[1]))
-    found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
-    free = found != Limit.PINNED
-    assert set(np.flatnonzero(found == Limit.AREA)) == set(problem.triangles[:, 0]) & set(
-        np.flatnonzero(free)
-    )
+    for kind in ("area", "angle"):  # of an element hold its nodes
+        pulls = SimpleNamespace(**{**vars(pulls), "limit": 0 * push, kind: np.eye(nothing.size)[0]})
+        found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
+        held = set(problem.triangles[:, 0]) & set(np.flatnonzero(found != Limit.PINNED))
+        assert set(np.flatnonzero(found == Limit.AREA)) == held
 
 
 BOUNDS = {"E": (0.5, 2.0), "h": (-0.1, 0.1)}

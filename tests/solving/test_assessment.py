@@ -167,14 +167,6 @@ def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(given_is_sick,
     assert (judged.status, judged.valid, judged.success) == (Status.CYCLED, False, False)
 
 
-def test_a_contact_solve_of_the_given_mesh_that_failed_is_a_fault() -> None:
-    ill = Outer.of(EXAMPLES["6.2"]((4, 2)))
-    vars(ill.contact)["given"] = replace(ill.contact.given, status=Status.ITERATION_LIMIT)
-    judged = ended(ill, np.zeros(ill.n))
-    assert (judged.status, judged.success) == (Status.ITERATION_LIMIT, False)
-    assert judged.solver_status is Status.CONVERGED
-
-
 def pressed(*_: Any) -> Any:
     signal.raise_signal(signal.SIGINT)
 

@@ -155,7 +155,6 @@ class TestAssessment:
     def test_gains_and_areas_are_those_of_the_given_and_the_last_mesh_by_one_rule_each(self) -> None:
         problem = EXAMPLES["6.2"]((4, 2))
         given, moved = fixed.solve(problem), joint.solve(problem)
-        assert moved.gain == pytest.approx(given.energy - moved.energy, rel=1e-9)
         accurate = given.energy_audited - moved.energy_audited
         assert moved.gain_audited == pytest.approx(accurate, rel=1e-9)
         assert given.gain == given.gain_audited == 0
