@@ -12,13 +12,7 @@ from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.numeric import Numeric
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.vectorised import (
-    USUAL,
-    Mapped,
-    Vectorised,
-    columnwise,
-    is_vectorisable,
-)
+from rmesh_nlp.vectorised import USUAL, Mapped, Vectorised, columnwise, is_vectorisable
 
 
 def every_operation() -> ca.Function:

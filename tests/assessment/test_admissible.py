@@ -23,15 +23,7 @@ from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    Traction,
-)
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import refined
 from support.orders import ORDERS

@@ -17,14 +17,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Laplace,
-    Obstacle,
-    PlaneStrain,
-    PointLoad,
-    Traction,
-)
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain, PointLoad, Traction
 from rmesh_nlp.problem.body import Body
 from support.curved import HOLE, plate
 

@@ -26,12 +26,7 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.solving.outer import Outer
-from support.contact_geometry import (
-    GEOMETRIES,
-    LAW,
-    block_in_a_corner,
-    punch_held_by_symmetry,
-)
+from support.contact_geometry import GEOMETRIES, LAW, block_in_a_corner, punch_held_by_symmetry
 from support.formulations import fixed
 from support.taylor import difference_order, taylor_order
 

@@ -22,14 +22,7 @@ from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import (
-    Certificate,
-    Choices,
-    Step,
-    Work,
-    entries,
-    plain,
-)
+from rmesh_nlp.solving.parts import Certificate, Choices, Step, Work, entries, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.summary import gain_in_words
