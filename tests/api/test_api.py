@@ -144,6 +144,8 @@ def test_a_gradient_passes_its_taylor_test() -> None:
     test = rm.verify_gradient(rm.EXAMPLES["6.3"](n=(6, 3)))
     assert test
     assert test.order == pytest.approx(2, abs=0.1)
+    np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
+    assert rm.verify_gradient(rm.EXAMPLES["6.3"](n=(6, 3)), seed=1).value != test.value
 
 
 def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> None:

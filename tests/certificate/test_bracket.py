@@ -39,8 +39,6 @@ from support.formulations import fixed, joint
 from support.orders import ORDERS
 
 TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
-
-
 SIDES = ("left", "right", "top", "bottom")
 
 

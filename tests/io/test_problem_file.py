@@ -295,15 +295,11 @@ def test_random_edits_never_end_in_a_traceback(write):
     assert min(counts["valid"], counts["refused"]) > 5
 
 
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        ("at line 2, column 9", "load = 2*y: expressions need quotes (line 2)"),
-        ("at end of document", "line 3"),
-    ],
-)
-def test_the_line_at_which_toml_fails_is_looked_at_or_the_last_one(error: str, said: str) -> None:
-    assert said in unquoted(b"height = 0.5*x\nload = 2*y\nfriction = 3*x", f"Invalid value ({error})")
+def test_the_line_at_which_toml_fails_is_looked_at_or_the_last_one() -> None:
+    text = b"height = 0.5*x\nload = 2*y\nfriction = 3*x"
+    said = unquoted(text, "Invalid value (at line 2, column 9)")
+    assert "load = 2*y: expressions need quotes (line 2)" in said
+    assert "line 3" in unquoted(text, "Invalid value (at end of document)")
 
 
 def test_names_of_the_design_stand_in_expressions(write):

@@ -30,20 +30,12 @@ from support.contact_geometry import GEOMETRIES, LAW, block_in_a_corner, punch_h
 from support.formulations import fixed
 from support.taylor import difference_order, taylor_order
 
-Make = Callable[[], ContactProblem]
-
-
-def away(outer: Outer, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A valid point away from the initial mesh, and a direction."""
-    rng = np.random.default_rng(seed)
-    q = 0.4 * rng.uniform(-1, 1, outer.relocation.n_q)
-    return q, rng.uniform(-1, 1, q.size)
-
 
 @pytest.mark.parametrize("make", GEOMETRIES)
-def test_energy_gradient_and_curvature_are_derivatives(make: Make) -> None:
+def test_energy_gradient_and_curvature_are_derivatives(make: Callable[[], ContactProblem]) -> None:
+    """Away from the given mesh."""
     outer = Outer.of(make())
-    q, d = away(outer, 3)
+    q, d = np.random.default_rng(3).uniform(-1, 1, (2, outer.relocation.n_q)) * [[0.4], [1.0]]
     assert taylor_order(outer.energy, q, d, 6e-4) >= 1.9
     change = Curvature(outer.energy).at(outer.energy(q))(d)
     assert difference_order(lambda q: outer.energy(q).gradient, change, q, d, 1e-3) >= 1.9
