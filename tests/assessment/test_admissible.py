@@ -317,6 +317,13 @@ def test_nodes_of_order_2_keep_off_by_the_height_over_the_parabola(height: Calla
     assert cells.missing(u)[0] == pytest.approx(0.05, abs=2e-4)
 
 
+def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
+    """The held end is 1/4 above its place, the other one must give the rest: max (a - N_j G_j) / N_i."""
+    height, s = (lambda s: 12 * s * (1 - s) ** 2), np.linspace(0, 1, 4001)[1:]
+    wanted = np.max((height(s) - (1 - s) * 1.25) / s)
+    assert 0 < wanted <= edge(height, ("left",)).off(np.full(4, 0.25))[0] <= wanted * (1 + 2e-3)
+
+
 def test_between_points_a_parabola_is_lower_by_its_bend() -> None:
     """Of a gap (s - r)^2 whose least value lies between two points nothing below zero is overlooked."""
     cells, at = edge(lambda s: 0 * s, order=2), RIDGE

@@ -14,7 +14,7 @@ from rmesh_nlp.study.comparison import plan_comparison, run
 
 
 def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
-    mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t"}
+    mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
     for name, text in mine.items():
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_text(text)
@@ -22,9 +22,9 @@ def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
     for _ in range(3):
         assert rmesh(command).code == 0
     assert {name: Path(name).read_text() for name in mine} == mine
-    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-2", "previous-3")]
+    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-3", "previous-4")]
     assert len(set(rows)) == 3  # their times differ
-    assert len(list(Path("previous-3/solutions").glob("*.vtu"))) == 1
+    assert len(list(Path("previous-4/solutions").glob("*.vtu"))) == 1
     Path("records.jsonl").unlink()
     Path("records.jsonl").write_text("my own records")
     Path(".rmesh-files").unlink()
@@ -41,6 +41,7 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(rmesh, command: str) -> Non
     assert said.code == 2
     (line,) = said.err.splitlines()
     assert "being written by another rmesh" in line
+    assert list(Path().iterdir()) == []
 
 
 @pytest.mark.slow

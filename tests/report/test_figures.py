@@ -34,7 +34,7 @@ from rmesh_nlp.report.figures import (
 )
 from rmesh_nlp.report.histories import Curve
 from rmesh_nlp.report.pictures import pictures
-from rmesh_nlp.report.style import SETTINGS, TWO_COLUMNS, Page, add_legend, new_figure
+from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, Page, add_legend, new_figure
 from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
@@ -131,6 +131,10 @@ def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path, monkeypatch: p
     monkeypatch.setattr("rmesh_nlp.report.figures._all_figures", lambda results: iter(drawn))
     paths = write_figures([], tmp_path)
     assert [path.name for path in paths if path.suffix == ".pdf"] == ["a.pdf", "b.pdf", "a-2.pdf", "a-3.pdf"]
+
+
+def test_looks_are_told_apart_without_colour() -> None:
+    assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
 
 
 @pytest.mark.parametrize(
