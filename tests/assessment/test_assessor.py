@@ -84,6 +84,9 @@ def test_on_a_mesh_that_had_to_be_cut_all_counts_as_penetration() -> None:
     assert assessor.initial.problem is not problem
     wanted = {**dict.fromkeys(EXPLOITS, 0.0), "penetration": assessor.initial.energy - own.energy}
     assert assessor.initial_corrections == wanted
+    there = problem.mesh.p + np.array([[0.01], [0.0]])
+    moved = replace(problem, mesh=replace(problem.mesh, doflocs=there))
+    assert admissible(problem, there).energy == pytest.approx(admissible(moved).energy, rel=1e-12)
 
 
 def standing(pressure: float, order: int = 1) -> ContactProblem:

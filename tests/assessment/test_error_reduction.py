@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -101,14 +102,10 @@ def test_a_certificate_bounds_the_factor_from_below() -> None:
     assert by_certificate(replace(found, source="exact"), 0.32, 0.08).source == "exact"
 
 
-class Refinement:
+def refinement(*falls: float) -> Callable[[Admissible], Admissible]:
     """Refined meshes whose energies fall by given amounts."""
-
-    def __init__(self, falls: tuple[float, ...]) -> None:
-        self.falls = list(falls)
-
-    def __call__(self, here: Admissible) -> Admissible:
-        return replace(here, energy=here.energy - self.falls.pop(0))
+    left = list(falls)
+    return lambda here: replace(here, energy=here.energy - left.pop(0))
 
 
 @pytest.mark.parametrize(
@@ -125,7 +122,7 @@ class Refinement:
 def test_errors_are_bounded_by_what_refinements_gain(falls, few, low, high, monkeypatch) -> None:
     before, last = on_square(0.5)
     monkeypatch.setattr(module, "FEW", few)
-    monkeypatch.setattr(module, "on_refined", Refinement(falls))
+    monkeypatch.setattr(module, "on_refined", refinement(*falls))
     found, _ = error_reduction(before, last, 3)
     if low is None:
         assert found is None
@@ -152,7 +149,7 @@ def test_a_small_new_mesh_may_miss_what_refinements_of_the_given_one_show(given,
     before, last = on_square(0.5)
     other = replace(before.problem, mesh=rectangle(3, 3))
     before = replace(before, parts=replace(before.parts, problem=other))
-    monkeypatch.setattr(module, "on_refined", Refinement((1.0, 0.35, *given)))
+    monkeypatch.setattr(module, "on_refined", refinement(1.0, 0.35, *given))
     found, _ = error_reduction(before, last, 3)
     assert (found is None) == (low is None)
     if found is not None:

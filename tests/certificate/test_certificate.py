@@ -172,11 +172,7 @@ def test_tables_and_figures_show_it(folder):
     ("foundation", "printed", "bounded"),
     [
         ("offset = 0.01", ("error in the energy norm at most", "least energy between"), True),
-        (
-            "circle = { centre = [1.0, -5.01], radius = 5.0 }",
-            ("no certificate: the normal of a curved foundation",),
-            False,
-        ),
+        ("circle = { centre = [1, -5.01], radius = 5 }", ("no certificate: the normal of a curved",), False),
     ],
 )
 def test_what_was_found_is_printed(foundation: str, printed: tuple, bounded: bool, tmp_path, capsys) -> None:

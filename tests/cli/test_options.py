@@ -119,6 +119,7 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("compare --formulations fixed,nestde", "nestde"),
         ("compare --formulations fixed,,joint", "fixed,,joint"),
         ("solve 6.1 --n 0", "'0'"),
+        ("solve 6.1 --n 8.5", "8.5"),
         ("solve 6.2 --n 12x1", "'12x1'"),
         ("solve 6.2 --n 7x6", "7"),
         ("solve 6.1 --delta -1", "-1"),

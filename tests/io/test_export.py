@@ -178,6 +178,10 @@ def test_names_of_boundaries_and_subdomains_are_groups_of_gmsh(tmp_path):
     assert corners(again.p, again.t) == corners(mesh.p, mesh.t)
     sizes = [{name: len(v) for name, v in one.boundaries.items()} for one in (again, mesh)]
     assert sizes[0] == sizes[1]
+    write_mesh(replace(mesh, _boundaries=None, _subdomains=None), tmp_path / "nameless.msh")
+    file = meshio.read(tmp_path / "nameless.msh")
+    assert ([block.type for block in file.cells], file.field_data) == (["triangle"], {})
+    assert np.all(signed_areas(file.points[:, :2].T, file.cells[0].data.T) > 0)
 
 
 @pytest.mark.parametrize(
@@ -211,12 +215,6 @@ def test_frames_are_drawn_at_their_outer_variables(problem, tmp_path):
     np.testing.assert_allclose(last.point_data["motion"][:n].T, motion, atol=1e-15)
 
 
-def played(series, folder):
-    """The frames of a series, as its PVD file names them."""
-    root = ET.parse(series.write(folder)).getroot()
-    return [meshio.read(folder / element.attrib["file"]) for element in root.iter("DataSet")]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "made",
@@ -234,7 +232,8 @@ def test_frames_of_a_series_have_the_displacement_of_their_mesh(tmp_path, made):
     """One value per node for a scalar problem, three for an elastic one, which is what viewers warp by."""
     series = Series(made)
     nested.solve(made, limits={"iterations": 2}, on_step=series)
-    frames = played(series, tmp_path)
+    files = ET.parse(series.write(tmp_path)).getroot().iter("DataSet")
+    frames = [meshio.read(tmp_path / file.attrib["file"]) for file in files]
     assert len(frames) >= 2
     for frame in frames:
         moved = replace(made, mesh=replace(made.mesh, doflocs=frame.points[:, :2].T))

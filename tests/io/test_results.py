@@ -271,20 +271,17 @@ def test_hostile_json_is_one_line_not_a_traceback(name, value):
     assert len(str(caught.value)) < 300
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
+def test_broken_line_is_named_with_file_and_number(tmp_path):
+    path = tmp_path / "records.jsonl"
+    for line, message in (
         ("nonsense", "line 2 is not JSON"),
         ("[1, 2]", "line 2 is not a record: it holds list"),
         ('{"example": "6.1"}', "line 2 is not a record: it has no 'formulation'"),
-    ],
-)
-def test_broken_line_is_named_with_file_and_number(tmp_path, line, message):
-    path = tmp_path / "records.jsonl"
-    path.write_text(f"{to_json(fixed_61())}\n{line}\n")
-    with pytest.raises(BadInputError, match=message) as caught:
-        read_lines(path)
-    assert str(path) in str(caught.value)
+    ):
+        path.write_text(f"{to_json(fixed_61())}\n{line}\n")
+        with pytest.raises(BadInputError, match=message) as caught:
+            read_lines(path)
+        assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize(

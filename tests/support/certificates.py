@@ -33,7 +33,7 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
         pressure[model.contact_nodes] = found.normal_force / weights
         if found.tangential_force.size:
             friction[model.contact_nodes] = found.tangential_force / weights
-    return Guess(displacement, pressure, friction)
+    return Guess(displacement, pressure, friction, space)
 
 
 def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:
