@@ -169,6 +169,19 @@ def test_contact_forces_balance_the_load_of_a_body_that_only_contact_holds() -> 
     assert state.normal_force.sum() == pytest.approx(200.0 + 3.0, rel=1e-10)
 
 
+def half_ring() -> dict:
+    """Half a ring on a hill: nodes that pull would be needed to hold it."""
+    mesh = rectangle(8, 3, x=(np.pi, 2 * np.pi), y=(0.4, 1))
+    angle, radius = mesh.p
+    return {
+        "mesh": replace(mesh, doflocs=radius * np.array([np.cos(angle), np.sin(angle)])),
+        "law": LAW,
+        "dirichlet": (),
+        "tractions": (Traction("left", (0.0, -1.0)), Traction("right", (0.0, -1.0))),
+        "obstacle": Obstacle.curve("top", lambda x, y: y + 1.002 + 0.3 * x**2),
+    }
+
+
 PUNCH = {name: getattr(punch_held_by_symmetry(), name) for name in ("mesh", "law", "dirichlet", "obstacle")}
 PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.0))
 
@@ -181,6 +194,7 @@ PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.
         (PUNCH | {"dirichlet": ()}, "can still move as a rigid body"),
         # the gaps hold the block somewhere between the plates, and nothing says where
         (PUNCH | {"obstacle": PLATES}, "rigid-body mode"),
+        (half_ring(), "rigid-body mode"),
     ],
 )
 def test_bodies_that_contact_does_not_hold_in_one_place_are_refused(parts: dict, message: str) -> None:

@@ -101,6 +101,11 @@ def test_largest_pressure_needs_contact_at_the_start() -> None:
         rm.solve(problem, "mpcc", objective="max-pressure(bottom)")
 
 
+def test_unknown_names_in_a_quantity() -> None:
+    with pytest.raises(ValueError, match="'lfit' is no design variable"):
+        rm.solve(column(LIFT), "nested", objective="design(lfit)")
+
+
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""

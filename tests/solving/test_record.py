@@ -137,11 +137,7 @@ def test_a_variable_at_its_bound_is_said_to_be_there(solution: Solution) -> None
 
 def test_success_says_what_it_lacks(solution: Solution) -> None:
     early = Status.ITERATION_LIMIT
-    ends = [
-        compared(),
-        compared(early, stationary=False),
-        compared(contact=early),
-    ]
+    ends = [compared(), compared(early, stationary=False), compared(contact=early)]
     made = [replace(solution, assessment=end) for end in ends]
     words = [dict(one.summary())["success"] for one in made]
     assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
