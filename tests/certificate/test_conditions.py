@@ -73,6 +73,7 @@ def test_tractions_friction_bounds_and_given_displacements_along_edges() -> None
     length, sides = 0.5, problem.mesh.boundaries
     x = skeleton.nodes[:, skeleton.ends]
     assert found.given_error < 1e-12
+    assert np.all(np.any(skeleton.edges[:, skeleton.owner] == np.arange(skeleton.owner.size), axis=0))
     # 4 x^2 leaves 4 h^2 (s^2 - s + 1/6), whose square has the mean 1/180
     wanted = np.where(np.isin(np.arange(x.shape[2]), sides["top"]), 4 * length**2 * np.sqrt(length / 180), 0)
     np.testing.assert_allclose(found.traction_oscillation, wanted, atol=1e-7)

@@ -254,6 +254,7 @@ def test_the_worst_of_both_laws_counts() -> None:
     assert TOLERANCE == 1e-6  # what the documents promise
     assert law(-0.1, 3.0, 1.0, 0.0) == pytest.approx(0.5)
     assert law(-1.4, 3.0, 1.0, 0.0) == pytest.approx(0.7)
+    assert np.isnan(law(0.0, 3.0, 0.0, NAN))
     none, no_rows = np.zeros(0), sp.csr_array((0, 3))
     nothing = replace(SYSTEM, normals=no_rows, tangents=no_rows, offset=none, slip_bound=none)
     assert law_residual(nothing, np.ones(3), none, none) == 0
