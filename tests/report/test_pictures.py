@@ -96,18 +96,17 @@ def test_state_before_is_the_solution_on_the_given_mesh() -> None:
 
 
 def test_nodes_are_at_their_limits_if_multipliers_count() -> None:
-    problem = membrane()
-    problem = replace(problem, motion=Motion(None))
+    problem = replace(membrane(), motion=Motion(None))
     nodes = np.flatnonzero(limits(SimpleNamespace(problem=problem, multipliers=None)) == Limit.NOTHING)
     push, nothing = np.zeros(problem.mesh.p.shape[1]), np.zeros(problem.mesh.t.shape[1])
     push[nodes[:3]] = 1.0, 1e-3, 1e-7
-    pulls = SimpleNamespace(area=nothing, angle=nothing, limit=push)
-    found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
+    pulls = {"area": nothing, "angle": nothing, "limit": push}
+    found = limits(SimpleNamespace(problem=problem, multipliers=SimpleNamespace(**pulls)))
     assert np.flatnonzero(found == Limit.MOVE_LIMIT).tolist() == nodes[:2].tolist()
     assert Limit.AREA not in found
     for kind in ("area", "angle"):  # of an element hold its nodes
-        pulls = SimpleNamespace(**{**vars(pulls), "limit": 0 * push, kind: np.eye(nothing.size)[0]})
-        found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
+        there = SimpleNamespace(**{**pulls, "limit": 0 * push, kind: np.eye(nothing.size)[0]})
+        found = limits(SimpleNamespace(problem=problem, multipliers=there))
         held = set(problem.triangles[:, 0]) & set(np.flatnonzero(found != Limit.PINNED))
         assert set(np.flatnonzero(found == Limit.AREA)) == held
 
