@@ -7,7 +7,6 @@ import signal
 import pytest
 from hypothesis import settings
 
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize import budget
 from rmesh_nlp.problem import ContactProblem
 from support.problems import sloped_block
@@ -26,12 +25,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def unit_of_cost_measured_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tests never look at seconds, so the cold contact solve that is the unit of cost is not repeated."""
     monkeypatch.setattr(budget, "TIMING_SECONDS", 0.0)
-
-
-@pytest.fixture(params=["6.1", "6.2", "6.3"])
-def example(request: pytest.FixtureRequest) -> ContactProblem:
-    """Each of the paper's examples at the paper's size."""
-    return EXAMPLES[request.param]()
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import inspect
-import json
 import re
 import shlex
 from pathlib import Path
@@ -116,9 +115,7 @@ def python_blocks(name: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if python_blocks(page)])
-def test_the_python_of_the_readme_and_the_pages_runs(
-    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_python_of_the_readme_and_the_pages_runs(page, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # it writes files
     space: dict[str, object] = {}
     for block in python_blocks(page):
@@ -156,18 +153,6 @@ def test_file_of_a_page_is_the_problem_of_its_python(page: str, tmp_path: Path) 
     both = [fixed.solve(one) for one in (other, problem)]
     assert both[0].energy_initial == pytest.approx(both[1].energy_initial, rel=1e-12)
     np.testing.assert_allclose(both[0].pressure, both[1].pressure, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("page", TWICE)
-def test_file_of_a_page_has_the_solution_of_its_python(page: str, tmp_path: Path) -> None:
-    problem, formulation, path = stated_twice(page, tmp_path)
-    solution = rmesh_nlp.solve(problem, formulation)
-    assert cli.run(["solve", str(path), "--out", str(tmp_path / "out"), "--no-figures"]) == 0
-    record = json.loads((tmp_path / "out" / "record.json").read_text())
-    for name in ("energy_initial_audited", "energy_audited", "u_min", "min_area_ratio"):
-        assert record[name] == pytest.approx(solution.record()[name], rel=1e-9), name
-    assert record["formulation"] == solution.formulation
 
 
 def test_the_folders_that_are_described_exist() -> None:

@@ -8,20 +8,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Summed
 from rmesh_nlp.fem.numeric import Numeric
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.vectorised import (
-    USUAL,
-    AssemblySettings,
-    Mapped,
-    Vectorised,
-    columnwise,
-    is_vectorisable,
-)
+from rmesh_nlp.vectorised import USUAL, Mapped, Vectorised, columnwise, is_vectorisable
 
 
 def every_operation() -> ca.Function:
@@ -66,33 +57,6 @@ def test_what_numpy_cannot_do_is_mapped() -> None:
     kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), USUAL.numpy_from)
     assert isinstance(kernel, Mapped)
     assert kernel([np.zeros((1, USUAL.numpy_from))])[0].shape == (1, USUAL.numpy_from)
-
-
-def test_an_unknown_operation_is_noticed() -> None:
-    x = ca.SX.sym("x")
-    assert not is_vectorisable(ca.Function("f", [x], [ca.erf(x)]))
-    assert not is_vectorisable(ca.Function("f", [x], [ca.sinh(x)]).wrap())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "size"), [("6.1", 24), ("6.3", (32, 18))])
-def test_derivatives_of_a_large_mesh_do_not_depend_on_it(name, size) -> None:
-    problem = EXAMPLES[name](size)
-    assert problem.triangles.shape[1] >= USUAL.numpy_from
-    fast = relocation(problem)
-    slow = relocation(discretise(problem, AssemblySettings(numpy_from=10**9)))
-    assert all(isinstance(kernel, Summed) for kernel in fast.nlp.derivatives.kernels)
-    assert fast.nlp.derivatives.kernels
-    assert not slow.nlp.derivatives.kernels
-    rng = np.random.default_rng(0)
-    x, lam = rng.uniform(-0.5, 0.5, fast.nlp.n_x), rng.uniform(size=fast.nlp.n_g)
-    for which, arguments in (("grad_f", (x, [])), ("jac_g", (x, [])), ("hess_lag", (x, [], 0.7, lam))):
-        ours, theirs = (getattr(r.nlp.derivatives, which)(*arguments) for r in (fast, slow))
-        ours, theirs = (r if isinstance(r, tuple) else (r,) for r in (ours, theirs))
-        for a, b in zip(ours, theirs, strict=True):
-            assert a.sparsity() == b.sparsity()
-            scale = np.max(np.abs(b.full()))
-            np.testing.assert_allclose(a.full(), b.full(), rtol=0, atol=1e-13 * scale)
 
 
 def test_an_interruption_comes_through_casadi(monkeypatch) -> None:

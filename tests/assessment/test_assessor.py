@@ -1,47 +1,30 @@
-"""Residuals, causes of a gain that is none, and quantities, by hand."""
+"""Residuals, causes of a gain that is none, quantities, and the residual of Coulomb's law, by hand."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.assessment.assessor import (
-    EXPLOITS,
-    Assessor,
-    Quantities,
-    corrections,
-    equilibrium_residual,
-    law_residual,
-    quantities,
-    residuals,
-    worse,
-)
-from rmesh_nlp.assessment.error_reduction import error_reduction
+from rmesh_nlp.assessment.assessor import EXPLOITS, Assessor, Quantities, quantities, residuals, worse
+from rmesh_nlp.assessment.coulomb import NOTICED, coulomb_residual, growth
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    PointLoad,
-    Traction,
-)
-from support.contact_geometry import block_between_two_foundations
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from support import sliding
 from support.curved import HOLE, plate
 from support.orders import ORDERS
-from support.problems import renumbered, sloped_block
+from support.problems import coulomb_slab
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 
@@ -59,29 +42,12 @@ def waves() -> ContactProblem:
     return ContactProblem(rectangle(12, 3, x=(0, 2)), LAW, ("left",), foundation, tractions=loads)
 
 
-def hill(top: tuple[float, float], width: float) -> Obstacle:
-    x0, y0 = top
-    return Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - x0) ** 2 + (y - y0) ** 2) / width))
-
-
 SIDES = ("left", "right", "top", "bottom")
 CAUSES: dict[str, Callable[[], ContactProblem]] = {
     "quadrature": lambda: EXAMPLES["6.1"](4),
     "penetration": waves,
     "friction": sliding_block,
     "geometry": lambda: plate({"hole": HOLE}),
-}
-
-
-RENUMBERED = {
-    **CAUSES,
-    "elastic": sloped_block,
-    "two foundations": lambda: block_between_two_foundations(2),
-    "bump": lambda: ContactProblem(rectangle(4, 4), Laplace(-1.0), SIDES, hill((0.5, 0.5), 0.0009)),
-    "cut": lambda: ContactProblem(
-        rectangle(2, 2, diagonal="falling"), Laplace(0.0), SIDES, hill((0.15, 0.15), 0.002)
-    ),
-    "point load": lambda: replace(sloped_block(), point_loads=(PointLoad(20, (3.0, -2.0)),)),
 }
 
 
@@ -101,89 +67,26 @@ def test_each_cause_is_named_on_a_problem_made_for_it(name: str, order: int) -> 
     deepest = penetration(model.discretisation.space, problem.mesh.p, model.displacement.values(own.u))
     assert (deepest > 1e-3) is (name == "penetration")
     assert residuals(model.system(problem.mesh.p), own).hold
-    if (name, order) == (
-        "friction",
-        1,
-    ):  # a g |u_t| that is lumped at nodes is too large by what lies beside the turn
+    if (name, order) == ("friction", 1):  # lumped at nodes it is too large by what lies beside the turn
         slip = exact.displacement[0, exact.body.nodes[1] == 0]
         weights = np.where(np.abs(exact.body.nodes[0, exact.body.nodes[1] == 0]) == 1.5, 0.5, 1.0)
         assert found[name] == pytest.approx(exact.friction - 0.5 * weights @ np.abs(slip))
         assert found[name] < 0
 
 
-@pytest.mark.parametrize(
-    ("name", "order"),
-    [*((name, 1) for name in RENUMBERED), ("elastic", 2), ("friction", 2)],
-)
-def test_another_numbering_of_the_displacement_has_the_same_assessment(name: str, order: int) -> None:
-    problem = replace(RENUMBERED[name](), order=order)
-    given, measured = np.asarray(problem.mesh.p), []
-    moved = given.copy()
-    moved[:, problem.mesh.interior_nodes()] += 0.01
-    for parts in (problem, renumbered(problem)):
-        model = ContactSolver(parts)
-        own, there = model.solve(given), model.solve(moved)
-        assessor = Assessor(model, own)
-        end = assessor.solve(moved, there.active)
-        reduction, finest = error_reduction(*sorted((assessor.initial, end), key=lambda one: -one.energy), 1)
-        found = [quantities(model.discretisation.space, moved, model.system(moved), there)]
-        if finest is not None:
-            found += [quantities(finest.parts.space, finest.body.nodes, finest.system, finest.state)]
-        deepest = penetration(model.discretisation.space, moved, model.displacement.values(there.u))
-        out_of_balance = residuals(model.system(moved), there).equilibrium
-        figures = [
-            end.strain,
-            end.work,
-            end.friction,
-            end.energy,
-            assessor.initial.energy,
-            np.sum(end.standoff),
-        ]
-        figures += [assessor.initial.energy, deepest, out_of_balance]
-        figures += [reduction.factor if reduction else 0.0]
-        figures += corrections(model, moved, there, end).values()
-        for one in found:
-            figures += vars(one).values() if one else ()
-        measured.append(figures)
-    assert measured[1] == pytest.approx(measured[0], rel=1e-7, abs=1e-9)
-
-
 def test_on_a_mesh_that_had_to_be_cut_all_counts_as_penetration() -> None:
-    problem = RENUMBERED["cut"]()
+    mesh = rectangle(2, 2, diagonal="falling")
+    bump = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
+    problem = ContactProblem(mesh, Laplace(0.0), SIDES, bump)
     model = ContactSolver(problem)
     own = model.solve(problem.mesh.p)
     assessor = Assessor(model, own)
     assert assessor.initial.problem is not problem
     wanted = {**dict.fromkeys(EXPLOITS, 0.0), "penetration": assessor.initial.energy - own.energy}
     assert assessor.initial_corrections == wanted
-
-
-@pytest.mark.parametrize(
-    ("normal", "tangential", "balance", "law"),
-    [
-        (0.3, -0.2, 2.0 / 3, 0.5 / 3),  # friction holds back by less than its bound although the node slides
-        (0.3, -0.7, 1.5 / 3, 0.1),  # it slides as it should, but is pressed where the gap is open
-        (-0.6, -0.7, 1.5 / 3, 0.2),  # pulled
-        (0.0, 0.7, 2.9 / 3, 1.4 / 3),  # friction along the slip
-    ],
-)
-def test_residuals_by_hand(normal: float, tangential: float, balance: float, law: float) -> None:
-    system = ContactSystem(
-        stiffness=sp.csc_array(np.diag([2.0, 4.0])),
-        load=np.array([1.0, 3.0]),
-        constant=0.0,
-        normals=sp.csr_array([[1.0, 0.0]]),
-        tangents=sp.csr_array([[0.0, 1.0]]),
-        offset=np.array([0.5]),
-        slip_bound=np.array([0.7]),
-    )
-    state = np.array([0.1, 0.2]), np.array([normal]), np.array([tangential])
-    assert system.force_scale == 3.0
-    assert equilibrium_residual(system, *state) == pytest.approx(balance)
-    assert law_residual(system, *state) == pytest.approx(law)
-    mirrored = np.array([0.1, -0.2]), np.array([normal]), np.array([-tangential])
-    assert law_residual(system, *mirrored) == pytest.approx(law)
-    assert np.isnan(law_residual(system, state[0], state[1], np.array([np.nan])))
+    there = problem.mesh.p + np.array([[0.01], [0.0]])
+    moved = replace(problem, mesh=replace(problem.mesh, doflocs=there))
+    assert admissible(problem, there).energy == pytest.approx(admissible(moved).energy, rel=1e-12)
 
 
 def standing(pressure: float, order: int = 1) -> ContactProblem:
@@ -226,9 +129,7 @@ def test_quantities_count_nodes_that_press_and_friction_in_the_resultant() -> No
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
-def test_the_resultant_is_what_holds_the_body_friction_included(
-    example: str, n: tuple[int, int], order: int
-) -> None:
+def test_the_resultant_is_what_holds_the_body_friction_included(example, n, order) -> None:
     found = admissible(replace(EXAMPLES[example](n), order=order))
     values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
@@ -246,3 +147,116 @@ def test_a_quantity_that_is_farther_from_its_limit_is_said() -> None:
     assert [text.split(" got")[0] for text in said] == ["the largest pressure", "the length of contact"]
     assert "3 on the given mesh, 3.3 after relocation, 3.1 on the refined" in said[0]
     assert len(worse(before, Quantities(3.0, 6.2, 2.0), refined_values)) == 1
+
+
+def coefficient(x: Any, _: Any) -> Any:
+    """g over the exact pressure: with it the solution of support.sliding obeys Coulomb's law."""
+    past = 3 * sliding.SLIDE * ca.fmax(x - sliding.TURN, 0) ** 2
+    return -sliding.BOUND / (sliding.LAMBDA * (past + sliding.PRESS) + 2 * sliding.MU * sliding.PRESS)
+
+
+def block(n: int, order: int) -> ContactProblem:
+    """A block whose lower edge sticks on one half and slides on the other, under a pressure that varies."""
+    problem = sliding.sliding_block(n)
+    return replace(problem, obstacle=rm.Obstacle("bottom", coulomb=coefficient), order=order, exact=None)
+
+
+def slab(coulomb: float, order: int = 1) -> ContactProblem:
+    return coulomb_slab(coulomb, (8, 4), order=order)
+
+
+def residual(problem: ContactProblem, push: float = 1.0, motion: float = 1.0) -> float:
+    """That of the contact solution with its friction and its displacement multiplied."""
+    model = ContactSolver(problem)
+    state, field = model.given, model.displacement
+    found = coulomb_residual(
+        model.discretisation.space,
+        np.asarray(problem.mesh.p),
+        motion * field.values(state.u),
+        state.normal_force,
+        push * state.tangential_force,
+    )
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize(("order", "least"), [(1, 3.0), (2, 5.0)])
+def test_falls_with_the_edges_on_a_solution_that_sticks_and_slides(order: int, least: float) -> None:
+    """The exact solution has a continuous stress and a slip of the third power of the distance."""
+    coarse, fine = (residual(block(n, order)) for n in (8, 16))
+    assert 0 < fine < coarse / least
+    assert coarse < 0.01
+
+
+def test_vanishes_where_all_edges_slide_and_the_coefficient_is_constant() -> None:
+    problem = slab(0.5)
+    model = ContactSolver(problem)
+    state = model.given
+    assert np.all(state.active.sliding[state.active.touching] != 0)
+    assert residual(problem) < 1e-12
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_counts_stress_above_the_bound(order: int) -> None:
+    """All slides: a tenth more friction is above the bound by a tenth of F p.
+
+    At order 2 the parabolas of both stresses are below zero on the last edge, where |r| is that stress.
+    """
+    F = 0.5
+    found = residual(slab(F, order), push=1.1)
+    assert found == pytest.approx(0.1 * F / np.hypot(1, 1.1 * F), rel=0.05 if order == 2 else 1e-10)
+
+
+def test_counts_slip_with_the_friction() -> None:
+    """The friction pushes along the slip, which must not be: r is c times the slip."""
+    problem = slab(0.5)
+    model = ContactSolver(problem)
+    state, nodes = model.given, np.asarray(problem.mesh.p)
+    weights, slip = model.discretisation.space.weights(nodes), np.abs(model.slips(nodes, state.u))
+    pressing = state.normal_force > 0
+    # r at nodes, a straight line on edges between them, all of which press or are open
+    r = np.where(pressing, slip, 0.0) / np.max(np.abs(state.u)) / np.sum(weights[pressing])
+    found = residual(problem, motion=-1.0)
+    assert 0 < found <= 1.2 * np.sum(weights * r)
+    assert found >= 0.5 * np.sum(weights * r)
+
+
+def test_does_not_depend_on_units() -> None:
+    problem = slab(1.0)
+    law = problem.law
+    stiff = replace(
+        problem,
+        law=rm.PlaneStrain(1e6 * law.lame_lambda, 1e6 * law.lame_mu),
+        tractions=tuple(replace(t, value=tuple(1e6 * v for v in t.value)) for t in problem.tractions),
+    )
+    assert residual(problem) > 1e-5
+    assert residual(stiff) == pytest.approx(residual(problem), rel=1e-6)
+
+
+def test_only_with_coulomb_friction() -> None:
+    problem = rm.EXAMPLES["6.3"](n=(4, 2))
+    model = ContactSolver(problem)
+    state, space = model.given, model.discretisation.space
+    forces = model.displacement.values(state.u), state.normal_force, state.tangential_force
+    assert coulomb_residual(space, np.asarray(problem.mesh.p), *forces) is None
+    row = rm.solve(problem, "fixed").record()
+    assert "coulomb_residual" not in row
+
+
+def test_growth_is_said_above_a_thousandth_only() -> None:
+    assert growth(None, None) is None
+    assert growth(NOTICED, 1.9 * NOTICED) is None
+    assert growth(0.1 * NOTICED, 0.9 * NOTICED) is None
+    assert "holds less well" in (growth(0.1 * NOTICED, 1.1 * NOTICED) or "")
+
+
+def test_record_and_summary_have_both_and_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = slab(1.0)
+    found = rm.solve(problem, "fixed")
+    row = found.record()
+    assert row["coulomb_residual"] == row["coulomb_residual_initial"] == pytest.approx(residual(problem))
+    assert "Coulomb's law along edges" in dict(found.summary())
+    assert not row["warnings"]
+    values = iter([0.02, 0.001])  # the final mesh is measured first
+    monkeypatch.setattr("rmesh_nlp.solving.state.coulomb_residual", lambda *_: next(values))
+    assert "holds less well" in " ".join(rm.solve(problem, "fixed").record()["warnings"])

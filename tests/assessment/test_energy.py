@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from rmesh_nlp.assessment import energy as energies
 from rmesh_nlp.assessment import integrals
@@ -17,46 +16,10 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Laplace,
-    Obstacle,
-    PlaneStrain,
-    PointLoad,
-    Traction,
-    signed_areas,
-)
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain, PointLoad, Traction
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.coefficients import on_points
-from support.curved import HOLE, disc, plate, spline_of_the_hole
-
-ARC = Circle((0.0, 1.0), 1.0)
-CUT = np.arcsin(0.2)
-
-
-def area(problem: ContactProblem) -> float:
-    body = Body(problem, problem.mesh.p)
-    every = np.arange(body.triangles.shape[1])
-    return float(over_triangles(body, every, lambda _, s, __: np.ones((1, *s.shape[1:])), 8)[0].sum())
-
-
-def test_areas_are_those_of_the_true_domains() -> None:
-    # a square of side 10 with a hole of radius 2.5; a quarter of a disc, cut off at half-length 0.2
-    for curve, error in ((HOLE, 1e-10), (spline_of_the_hole(), 1e-3)):
-        assert area(plate({"hole": curve})) == pytest.approx(100 - np.pi * 2.5**2, rel=error)
-    quarter = disc({"arc": ARC})
-    assert area(quarter) == pytest.approx(np.pi / 4 - (CUT - np.sin(CUT) * np.cos(CUT)) / 2, rel=1e-9)
-    assert signed_areas(quarter.mesh.p, quarter.triangles).sum() < 0.996 * area(quarter)
-
-
-def test_edges_are_as_long_as_their_arcs() -> None:
-    problem = disc({"arc": ARC})
-    edges = Body(problem, problem.mesh.p).edges("arc")
-    lengths, doubt, _ = over_edges(edges.at, edges.size, lambda _, s, __: np.ones((1, *s.shape)))
-    assert lengths.sum() == pytest.approx(np.pi / 2 - CUT, rel=1e-12)
-    assert doubt.max() < 1e-12
+from support.curved import HOLE, plate
 
 
 def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
@@ -99,20 +62,6 @@ def test_work_of_polynomial_loads_is_exact(order: int) -> None:
         assert not np.any(doubt)
 
 
-@pytest.mark.parametrize("points", [2, 4])
-def test_a_rule_is_exact_to_its_degree(points: int) -> None:
-    """Integrals of x^a y^b over the unit square. One degree is spent on the map of the triangle."""
-    body = Body(ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",)), rectangle(1, 1).p)
-
-    def error(a: int, b: int) -> float:
-        found = over_triangles(body, np.arange(2), lambda _, __, x: (x[0] ** a * x[1] ** b)[None], points)[0]
-        return abs(found.sum() * (a + 1) * (b + 1) - 1)
-
-    degree = 2 * points - 2
-    assert max(error(a, degree - a) for a in range(degree + 1)) < 1e-14
-    assert max(error(a, degree + 2 - a) for a in range(degree + 3)) > 1e-8
-
-
 def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
     def at(rows: Array, s: Array) -> tuple[Array, Array]:
         return np.stack([s, 0 * s]), 0 * s + 2.0  # edges of length 2
@@ -129,53 +78,14 @@ def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pyte
     assert over_edges(at, 0, kink)[0].size == 0
 
 
-def matrix(body: Body) -> sp.csc_array:
-    return stiffness(body, DisplacementSpace.of(body.problem))
-
-
-@pytest.mark.parametrize("chunk", [100_000, 40])
-def test_strain_energies_by_hand(chunk: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(integrals, "CHUNK", chunk)
-    mesh = rectangle(3, 2, x=(0, 2))
-    nodes, slope = np.asarray(mesh.p), np.array([[0.3, -0.2], [0.4, 0.7]])
-    strain = (slope + slope.T) / 2
-    density = 3.0 * np.trace(strain) ** 2 / 2 + 2.0 * np.sum(strain**2)
-    for law, u, energy in (
-        (PlaneStrain(3.0, 2.0), slope @ nodes, 2 * density),
-        (Laplace(1.0, 5.0), slope[:1] @ nodes, 5 * (0.09 + 0.04)),
-    ):
-        K = matrix(Body(ContactProblem(mesh, law, ("left",)), nodes))
-        assert u.T.ravel() @ (K @ u.T.ravel()) / 2 == pytest.approx(energy)
-    # beside arcs: a rigid rotation of the barycentric coordinates costs nothing, and energies are positive
-    body = Body(plate({"hole": HOLE}), plate().mesh.p)
-    K = matrix(body).toarray()
-    np.testing.assert_allclose(K @ np.tile([1.0, -2.0], body.nodes.shape[1]), 0, atol=1e-9 * np.max(K))
-    assert abs(K - K.T).max() < 1e-12 * np.max(K)
+@pytest.mark.parametrize("order", [1, 2])
+def test_rules_suffice_beside_arcs(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = replace(plate({"hole": HOLE}), order=order)
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    K = stiffness(body, space).toarray()
     monkeypatch.setattr(energies, "STIFFNESS_POINTS", 14)
-    np.testing.assert_allclose(K, matrix(body).toarray(), atol=1e-7 * np.max(K))
-
-
-def test_strain_energy_of_a_quadratic_displacement_by_hand() -> None:
-    """u = (x y, x^2): exx = y, exy = 3 x / 2; du/dx = y, du/dy = x for the first component alone."""
-    mesh = rectangle(3, 2)
-    for law, components, energy in (
-        (PlaneStrain(3.0, 2.0), slice(0, 2), 3.0 / 6 + 2.0 * (1 / 3 + 2 * 9 / 4 / 3)),
-        (Laplace(1.0, 5.0), slice(0, 1), 5 / 3),
-    ):
-        problem = ContactProblem(mesh, law, ("left",), order=2)
-        space = DisplacementSpace.of(problem)
-        x, y = space.points(mesh.p)
-        u = space.coefficients(np.array([x * y, x * x])[components]).T.ravel()
-        K = stiffness(Body(problem, mesh.p), space)
-        assert u @ (K @ u) / 2 == pytest.approx(energy)
-
-
-def test_rules_beside_arcs_suffice_for_quadratic_displacements(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = replace(plate({"hole": HOLE}), order=2)
-    K = matrix(Body(problem, problem.mesh.p)).toarray()
-    assert abs(K - K.T).max() < 1e-12 * np.max(K)
-    monkeypatch.setattr(energies, "STIFFNESS_POINTS", 14)
-    np.testing.assert_allclose(K, matrix(Body(problem, problem.mesh.p)).toarray(), atol=1e-6 * np.max(K))
+    monkeypatch.setattr(integrals, "CHUNK", 40)  # many parts, the same sums
+    np.testing.assert_allclose(K, stiffness(body, space).toarray(), atol=10.0 ** (order - 8) * np.max(K))
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -194,35 +104,9 @@ def test_resultants_of_loads_are_those_of_the_true_domain(order: int) -> None:
     assert doubt.max() < 1e-9 * np.abs(load).max()
 
 
-@pytest.mark.parametrize(("a", "b"), [(-0.1, 0.3), (0.2, -0.6), (0.1, 0.4), (-0.2, 0.0)])
-def test_friction_of_a_slip_by_hand(a: float, b: float) -> None:
-    """The integral of (1 + x)^2 |a + (b - a) x / 2| along an edge, split where the slip turns."""
-    problem = ContactProblem(
-        rectangle(1, 1, x=(0, 2)),
-        PlaneStrain(1.0, 1.0),
-        ("top",),
-        Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
-    )
-    body = Body(problem, problem.mesh.p)
-    edges, u = body.edges("bottom"), np.full(problem.mesh.p.shape, 7.0)
-    at = body.nodes[:, edges.ends[:, 0]]
-    u[0, edges.ends[:, 0]] = np.where(at[0] == 0, a, b)
-    turn = 2 * a / (a - b) if a * b < 0 else 2.0
-    anti = np.polynomial.Polynomial([1, 2, 1]) * np.polynomial.Polynomial([a, (b - a) / 2])
-    anti = anti.integ()
-    wanted = abs(anti(turn) - anti(0)) + abs(anti(2) - anti(turn))
-    found, doubt = friction_energy(edges, problem.obstacles[0], u[:, edges.ends])
-    assert found == pytest.approx([wanted], rel=1e-12)
-    assert doubt.shape == (1,)
-    assert doubt[0] < 1e-12
-
-
-@pytest.mark.parametrize(
-    "zeros", [(0.5, 1.7), (0.3, 3.0), (-1.0, 3.0), (0.9, 0.9), (-0.5, 0.0), (2.0, 2.5), (1e-9, 1.0)]
-)
-@pytest.mark.parametrize("scale", [-0.2, 0.3])
-def test_friction_of_a_slip_that_is_a_parabola_by_hand(zeros: tuple[float, float], scale: float) -> None:
-    """The integral of (1 + x)^2 |scale (x - a) (x - b)| from 0 to 2: split at up to two places."""
+@pytest.mark.parametrize("zeros", [(0.5, 1.7), (0.3, 3.0), (-1.0, 3.0), (0.9, 0.9), (1e-9, 1.0)])
+def test_friction_of_a_slip_that_turns_by_hand(zeros: tuple[float, float]) -> None:
+    """The integral of (1 + x)^2 |(x - a) (x - b)| from 0 to 2: split at up to two places."""
     problem = ContactProblem(
         rectangle(1, 1, x=(0, 2)),
         PlaneStrain(1.0, 1.0),
@@ -232,14 +116,14 @@ def test_friction_of_a_slip_that_is_a_parabola_by_hand(zeros: tuple[float, float
     )
     body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
     edges, x = body.edges("bottom"), space.points(problem.mesh.p)[0]
-    slip = scale * (x - zeros[0]) * (x - zeros[1])
-    u = space.coefficients(np.stack([slip, np.full(x.size, 7.0)]))
-    anti = (np.polynomial.Polynomial([1, 2, 1]) * scale * np.polynomial.Polynomial.fromroots(zeros)).integ()
+    u = space.coefficients(np.stack([(x - zeros[0]) * (x - zeros[1]), np.full(x.size, 7.0)]))
+    anti = (np.polynomial.Polynomial([1, 2, 1]) * np.polynomial.Polynomial.fromroots(zeros)).integ()
     ends = [0.0, *np.clip(zeros, 0, 2), 2.0]
     wanted = sum(abs(anti(high) - anti(low)) for low, high in itertools.pairwise(ends))
-    found, doubt = friction_energy(edges, problem.obstacles[0], u[:, space.nodes_of(edges.ends)])
-    assert found == pytest.approx([wanted], rel=1e-12)
-    assert doubt[0] < 1e-12
+    for way in (1, -1):
+        found, doubt = friction_energy(edges, problem.obstacles[0], way * u[:, space.nodes_of(edges.ends)])
+        assert found == pytest.approx([wanted], rel=1e-12)
+        assert doubt[0] < 1e-12
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -260,9 +144,3 @@ def test_friction_along_a_round_foundation(order: int) -> None:
         slip = normals[1] * along[0] - normals[0] * along[1]
         assert found[edge] == pytest.approx(np.mean((1 + x[0]) * np.abs(slip)), rel=1e-6)
     assert np.max(doubt) < 1e-6 * np.max(found)
-
-
-def test_a_constant_coefficient_has_its_value_everywhere() -> None:
-    points = np.random.default_rng(0).uniform(size=(2, 5000))
-    np.testing.assert_array_equal(on_points(lambda x, y: 0 * x, points), np.zeros(5000))
-    np.testing.assert_allclose(on_points(lambda x, y: x * y + 2, points), points[0] * points[1] + 2)

@@ -2,44 +2,44 @@
 
 from __future__ import annotations
 
-import itertools
+import json
 from dataclasses import replace
-from types import SimpleNamespace
+from typing import Any
 
+import meshio
 import numpy as np
 import pytest
 
-from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.io.results import read_results
+from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.columns import CERTIFICATES
+from rmesh_nlp.report.figures import block_figures
+from rmesh_nlp.report.tables import markdown
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import bounded, certified, certify
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Solution
 from support.designs import BOW, E, block
 from support.formulations import fixed
+from support.problem_files import VALID
 
 SIDES = ("left", "right", "top", "bottom")
 TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion
-CLAIM = ErrorReduction((0.2, 0.4), (0.1, 0.3), 1.3, 3.0, "refinement", nodes=9, contact_solves=3)
 
 
 def membrane() -> Solution:
     return fixed.solve(ContactProblem(rectangle(3, 3), Laplace(1.0), SIDES))
-
-
-def relocated(solution: Solution) -> Solution:
-    """As if the nodes had moved."""
-    assessment, nodes = solution.assessment, np.array(solution.mesh.p)
-    nodes[:, solution.mesh.interior_nodes()] += 0.01
-    final = replace(assessment.final, mesh=replace(solution.mesh, doflocs=nodes))
-    return replace(solution, assessment=replace(assessment, final=final))
 
 
 def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
@@ -50,57 +50,49 @@ def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
     assert found.relative == pytest.approx(found.error_bound / np.sqrt(-2 * solution.energy))
 
 
-@pytest.mark.parametrize("known", list(itertools.product([True, False], repeat=3)))
-def test_a_guarantee_needs_both_bounds_on_both_meshes(
-    known: tuple[bool, bool, bool], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """``known``: the lower bound, which serves both meshes, and the upper ones before and after."""
-    lower, before, after = known
-    solution, none = membrane(), np.zeros(0)
-    moved = relocated(solution)
-    monkeypatch.setattr(certifying, "_with_upper", lambda found, _: found)
-
-    def bounds(_: ContactProblem, where: np.ndarray, *__: object) -> Bracket:
-        is_moved = bool(np.any(where != solution.mesh.p))
-        upper, known_upper = (0.02, after) if is_moved else (0.18, before)
-        return Bracket(-0.02, upper, lower, known_upper, (), none, none, 1.0, 0.0)
-
-    monkeypatch.setattr(certifying, "refined_bracket", bounds)
-    found = certify(moved)
-    assert (found.guaranteed_lower, found.guaranteed_upper) == (lower, after)
-    assert found.guaranteed_initial is (lower and before)
-    assert ("at most" in found.sentence) is all(known)
-    claim = found.of_reduction(CLAIM)
-    assert (claim.source == "certified") is all(known)
-    if all(known):  # energies 0.2 and 0.04 above the lower bound
-        assert claim.factor == pytest.approx(5.0)
-        assert claim.error_initial == pytest.approx((0.16, 0.2))
-        assert claim.error == pytest.approx((0.0, 0.04))
+def relocated(patch: pytest.MonkeyPatch, before: Bracket, after: Bracket, **found: Any) -> Certificate:
+    """Of nodes that moved, with these brackets and such admissible displacements, by default none."""
+    solution = membrane()
+    assessment, nodes = solution.assessment, np.array(solution.mesh.p)
+    nodes[:, solution.mesh.interior_nodes()] += 0.01
+    state = replace(assessment.final.continuous.state, status=Status.INACCURATE)
+    continuous = replace(assessment.final.continuous, **{"state": state, **found})
+    given = replace(assessment.given, continuous=continuous)
+    final = replace(given, mesh=replace(solution.mesh, doflocs=nodes))
+    patch.setattr(
+        certifying, "refined_bracket", lambda _, where, *__: after if np.array_equal(where, nodes) else before
+    )
+    return certify(replace(solution, assessment=replace(assessment, given=given, final=final)))
 
 
-def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    solution, none = membrane(), np.zeros(0)
-    moved = relocated(solution)
-    monkeypatch.setattr(certifying, "_with_upper", lambda found, _: found)
+KNOWN = Bracket(-0.02, 0.18, True, True, (), np.zeros(0), np.zeros(0), 1.0, 0.0)
 
-    def bounds(_: ContactProblem, where: np.ndarray, *__: object) -> Bracket:
-        known = not np.any(where != solution.mesh.p)
-        return Bracket(-0.5 if known else -0.02, 0.1, known, True, (), none, none, 1.0, 0.0)
 
-    monkeypatch.setattr(certifying, "refined_bracket", bounds)
-    found = certify(moved)
+@pytest.mark.parametrize("unknown", ["none", "lower", "upper before", "upper after"])
+def test_a_guarantee_needs_both_bounds_on_both_meshes(unknown: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The lower bound serves both meshes."""
+    lower = replace(KNOWN, guaranteed_lower=unknown != "lower")
+    before = replace(lower, guaranteed_upper=unknown != "upper before")
+    after = replace(lower, upper=0.02, guaranteed_upper=unknown != "upper after")
+    found = relocated(monkeypatch, before, after)
+    assert (found.lower, found.upper) == (-0.02, 0.02)
+    assert found.guaranteed_lower is (unknown != "lower")
+    assert found.guaranteed_upper is (unknown != "upper after")
+    assert found.guaranteed_initial is (unknown not in ("lower", "upper before"))
+
+
+def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(monkeypatch) -> None:
+    found = relocated(monkeypatch, replace(KNOWN, lower=-0.5), replace(KNOWN, guaranteed_lower=False))
     assert (found.lower, found.guaranteed_lower) == (-0.5, True)
 
 
-@pytest.mark.parametrize(("status", "upper"), [(Status.CONVERGED, 0.5), (Status.INACCURATE, 0.9)])
-def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(status: Status, upper: float) -> None:
-    none = np.zeros(0)
-    one = Bracket(-0.02, 0.9, True, False, ("upper: a crude one",), none, none, 1.0, 0.0)
-    found = SimpleNamespace(status=status, energy=0.3, doubt=0.2)
-    bounds = certifying._with_upper(one, found)
-    assert (bounds.upper, bounds.guaranteed_upper) == (upper, status is Status.CONVERGED)
+def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    crude = replace(KNOWN, upper=0.9, guaranteed_upper=False, why=("upper: a crude one",))
+    found = relocated(monkeypatch, crude, crude)
+    assert (found.upper, found.guaranteed_upper) == (0.9, False)
+    state = membrane().assessment.final.continuous.state
+    found = relocated(monkeypatch, crude, crude, state=state, energy=0.3, doubt=0.2)
+    assert (found.upper, found.guaranteed_upper) == (0.5, True)
 
 
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
@@ -142,3 +134,53 @@ def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     assert found is None
     assert "polygon" in remark
     assert "take order = 1" in remark
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("certified")
+    assert run(["solve", "6.3", "--n", "6x4", "--certify", "--out", str(folder)]) == 0
+    return folder
+
+
+def test_record_and_file_hold_the_certificate(folder):
+    record = json.loads((folder / "record.json").read_text())
+    assert record["energy_lower_bound"] < record["energy"] == pytest.approx(record["energy_upper_bound"])
+    assert record["error_bound"] < record["error_bound_initial"]
+    assert record["guaranteed_lower"] is record["guaranteed_upper"] is True
+    cells = meshio.read(folder / "solution.vtu").cell_data
+    assert cells["equilibrated_stress"][0].shape == (record["triangles"], 3)
+    # the lower bound may be the better one of the other mesh
+    assert np.sum(cells["error_bound"][0]) >= 0.5 * record["error_bound"] ** 2 - 1e-12
+    assert read_vtu(folder / "solution.vtu").error_bound is not None
+
+
+def test_tables_and_figures_show_it(folder):
+    results = read_results(folder)
+    records = [result.record for result in results]
+    text = markdown(records)
+    assert CERTIFICATES[-1].heading.replace("|", " ") in text
+    assert "at most" in text
+    figures = dict(block_figures(blocks(records)[0], results))
+    (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]
+    titles = [axis.get_title() for axis in error.axes]
+    assert "given, error at most" in titles[0]
+    assert "relocated, error at most" in titles[1]
+
+
+@pytest.mark.parametrize(
+    ("foundation", "printed", "bounded"),
+    [
+        ("offset = 0.01", ("error in the energy norm at most", "least energy between"), True),
+        ("circle = { centre = [1, -5.01], radius = 5 }", ("no certificate: the normal of a curved",), False),
+    ],
+)
+def test_what_was_found_is_printed(foundation: str, printed: tuple, bounded: bool, tmp_path, capsys) -> None:
+    text = VALID.replace('height = "-0.01*x**2"', foundation).replace('right = ["free", 0.0]\n', "")
+    (tmp_path / "my.toml").write_text(text)
+    options = ["-f", "fixed", "--certify", "--no-figures", "--out", str(tmp_path / "o")]
+    assert run(["solve", str(tmp_path / "my.toml"), *options]) == 0
+    text = capsys.readouterr().out
+    assert all(part in text for part in printed)
+    record = json.loads((tmp_path / "o" / "record.json").read_text())
+    assert (record.get("energy_lower_bound") is not None) is bounded

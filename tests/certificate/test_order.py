@@ -10,8 +10,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from skfem import MeshTri
 
 from rmesh_nlp.certificate import equilibration
@@ -19,12 +17,10 @@ from rmesh_nlp.certificate.bracket import Bracket, bracket, refined_bracket
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.displacement import penetration
 from rmesh_nlp.certificate.skeleton import skeleton_of
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
-from support.certificates import distorted, guess_on
+from support.certificates import guess_on
 
 Field = Callable[[Any, Any], Any]
 
@@ -45,30 +41,6 @@ def pulled(mesh: MeshTri, ux: Field, uy: Field, **settings: Any) -> ContactProbl
     out = {"west": lambda x, y: -ux(x, y), "east": ux, "south": lambda x, y: -uy(x, y), "north": uy}
     loads = tuple(Traction(side, (flux,)) for side, flux in out.items() if side in mesh.boundaries)
     return ContactProblem(mesh, Laplace(), tractions=loads, **settings)
-
-
-def l_shape(n: int, order: int) -> ContactProblem:
-    """r^(2/3) sin(2 t / 3) on three squares of n x n cells, zero on the edges of the re-entrant corner."""
-    mesh = rectangle(2 * n, 2 * n, x=(-1, 1), y=(-1, 1))
-    x, y = mesh.p[:, mesh.t].mean(axis=1)
-    mesh = mesh.remove_elements(np.flatnonzero((x > 0) & (y < 0))).with_boundaries(
-        {
-            "west": lambda x: np.isclose(x[0], -1),
-            "east": lambda x: np.isclose(x[0], 1),
-            "south": lambda x: np.isclose(x[1], -1),
-            "north": lambda x: np.isclose(x[1], 1),
-            "corner": lambda x: np.min(np.abs(x), axis=0) < 1e-9,
-        }
-    )
-
-    def third(x: Any, y: Any) -> Any:  # of the angle, whose jump is in the quarter that is missing
-        return ca.atan2(-x - y, y - x) / 3 + np.pi / 4
-
-    def size(x: Any, y: Any) -> Any:
-        return 2 / 3 * (x * x + y * y) ** (-1 / 6)
-
-    ux, uy = (lambda x, y: -size(x, y) * ca.sin(third(x, y))), (lambda x, y: size(x, y) * ca.cos(third(x, y)))
-    return pulled(mesh, ux, uy, dirichlet=("corner",), order=order)
 
 
 def signorini(n: int, order: int) -> ContactProblem:
@@ -93,31 +65,22 @@ def signorini(n: int, order: int) -> ContactProblem:
     return pulled(mesh, ux, uy, dirichlet=("held",), obstacle=Obstacle("free", (1.0,)), order=order)
 
 
-def less_half_the_work(
-    power: float, part: Callable[[np.ndarray], np.ndarray], corners: list[complex]
-) -> float:
-    """Least energy of a part of z^power, by the work of its fluxes along the polygon through the corners."""
+def less_half_the_work(corners: list[complex]) -> float:
+    """Least energy of the real part of z^(3/2), by the work of its fluxes along a polygon."""
     s, weights = np.polynomial.legendre.leggauss(200)
     total = 0.0
     for a, b in pairwise(corners):
         z = a + (b - a) * (1 + s) / 2
         log = np.log(np.abs(z)) + 1j * np.mod(np.angle(z), 2 * np.pi)
         # the flux out of the body is the derivative along -i (b - a)
-        flux = part(-1j * (b - a) * power * np.exp((power - 1) * log))
-        total += weights / 2 @ (part(np.exp(power * log)) * flux)
+        flux = np.real(-1j * (b - a) * 1.5 * np.exp(0.5 * log))
+        total += weights / 2 @ (np.real(np.exp(1.5 * log)) * flux)
     return -total / 2
-
-
-def graded(problem: ContactProblem, power: float) -> ContactProblem:
-    """The same on a mesh that crowds around the origin."""
-    x = problem.mesh.p
-    return replace(problem, mesh=replace(problem.mesh, doflocs=np.sign(x) * np.abs(x) ** power))
 
 
 EXACT = {
     smooth: -(np.pi**2) / 4,
-    l_shape: less_half_the_work(2 / 3, np.imag, [1, 1 + 1j, -1 + 1j, -1 - 1j, -1j]),
-    signorini: less_half_the_work(3 / 2, np.real, [1, 1 + 1j, -1 + 1j, -1]),
+    signorini: less_half_the_work([1, 1 + 1j, -1 + 1j, -1]),
 }
 
 
@@ -126,15 +89,11 @@ EXACT = {
     [
         (smooth, 1, 2),
         (smooth, 2, 4),
-        pytest.param(l_shape, 1, 4 / 3, marks=pytest.mark.slow),
-        pytest.param(l_shape, 2, 4 / 3, marks=pytest.mark.slow),
         pytest.param(signorini, 1, 2, marks=pytest.mark.slow),
         (signorini, 2, 3),
     ],
 )
-def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
-    make: Callable[[int, int], ContactProblem], order: int, rate: float
-) -> None:
+def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(make, order, rate) -> None:
     widths = []
     for n in (4, 8):
         found = on(make(n, order))
@@ -147,39 +106,12 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
     assert np.log2(widths[0] / widths[1]) > rate - 0.3
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("make", "power"), [(l_shape, 3.0), (signorini, 2.0)])
-def test_on_graded_meshes_singularities_cost_neither_the_rate_nor_the_effectivity(
-    make: Callable[[int, int], ContactProblem], power: float
-) -> None:
-    coarse, fine = (on(graded(make(n, 2), power)) for n in (4, 8))
-    for found in (coarse, fine):
-        assert found.guaranteed_lower
-        assert found.guaranteed_upper
-        assert found.lower < EXACT[make] < found.upper
-        assert found.upper - found.lower < 1.2 * (found.upper - EXACT[make])
-    assert np.log2((coarse.upper - coarse.lower) / (fine.upper - fine.lower)) > 3
-
-
 @pytest.mark.parametrize("make", EXACT)
 def test_on_a_finer_mesh_the_field_leaves_little_of_the_width(make: Callable) -> None:
     problem = make(4, 2)
     found = refined_bracket(problem, problem.mesh.p, guess_on(problem), 1)
     assert found.lower < EXACT[make]
     assert found.upper - found.lower < 1.2 * (found.upper - EXACT[make])
-
-
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2**20), amount=st.floats(0.0, 0.3), refinements=st.integers(0, 1))
-def test_it_holds_the_least_energy_of_61_on_any_relocated_mesh(
-    seed: int, amount: float, refinements: int
-) -> None:
-    problem = EXAMPLES["6.1"](3, order=2)
-    problem = replace(problem, mesh=distorted(problem.mesh, amount, seed))
-    found = refined_bracket(problem, problem.mesh.p, guess_on(problem), refinements)
-    assert found.lower <= EXACT_ENERGY_61 <= found.upper
-    assert found.guaranteed_lower
-    assert found.residual < 1e-12
 
 
 def scalar() -> ContactProblem:
@@ -199,9 +131,7 @@ def frictional() -> ContactProblem:
 
 @pytest.mark.parametrize("warm", [1, equilibration.WARM])
 @pytest.mark.parametrize("make", [scalar, membrane, frictional])
-def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(
-    make: Callable[[], ContactProblem], warm: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(make, warm, monkeypatch) -> None:
     """Contact and friction of the field are found exactly, from any contact that it begins with."""
     monkeypatch.setattr(equilibration, "WARM", warm)
     problem = make()

@@ -38,9 +38,7 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.splitlines()[-1] == "[]"
 
 
-def test_an_interruption_is_said_when_there_is_nothing_to_keep(
-    rmesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interruption_is_said_when_there_is_nothing_to_keep(rmesh, monkeypatch) -> None:
     def interrupted(name: str) -> None:
         raise KeyboardInterrupt
 

@@ -13,19 +13,18 @@ from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run
 
 
-@pytest.mark.slow
 def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
-    mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t"}
+    mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
     for name, text in mine.items():
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_text(text)
-    command = "compare 6.1 --formulations fixed --n 3 --out ."
+    command = "compare 6.1 --formulations fixed --n 3 --no-figures -q --out ."
     for _ in range(3):
         assert rmesh(command).code == 0
     assert {name: Path(name).read_text() for name in mine} == mine
-    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-2", "previous-3")]
+    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-3", "previous-4")]
     assert len(set(rows)) == 3  # their times differ
-    assert Path("previous-3/figures/6.1-3-grid.png").exists()
+    assert len(list(Path("previous-4/solutions").glob("*.vtu"))) == 1
     Path("records.jsonl").unlink()
     Path("records.jsonl").write_text("my own records")
     Path(".rmesh-files").unlink()
@@ -42,13 +41,12 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(rmesh, command: str) -> Non
     assert said.code == 2
     (line,) = said.err.splitlines()
     assert "being written by another rmesh" in line
+    assert list(Path().iterdir()) == []
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["/abs/path", "../../esc"])
-def test_a_problem_s_name_does_not_lead_out_of_the_folder(
-    rmesh, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_problem_s_name_does_not_lead_out_of_the_folder(rmesh, name, tmp_path, monkeypatch) -> None:
     work = tmp_path / "a" / "b"
     work.mkdir(parents=True)
     monkeypatch.chdir(work)
@@ -72,9 +70,7 @@ def test_figures_of_a_foreign_folder_stay_inside(rmesh) -> None:
     assert [path.name for path in Path().iterdir()] == ["in"]
 
 
-def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(
-    rmesh, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(rmesh, monkeypatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 

@@ -82,15 +82,6 @@ def test_a_new_file_never_replaces(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_second_writer_is_refused_in_one_line(tmp_path):
-    said = rf"is being written by another rmesh \(process {os.getpid()}\)"
-    with folder_lock(tmp_path), pytest.raises(BadInputError, match=said), folder_lock(tmp_path):
-        pass
-    assert list(tmp_path.iterdir()) == []
-    with folder_lock(tmp_path):
-        pass
-
-
 WRITER = """
 import sys, time
 from pathlib import Path
@@ -127,23 +118,6 @@ def test_leftovers_are_found_through_a_link_to_the_folder(tmp_path):
     (tmp_path / "link").symlink_to(tmp_path / "results")
     remove_leftovers(tmp_path / "link")
     assert list((tmp_path / "results").iterdir()) == []
-
-
-def test_older_runs_are_numbered_and_nothing_of_the_user_is_touched(tmp_path):
-    mine = {"figures/mine.png": "p", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
-    for name, text in mine.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
-    own = ("table.md", "figures/a.png")
-    for run in ("first", "second", "third"):
-        manifest = Manifest(tmp_path)
-        manifest.set_aside()
-        manifest.claim(*own)
-        for name in own:
-            (tmp_path / name).write_text(run)
-    assert {name: (tmp_path / name).read_text() for name in mine} == mine
-    for folder, run in (("previous-3", "first"), ("previous-4", "second"), (".", "third")):
-        assert {(tmp_path / folder / name).read_text() for name in own} == {run}
 
 
 def test_a_file_of_the_user_s_is_not_claimed(tmp_path):

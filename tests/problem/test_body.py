@@ -52,15 +52,3 @@ def test_slopes_are_derivatives_and_gradients_their_inverse(body: Body) -> None:
     points = body.points(elements, barycentric)
     np.testing.assert_allclose(points[0], x, atol=1e-12)
     np.testing.assert_allclose(np.broadcast_to(points[1], det.shape), det, atol=1e-12)
-
-
-def test_blended_triangles_fill_the_domain(body: Body) -> None:
-    points, weights = np.polynomial.legendre.leggauss(12)
-    r, s = (a.ravel() for a in np.meshgrid((points + 1) / 2, (points + 1) / 2))
-    w = np.outer(weights, weights).ravel() / 4 * r
-    elements = np.arange(body.triangles.shape[1])
-    barycentric = np.empty((3, elements.size, r.size))  # from the apex outwards
-    for turn, part in enumerate((1 - r, r * (1 - s), r * s)):
-        barycentric[(body.apex + turn) % 3, elements] = part
-    area = np.sum(body.points(elements, barycentric)[1] * w)
-    assert area == pytest.approx(100 - np.pi * RADIUS**2, rel=1e-10)

@@ -1,6 +1,5 @@
-"""Pictures of a solve: what is drawn, what is left out, that letters are large enough."""
+"""Pictures of a solve and of a design: what is drawn, what is left out, that letters are large enough."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -10,13 +9,17 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from rmesh_nlp.cli import app as cli
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
+from rmesh_nlp.report.design_figure import PANELS, design_figure
+from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.pictures import Limit, after, before, limits, pictures, write_pictures
 from rmesh_nlp.report.style import SMALLEST, Page
 from support.contact_geometry import block_between_two_foundations
-from support.formulations import fixed, joint
+from support.designs import BOW, H0, E, block
+from support.formulations import fixed, joint, nested
+from support.reporting import designed
 
 
 def membrane() -> ContactProblem:
@@ -40,9 +43,7 @@ def letters(figure: Figure) -> list[float]:
 @pytest.mark.slow
 @pytest.mark.parametrize("columns", [1, 2])
 @pytest.mark.parametrize("make", [block_between_two_foundations, membrane])
-def test_every_letter_is_legible_at_the_width_of_the_page(
-    make: Callable[[], ContactProblem], columns: int
-) -> None:
+def test_every_letter_is_legible_at_the_width_of_the_page(make, columns) -> None:
     page = Page(columns)
     for name, figure in pictures(joint.solve(make()), page):
         assert min(letters(figure)) >= SMALLEST, name
@@ -56,17 +57,6 @@ def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
     names = ("mesh", "displacement", "stress", "pressure", "motion", "limits")
     assert [path.name for path in paths] == [f"{n}.{kind}" for n in names for kind in ("png", "pdf")]
     assert all(path.stat().st_size > 5000 for path in paths)
-
-
-@pytest.mark.slow
-def test_units_stand_on_the_axes_only_if_they_were_given() -> None:
-    for units, words in ((Units(), False), (Units("mm", "N"), True)):
-        problem = replace(block_between_two_foundations(), units=units)
-        figures = dict(pictures(fixed.solve(problem), Page()))
-        labels = [axis.get_xlabel() + axis.get_ylabel() for f in figures.values() for axis in f.axes]
-        assert any("[mm]" in label for label in labels) is words
-        assert any("[N/mm²]" in label for label in labels) is words
-        assert not any("[m]" in label for label in labels)
 
 
 @pytest.mark.slow
@@ -105,51 +95,85 @@ def test_state_before_is_the_solution_on_the_given_mesh() -> None:
         assert (cold.title, again.title) == ("given mesh", "given mesh, nothing moved")
 
 
-def test_a_node_is_at_its_move_limit_if_its_multiplier_counts() -> None:
-    problem = membrane()
+def test_nodes_are_at_their_limits_if_multipliers_count() -> None:
+    problem = replace(membrane(), motion=Motion(None))
     nodes = np.flatnonzero(limits(SimpleNamespace(problem=problem, multipliers=None)) == Limit.NOTHING)
     push, nothing = np.zeros(problem.mesh.p.shape[1]), np.zeros(problem.mesh.t.shape[1])
     push[nodes[:3]] = 1.0, 1e-3, 1e-7
-    found = limits(
-        SimpleNamespace(problem=problem, multipliers=SimpleNamespace(area=nothing, angle=nothing, limit=push))
-    )
+    pulls = {"area": nothing, "angle": nothing, "limit": push}
+    found = limits(SimpleNamespace(problem=problem, multipliers=SimpleNamespace(**pulls)))
     assert np.flatnonzero(found == Limit.MOVE_LIMIT).tolist() == nodes[:2].tolist()
     assert Limit.AREA not in found
+    for kind in ("area", "angle"):  # of an element hold its nodes
+        there = SimpleNamespace(**{**pulls, "limit": 0 * push, kind: np.eye(nothing.size)[0]})
+        found = limits(SimpleNamespace(problem=problem, multipliers=there))
+        held = set(problem.triangles[:, 0]) & set(np.flatnonzero(found != Limit.PINNED))
+        assert set(np.flatnonzero(found == Limit.AREA)) == held
 
 
-def test_a_least_angle_holds_the_nodes_of_its_element() -> None:
-    problem = replace(membrane(), motion=Motion(None))
-    angle = np.eye(problem.mesh.t.shape[1])[0]
-    pulls = SimpleNamespace(area=0 * angle, angle=angle, limit=np.zeros(problem.mesh.p.shape[1]))
-    found = limits(SimpleNamespace(problem=problem, multipliers=pulls))
-    free = found != Limit.PINNED
-    assert set(np.flatnonzero(found == Limit.AREA)) == set(problem.triangles[:, 0]) & set(
-        np.flatnonzero(free)
-    )
+BOUNDS = {"E": (0.5, 2.0), "h": (-0.1, 0.1)}
 
 
-@pytest.mark.slow
-def test_limits_name_move_limits_and_areas() -> None:
-    problem = membrane()
-    tight = limits(joint.solve(replace(problem, motion=Motion(Relative(0.02)))))
-    assert np.sum(tight == Limit.MOVE_LIMIT) > np.sum(tight == Limit.AREA)
-    wide = limits(joint.solve(replace(problem, motion=Motion(None, min_area_fraction=0.5))))
-    assert Limit.MOVE_LIMIT not in wide
-    assert Limit.AREA in wide
-    corner = int(np.argmin(problem.mesh.p.sum(axis=0)))
-    assert wide[corner] is Limit.PINNED
+def history(count: int = 4, names: tuple[str, ...] = ("E", "h"), objective: float = 0.1) -> list[dict]:
+    return [
+        {"iteration": k, "objective": objective**k, "primal_residual": 1e-2 if k == 1 else 0.0}
+        | {f"design.{name}": 1.0 + 0.1 * k for name in names}
+        for k in range(count)
+    ]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("wanted", [True, False])
-def test_rmesh_solve_draws_unless_told_not_to(tmp_path: Path, wanted: bool) -> None:
-    path, out = tmp_path / "my.toml", tmp_path / "out"
-    path.write_text(
-        '[mesh]\nshape = "rectangle"\nnx = 4\nny = 2\nx = [0, 2]\n[material]\nlaw = "plane-strain"\n'
-        'young = 100\npoisson = 0.3\n[dirichlet]\nleft = "symmetry"\n[tractions]\ntop = [0, -1]\n'
-        '[[contact]]\nboundary = "bottom"\ncurve = "y + 0.01 + 0.05*x**2"\n'
-    )
-    options = [] if wanted else ["--no-figures"]
-    assert cli.run(["solve", str(path), "--out", str(out), "--columns", "1", *options]) in (0, 1)
-    assert (out / "figures" / "mesh.png").exists() is wanted
-    assert (out / "record.json").exists()
+def test_objective_and_each_variable_have_a_panel_with_their_bounds() -> None:
+    figure = design_figure({"nested": history(), "mpcc": history(3)}, BOUNDS, "area")
+    assert figure is not None
+    assert [axis.get_ylabel() for axis in figure.axes] == ["objective", "E", "h"]
+    objective, modulus, _ = figure.axes
+    assert objective.get_yscale() == "log"
+    every, met, end = objective.lines[:3]
+    np.testing.assert_allclose(every.get_ydata(), [1, 0.1, 0.01, 1e-3])
+    np.testing.assert_array_equal(np.isnan(met.get_ydata()), [False, True, False, False])
+    assert end.get_ydata() == pytest.approx([1e-3])
+    assert {tuple(line.get_ydata()) for line in modulus.lines} >= {(0.5, 0.5), (2.0, 2.0)}
+    assert modulus.get_ylim()[0] < 0.5 < 2.0 < modulus.get_ylim()[1]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["nested", "mpcc"]
+    alone = design_figure({"": history()}, BOUNDS, "area")
+    assert alone is not None
+    assert not alone.legends
+
+
+def test_many_variables_share_a_panel_as_parts_of_their_bounds() -> None:
+    names = tuple(f"v{k}" for k in range(PANELS + 1))
+    figure = design_figure({"": history(names=names)}, dict.fromkeys(names, (1.0, 2.0)), "area")
+    assert figure is not None
+    assert len(figure.axes) == 2
+    np.testing.assert_allclose(figure.axes[1].lines[-1].get_ydata(), [0, 0.1, 0.2, 0.3])
+
+
+def test_solves_of_very_different_length_have_a_logarithmic_axis() -> None:
+    for count, scale in ((60, "symlog"), (30, "linear")):
+        figure = design_figure({"a": history(4), "b": history(count, objective=1.0)}, BOUNDS, "area")
+        assert figure is not None
+        assert {axis.get_xscale() for axis in figure.axes} == {scale}
+
+
+def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
+    assert design_figure({"": []}, BOUNDS, "area") is None
+    assert design_figure({"": [{"iteration": 0, "objective": 1.0}]}, BOUNDS, "area") is None
+    missing = Result(designed(), tmp_path / "no.vtu", tmp_path / "no.csv")
+    assert figure_of_designs([missing]) is None
+    assert figure_of_designs([Result(designed(formulation="fixed"), missing.vtu, missing.history)]) is None
+
+
+def test_pictures_are_of_the_first_and_the_last_design() -> None:
+    problem = replace(block(E, H0, BOW), motion=Motion(0))
+    solution = nested.solve(problem, objective="mean(right, uy**2)")
+    drawn = dict(pictures(solution, Page()))
+    assert {"mesh", "pressure", "motion", "design"} <= set(drawn)
+    assert "limits" not in drawn  # no node is relocated
+    titles = [axis.get_title() for axis in drawn["mesh"].axes[:2]]
+    assert titles == ["first design", "last design"]
+    first, last = (line.get_ydata() for line in drawn["pressure"].axes[0].lines)
+    assert np.max(last) == pytest.approx(solution.pressure.max())
+    begin = problem.at_design()
+    expected = nested.solve(replace(begin, design=(), motion=Motion(0)), objective="area").pressure
+    assert np.max(first) == pytest.approx(expected.max(), rel=1e-9)
+    assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)

@@ -73,24 +73,6 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     assert record["resultant"] >= 100 * (1 - 1e-6)
 
 
-@pytest.mark.slow
-def test_both_formulations_find_the_same_design() -> None:
-    pressed = rm.Constraint("resultant(bottom)", (100.0, np.inf))
-    problem = replace(block(H0, BOW, n=(8, 3), constraints=(pressed,)), motion=rm.Motion(0))
-    nested, mpcc = (rm.solve(problem, name, objective="level-pressure(bottom)") for name in FORMULATIONS)
-    assert nested.status is mpcc.status is Status.CONVERGED
-    for name, value in nested.design.items():
-        assert mpcc.design[name] == pytest.approx(value, abs=1e-6)
-
-
-@pytest.mark.slow
-def test_infeasible_constraints_are_no_success() -> None:
-    beyond = rm.Constraint("resultant(bottom)", (1000.0, np.inf))
-    found = rm.solve(column(LIFT, constraints=(beyond,)), "mpcc", objective="design(lift)")
-    assert found.status is Status.VIOLATED
-    assert not found.success
-
-
 def test_a_solve_goes_on_from_a_design() -> None:
     objective = "square(resultant(bottom) - 30)"
     first = rm.solve(column(LIFT), "nested", objective=objective)

@@ -9,11 +9,10 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, PlaneStrain
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
@@ -26,9 +25,7 @@ def outer() -> Outer:
 
 
 @pytest.mark.parametrize("step", [-1e-3, 1e-3])
-def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(
-    outer: Outer, step: float
-) -> None:
+def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_the_start(outer, step) -> None:
     start, track = np.zeros(outer.n), Monitor().track(outer)
     gradient = outer.energy(start).gradient
     q = step * gradient / np.max(np.abs(gradient))
@@ -77,7 +74,6 @@ class TestStart:
         parts = [np.max(np.abs(start)) / np.max(np.abs(drawn)) for start in starts]
         for start, part, factor in zip(starts, parts, (0.5, 0.95), strict=True):
             np.testing.assert_allclose(start, part * drawn, atol=1e-12)
-            assert np.log(part) / np.log(factor) == pytest.approx(round(np.log(part) / np.log(factor)))
             assert wide.is_valid(start)
             assert not wide.is_valid(start / factor)
         assert parts[0] <= parts[1] < 1
@@ -94,18 +90,6 @@ class TestStart:
             assert barrier.is_valid(q) == (ratio > 0)
             found.append(ratio)
         assert min(found) < 0.2 < max(found)
-
-
-def test_an_objective_is_built_once_and_shares_the_contact_model(outer: Outer) -> None:
-    assert outer.function is outer.energy
-    other = outer.minimising(parse_objective("mean(top, -uy)"))
-    assert other.function is other.function is not other.energy
-    assert str(other.function.objective) == "mean(top, -uy)"
-    assert outer.function is outer.energy
-    mixed = outer.minimising(parse_objective("energy + 0.1*quality"))
-    assert mixed.function is mixed.energy is not outer.energy
-    assert mixed.contact is other.contact is outer.contact
-    assert not parse_objective("2*energy + 0.1*quality").collapses  # of another inner problem
 
 
 class TestAssessment:
@@ -137,19 +121,6 @@ class TestAssessment:
         assert found.status is Status.INACCURATE
         assert ended(outer, q, Status.STALLED, own=off).status is Status.STALLED
 
-    def test_pressures_carry_the_weight_of_the_block(self) -> None:
-        law = PlaneStrain(0.0, 50.0, body_force=(0.0, -4.0))
-        sides = (rm.Dirichlet("left", (0.0, None)), rm.Dirichlet("right", (0.0, None)))
-        floor = Obstacle("bottom", (0.0, 1.0), 0.0)
-        block = ContactProblem(rectangle(3, 2, x=(0, 2)), law, sides, floor, Motion(0.01))
-        solution, x = fixed.solve(block), block.mesh.p[0]
-        nodes = np.flatnonzero(block.mesh.p[1] == 0)
-        nodes = nodes[np.argsort(x[nodes])]
-        weights = np.convolve(np.diff(x[nodes]), [0.5, 0.5])  # half of the edges beside each node
-        assert weights @ solution.pressure[nodes] == pytest.approx(8.0)
-        assert not np.any(np.delete(solution.pressure, nodes))
-        assert not np.any(solution.tangential_stress)
-
     def test_rounding_is_relative_to_parts_of_the_energy_that_cancel(self) -> None:
         """Weight and lift: the strain energy is larger than their sum."""
         sides, law = (rm.Dirichlet("top", (0.0, 0.1)), rm.Dirichlet("bottom", (0.0, 0.0))), (0.3, 0.4)
@@ -161,11 +132,11 @@ class TestAssessment:
         assert abs(state.energy) < 0.2 * strain
         assert ended(outer, np.zeros(outer.n)).final.size == pytest.approx(strain, rel=1e-9)
 
-    @pytest.mark.parametrize("label", ["S", "B", "M", None])
-    @pytest.mark.parametrize("weak", [(True, False), (False, True), (False, False)])
-    def test_a_label_proves_stationarity_where_some_node_is_weak(
-        self, outer: Outer, label: str | None, weak: tuple[bool, bool], monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    @pytest.mark.parametrize(
+        ("label", "weak"),
+        [*((label, (False, True)) for label in ("S", "B", "M", None)), ("S", (False, False))],
+    )
+    def test_a_label_proves_stationarity_where_some_node_is_weak(self, outer, label, weak, monkeypatch):
         """The mesh as given is not stationary by its residual."""
         monkeypatch.setattr(ReducedPoint, "weak", property(lambda point: np.array(weak)))
         found = ended(outer, np.zeros(outer.n), label=label)
@@ -174,9 +145,7 @@ class TestAssessment:
         assert found.first_order.stationarity == (label or "")
 
     @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])
-    def test_a_distortion_counts_in_what_has_improved(
-        self, outer: Outer, weight: float, improved: bool
-    ) -> None:
+    def test_a_distortion_counts_in_what_has_improved(self, outer, weight, improved) -> None:
         """A mesh of lower energy is distorted: whether it is better depends on the weight."""
         lower, there = joint.solve(outer.problem), Outer.of(outer.problem, f"energy + {weight}*quality")
         found = ended(there, there.variables(lower.mesh.p))
@@ -186,7 +155,6 @@ class TestAssessment:
     def test_gains_and_areas_are_those_of_the_given_and_the_last_mesh_by_one_rule_each(self) -> None:
         problem = EXAMPLES["6.2"]((4, 2))
         given, moved = fixed.solve(problem), joint.solve(problem)
-        assert moved.gain == pytest.approx(given.energy - moved.energy, rel=1e-9)
         accurate = given.energy_audited - moved.energy_audited
         assert moved.gain_audited == pytest.approx(accurate, rel=1e-9)
         assert given.gain == given.gain_audited == 0
@@ -202,18 +170,3 @@ class TestAssessment:
         final = found.final
         assert np.all(np.isnan([*final.displacement.ravel(), *final.pressure, final.energy]))
         assert final.min_area_ratio < 0
-
-
-def test_all_models_of_a_mesh_share_the_contact_solution_as_given_and_its_assessment() -> None:
-    first = Outer.of(EXAMPLES["6.1"](n=3))
-    other = Outer.around(first.minimising(parse_objective("energy + 0.01*quality")).energy)
-    assert other.given is first.given is first.contact.given
-    assert other.assessor is other.energy.assessor
-    near = first.near()
-    assert near.energy is first.energy
-    nodes = np.asarray(first.problem.mesh.p)
-    assert first.assessor.solve(nodes, first.given.active) is first.assessor.initial
-    moved = first.nodes(0.1 * np.ones(first.n))
-    found = first.assessor.solve(moved, first.given.active)
-    assert first.assessor.solve(moved.copy(), first.given.active) is found
-    assert first.assessor.solve(first.nodes(-0.1 * np.ones(first.n)), first.given.active) is not found

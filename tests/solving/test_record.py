@@ -1,21 +1,31 @@
-"""What a solution says of itself: its record and its summary."""
+"""What a solution says of itself: its fields, its record, each entry of it, and its summary."""
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.io.records import FIELDS, read_record, to_json
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.problem import Constraint, Motion
+from rmesh_nlp.problem import Constraint, ContactProblem, Dirichlet, Laplace, Motion, Obstacle
+from rmesh_nlp.solving.entries import ENTRIES
+from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Work
+from rmesh_nlp.solving.parts import Certificate, Choices, Step, Work, entries, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.summary import gain_in_words
@@ -24,6 +34,7 @@ from support.conclusions import compared, with_energies
 from support.designs import BOW, LIMITED, E, block
 from support.endings import Own
 from support.formulations import fixed, joint, nested
+from support.orders import ORDERS
 
 
 @pytest.fixture(scope="module")
@@ -126,11 +137,7 @@ def test_a_variable_at_its_bound_is_said_to_be_there(solution: Solution) -> None
 
 def test_success_says_what_it_lacks(solution: Solution) -> None:
     early = Status.ITERATION_LIMIT
-    ends = [
-        compared(),
-        compared(early, stationary=False),
-        compared(contact=early),
-    ]
+    ends = [compared(), compared(early, stationary=False), compared(contact=early)]
     made = [replace(solution, assessment=end) for end in ends]
     words = [dict(one.summary())["success"] for one in made]
     assert words == ["yes", f"yes: {NOT_STATIONARY_YET}", "no"]
@@ -151,3 +158,152 @@ def test_work_is_summed_over_all_outer_problems() -> None:
         monitor.tracked(other).energy(np.zeros(outer.n))
     assert monitor.spent.contact_solves == outer.energy.contact_solves + 1
     assert monitor.spent.kkt_factorisations == 7
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), (np.float64(np.inf), None),
+     ("x", "x"), (0.5, 0.5), (0, 0)],
+)  # fmt: skip
+def test_values_become_plain(value: Any, expected: Any) -> None:
+    assert (plain(value), type(plain(value))) == (expected, type(expected))
+
+
+def test_what_is_not_known_is_written_only_where_it_has_no_default() -> None:
+    assert Choices().record() == {}
+    assert Choices(safe="s", chosen="c").record() == {"safe": "s", "chosen": "c"}
+    assert entries(Own(1), None, Choices(safe="s"), Own(2)) == {"own": 2, "safe": "s"}
+
+
+def test_work_is_added_up_and_contact_solves_stand_in_the_record_already() -> None:
+    total = Work(1, 1, 5) + Work(2, 3, 0, 7)
+    assert total == Work(3, 4, 5, 7) + Work()
+    assert total.record() == {"cold_contact_solves": 4, "contact_factorisations": 5, "kkt_factorisations": 7}
+    assert Work(8, 0, 1).record() == {"contact_factorisations": 1}
+
+
+def test_histories_are_plain_and_keep_an_infinite_t() -> None:
+    step = Step(3, -1.0, float("inf"), 0.0, NAN, 7, 0.25, np.ones(2), product=0.5)
+    row = {"iteration": 3, "energy": -1.0, "t": float("inf"), "primal_residual": 0.0, "dual_residual": None}
+    row |= {"contact_solves": 7, "seconds": 0.25, "product": 0.5}
+    unknown = ("objective", "biactive", "stationarity", "energy_given")
+    assert step.row() == row | dict.fromkeys(unknown)
+    assert replace(step, t=NAN).row()["t"] is None
+    assert replace(step, design={"E": 2.0}).row() == step.row() | {"design.E": 2.0}
+    assert "q=" not in repr(step)  # thousands of numbers
+
+
+CERTIFIED = Certificate(
+    lower=-3.0, upper=-2.0, error_bound_initial=2.0, error_bound=1.0, relative_initial=0.5, relative=0.125,
+    guaranteed_lower=True, guaranteed_upper=True, guaranteed_initial=True, why="because",
+    local=np.zeros(1), local_initial=np.zeros(1), field=np.zeros((2, 1)), residual=0.0,
+)  # fmt: skip
+GUARANTEES = ("guaranteed_lower", "guaranteed_upper", "guaranteed_initial")
+
+
+@pytest.mark.parametrize("lacks", [None, *GUARANTEES])
+def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | None) -> None:
+    found = CERTIFIED if lacks is None else replace(CERTIFIED, **{lacks: False})
+    word = "at most" if lacks is None else "estimated at"
+    assert found.sentence == f"error in the energy norm {word} 50 % before, 12.5 % after"
+    claim = ErrorReduction((1, 2), (1, 2), 1, 2, "refinement", 9, 3)
+    proved = found.of_reduction(claim)
+    if lacks is None:  # half the squares of 2 and 1
+        assert (proved.source, proved.factor) == ("certified", 4.0)
+        assert (proved.error_initial, proved.error) == ((1.5, 2.0), (0.0, 0.5))
+    else:
+        assert proved == claim
+
+
+@pytest.mark.parametrize(
+    ("upper", "proved", "disproved"), [(-3.5, True, True), (-3.5, False, False), (-3.0, True, False)]
+)
+def test_an_energy_below_a_proven_bound_is_not_admissible(upper, proved, disproved) -> None:
+    found = replace(CERTIFIED, upper=upper, guaranteed_lower=proved)
+    assert found.is_disproved is disproved
+    assert ("-3.5 lies below the proven bound -3," in found.sentence) is disproved
+
+
+ROOT = Path(__file__).parents[2]
+SOLVES: dict[str, dict[str, Any]] = {
+    "fixed": {"certify": True},
+    "joint": {},
+    "mpcc": {"objective": "error-l2", "limits": rm.Limits(iterations=30)},
+    "nested": {"starts": 1},
+    "auto": {},
+}
+
+
+@pytest.mark.parametrize("formulation", SOLVES)
+def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -> None:
+    record = rm.solve(rm.EXAMPLES["6.1"](4), formulation, **SOLVES[formulation]).record()
+    assert set(record) <= set(ENTRIES)
+    always = {name for name, entry in ENTRIES.items() if entry.of is not None and entry.presence is not KNOWN}
+    assert always <= set(record)
+    assert read_record(to_json(record), "here")["formulation"] == record["formulation"]
+
+
+def test_every_entry_has_a_meaning_and_a_type() -> None:
+    assert all(entry.meaning.endswith(".") for entry in ENTRIES.values())
+    assert set(FIELDS) == set(ENTRIES)
+
+
+def test_the_page_of_records_has_the_declared_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
+    import records_page
+
+    text = records_page.PAGE.read_text()
+    assert text == records_page.page(text), "run python scripts/records_page.py"
+
+
+def exact(x: Any, y: Any) -> Any:
+    """r^(3/2) cos(3 theta / 2): touches for x < 0 with the pressure 3/2 sqrt(-x), and is free for x > 0."""
+    r = ca.sqrt(x * x + y * y + 1e-30)
+    return r * ca.sqrt(r) * ca.cos(1.5 * ca.atan2(y, x))
+
+
+def solved(n: int, order: int) -> tuple[Solution, DisplacementSpace]:
+    """On squares of width 2 / (2 n + 1), so that contact ends within an edge."""
+    problem = ContactProblem(
+        rectangle(2 * n + 1, n, x=(-1, 1)),
+        Laplace(),
+        tuple(Dirichlet(side, (exact,)) for side in ("left", "right", "top")),
+        Obstacle("bottom", (1.0,)),
+        Motion(0.01),
+        order=order,
+    )
+    return fixed.solve(problem), DisplacementSpace.of(problem)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(order: int) -> None:
+    errors = []
+    for n in (4, 9):
+        solution, space = solved(n, order)
+        assert solution.success
+        x, y = space.points(np.asarray(solution.mesh.p))
+        wanted = np.array([float(exact(*at)) for at in zip(x, y, strict=True)])
+        assert solution.displacement.shape == (1, space.n_nodes)
+        assert solution.pressure.shape == solution.tangential_stress.shape == (space.n_nodes,)
+        off = np.abs(solution.displacement[0] - wanted)
+        given = (np.abs(x) > 1 - 1e-9) | (y > 1 - 1e-9)
+        assert np.max(off[given]) < 1e-12  # at middles of edges as at vertices
+        assert np.min(solution.pressure) >= 0
+        assert not np.any(solution.pressure[(y > 0) | (x > 0.2)])
+        # away from the end of contact
+        contact = (y == 0) & (x > -1 + 1e-9) & (x < -0.25)
+        force = np.abs(solution.pressure - 1.5 * np.sqrt(np.abs(x)))
+        errors.append((np.max(off), np.max(force[contact])))
+    assert np.all(np.array(errors[1]) < np.array(errors[0]) / 2.5)
+    assert errors[1][1] < 0.005
+
+
+def test_contact_forces_are_pressures_times_weights() -> None:
+    solution, space = solved(4, 2)
+    (part,) = space.contact_sets
+    assert solution.assessment.final.quantities is not None
+    total = solution.pressure[part.nodes] @ space.weights(np.asarray(solution.mesh.p))
+    assert total == pytest.approx(solution.assessment.final.quantities.resultant)

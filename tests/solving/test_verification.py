@@ -1,18 +1,22 @@
-"""Taylor tests find wrong gradients, and Theorem 4.1 holds term by term."""
+"""Taylor tests find wrong gradients, Theorem 4.1 holds term by term, and errors as objectives by hand."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.assembly import Assembled
+from rmesh_nlp.fem.fields import constant_field
+from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace, Motion
 from rmesh_nlp.solving.verification import (
     ErrorTerms,
     TaylorTest,
@@ -20,7 +24,7 @@ from rmesh_nlp.solving.verification import (
     error_terms_on,
     verify_gradient,
 )
-from support.formulations import fixed, joint, mpcc
+from support.formulations import fixed
 from support.orders import ORDERS
 from support.sliding import sliding_block
 
@@ -29,88 +33,34 @@ def total(terms: ErrorTerms) -> float:
     return terms.I1 + terms.I2 + terms.I3
 
 
-@pytest.fixture(scope="module")
-def problem() -> ContactProblem:
-    return EXAMPLES["6.3"]((4, 2))
+def taylor_test(orders: list[float]) -> TaylorTest:
+    n = len(orders) + 1
+    return TaylorTest("mine", 1.0, 2.0, np.ones(n), np.ones(n), np.array(orders))
 
 
-class TestTaylor:
-    """The order of the remainder, from halved steps."""
-
-    def made(self, orders: list[float]) -> TaylorTest:
-        n = len(orders) + 1
-        return TaylorTest("mine", 1.0, 2.0, np.ones(n), np.ones(n), np.array(orders))
-
-    def test_the_last_known_order_decides(self) -> None:
-        for orders, order in (([1.0, 2.0, np.nan], 2.0), ([2.0, 1.0], 1.0), ([np.nan, np.nan], np.inf)):
-            assert self.made(orders).order == order
-        assert [bool(self.made(orders)) for orders in ([2.0, 1.89], [1.0, 1.9])] == [False, True]
-        values = [value.strip() for _, value in self.made([2.0, 1.5]).summary()]
-        assert values == ["2", "1.00e+00", "1.00e+00 order 2.00", "1.00e+00 order 1.50", "WRONG: order 1.50"]
-        assert self.made([1.0, 2.0]).summary()[-1][1] == "right: order 2.00"
-
-    def test_it_measures_what_it_says_inside_of_the_move_limits(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        points: list[Any] = []
-        evaluate = ReducedEnergy.__call__
-
-        def noted(self: ReducedEnergy, q: np.ndarray) -> Any:
-            points.append((q.copy(), evaluate(self, q)))
-            return points[-1][1]
-
-        monkeypatch.setattr(ReducedEnergy, "__call__", noted)
-        test = verify_gradient(problem, seed=2)
-        assert test
-        (q, here), *others = points
-        assert np.max(np.abs([point for point, _ in points])) <= 1
-        assert np.max(np.abs(q)) > 0.3  # not the mesh as given
-        np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
-        direction = (others[0][0] - q) / test.steps[0]
-        assert 0.5 < np.max(np.abs(direction)) <= 1
-        np.testing.assert_allclose([p for p, _ in others], q + np.outer(test.steps, direction), atol=1e-12)
-        values = np.array([found.value for _, found in others])
-        exact = np.abs(values - here.value - test.steps * (here.gradient @ direction))
-        np.testing.assert_allclose(test.remainders, exact, rtol=1e-6, atol=1e-15)
-        np.testing.assert_allclose(test.orders, np.log2(test.remainders[:-1] / test.remainders[1:]))
-        assert test.slope == pytest.approx(here.gradient @ direction)
-        assert (test.value, test.objective) == (here.value, "energy")
-        assert [verify_gradient(problem, seed=n).value == test.value for n in (2, 3)] == [True, False]
-
-    def test_a_wrong_gradient_is_of_first_order(
-        self, problem: ContactProblem, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
-        gradient = ReducedEnergy.gradient
-        monkeypatch.setattr(ReducedEnergy, "gradient", lambda *arguments: 1.01 * gradient(*arguments))
-        test = verify_gradient(problem)
-        assert test.order == pytest.approx(1, abs=0.1)
-        assert not test.passed
-
-    def test_rounding_says_nothing(self) -> None:
-        """The position of a node is linear: its remainders are rounding, and no order is known."""
-        problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
-        node = int(np.argmin(np.abs(problem.mesh.p - 1 / 3).sum(axis=0)))
-        test = verify_gradient(problem, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 3.0))
-        assert np.all(np.isnan(test.orders))
-        assert test.order == np.inf
-        assert test
-
-    def test_nothing_that_moves_is_refused(self) -> None:
-        problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
-        with pytest.raises(ValueError, match="may move: there is no gradient"):
-            verify_gradient(problem)
+def test_the_last_known_order_of_a_taylor_test_decides() -> None:
+    for orders, order in (([1.0, 2.0, np.nan], 2.0), ([2.0, 1.0], 1.0), ([np.nan, np.nan], np.inf)):
+        assert taylor_test(orders).order == order
+    assert [bool(taylor_test(orders)) for orders in ([2.0, 1.89], [1.0, 1.9])] == [False, True]
+    values = [value.strip() for _, value in taylor_test([2.0, 1.5]).summary()]
+    assert values == ["2", "1.00e+00", "1.00e+00 order 2.00", "1.00e+00 order 1.50", "WRONG: order 1.50"]
+    assert taylor_test([1.0, 2.0]).summary()[-1][1] == "right: order 2.00"
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_terms_sum_to_the_energy_above_the_exact_one(order: int) -> None:
-    before, after = (error_terms(one.solve(EXAMPLES["6.1"](4, order=order))) for one in (fixed, joint))
-    for terms in (before, after):
-        assert terms.I3 == 0
-        assert min(terms.I1, terms.I2) > 0
-        # what is left is the audit's quadrature of the load
-        assert total(terms) == pytest.approx(terms.above_exact, rel=1e-5)
-    assert total(after) < total(before)
+def test_rounding_says_nothing_of_a_gradient() -> None:
+    """The position of a node is linear: its remainders are rounding, and no order is known."""
+    problem = ContactProblem(rectangle(3, 3), Laplace(1.0), ("left",), motion=Motion(0.05))
+    node = int(np.argmin(np.abs(problem.mesh.p - 1 / 3).sum(axis=0)))
+    test = verify_gradient(problem, rm.quantities.nodal([node], lambda X, u: X[0, 0] + 3.0))
+    assert np.all(np.isnan(test.orders))
+    assert test.order == np.inf
+    assert test
+
+
+def test_nothing_that_moves_is_refused() -> None:
+    problem = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",), motion=Motion(0.05))
+    with pytest.raises(ValueError, match="may move: there is no gradient"):
+        verify_gradient(problem)
 
 
 @pytest.mark.slow
@@ -130,21 +80,65 @@ def test_with_friction_the_third_term_closes_the_sum(order: int) -> None:
     assert total(found[1]) < 0.5 * total(found[0])
 
 
-def test_the_terms_do_not_depend_on_the_rule_of_the_problem() -> None:
-    one, two = (EXAMPLES["6.1"](2).with_rule(rule) for rule in (1, 8))
-    assert error_terms_on(one, one.mesh.p) == error_terms_on(two, two.mesh.p)
+def test_the_terms_sum_to_the_energy_above_the_exact_one_whatever_the_rule() -> None:
+    one, two = (EXAMPLES["6.1"](4).with_rule(rule) for rule in (1, 8))
+    terms = error_terms_on(one, one.mesh.p)
+    assert terms == error_terms_on(two, two.mesh.p)
+    assert terms.I3 == 0
+    assert min(terms.I1, terms.I2) > 0
+    assert total(terms) == pytest.approx(terms.above_exact, rel=1e-5)  # but for the load by a rule
 
 
 def test_without_an_exact_solution_there_are_no_terms() -> None:
     assert error_terms(fixed.solve(EXAMPLES["6.2"]((6, 4)))) is None
 
 
-@pytest.mark.parametrize("formulation", [joint, mpcc])
-def test_own_residuals_are_those_of_the_formulation_s_own_forces(formulation) -> None:
-    record = formulation.solve(EXAMPLES["6.1"](5)).record()
-    for kind in ("equilibrium", "complementarity"):
-        own, outer = record[f"own_{kind}_residual"], record[f"assessed_{kind}_residual"]
-        # an interior point is right to its tolerance, a contact solve to rounding: not one number twice
-        assert 0 <= own <= 1e-6
-        assert 0 <= outer <= 1e-9
-    assert record["own_equilibrium_residual"] != record["assessed_equilibrium_residual"]
+def at_rest(problem: ContactProblem, text: str) -> float:
+    """Value of an objective without displacement on the mesh as given."""
+    x, p = ca.MX.sym("x", 1), problem.mesh.p
+    still = ContactSolver(problem)
+    u = constant_field(still.displacement.values(np.zeros(still.n_u)))
+    slip = constant_field(np.zeros((1, p.shape[1])))
+    groups = parse_objective(text).on(Fields(problem, constant_field(p), u, slip)).groups
+    return float(ca.Function("f", [x], [Assembled(groups, x, ca.MX(0, 1), 0).f])(0))
+
+
+@pytest.mark.parametrize(
+    ("text", "gap", "value"),
+    [
+        ("error-l2", 0.0, 1 / 3),  # the integral of x^2
+        ("error-h1", 0.0, 1.0),
+        ("error-energy", 0.0, 0.5),
+        ("error-energy + 2*error-l2", 0.0, 0.5 + 2 / 3),
+        ("contact", 0.5, 0.5),  # a constant gap along x = 1, where the outward normal derivative is 1
+    ],
+)
+def test_u_against_the_exact_solution_x_on_the_unit_square(text: str, gap: float, value: float) -> None:
+    base = EXAMPLES["6.1"](4)
+    exact = ExactSolution(lambda x, y: x, energy=float("nan"))
+    obstacle = replace(base.obstacle, offset=gap)
+    assert at_rest(replace(base, law=Laplace(), obstacle=obstacle, exact=exact), text) == pytest.approx(value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("error-l3", "unknown objective 'error-l3'"),
+        ("energy + ", "unknown objective ''"),
+        ("x*energy", "the weight 'x'"),
+        ("-1*quality", "the weight '-1'"),
+        ("nan*quality", "the weight 'nan'"),
+    ],
+)
+def test_bad_objectives_are_named(text: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        parse_objective(text)
+
+
+def test_weights_may_be_written_with_exponents() -> None:
+    assert parse_objective("1e-3*quality + 1e+2*energy").text == "0.001*quality + 100*energy"
+
+
+def test_errors_need_an_exact_solution() -> None:
+    with pytest.raises(ValueError, match=r"'error-l2' needs an exact or reference solution, and '6\.2'"):
+        at_rest(EXAMPLES["6.2"]((4, 2)), "error-l2")

@@ -23,23 +23,17 @@ def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
     return replace(mesh, doflocs=p)
 
 
-def contact_solution(model: ContactSolver) -> Guess:
-    """The contact solution on the mesh as given."""
-    space, found = model.discretisation.space, model.given
-    pressure, friction = np.zeros((2, space.n_nodes))
-    weights = space.weights(np.asarray(model.problem.mesh.p))
-    pressure[model.contact_nodes] = found.normal_force / weights
-    if found.tangential_force.size:
-        friction[model.contact_nodes] = found.tangential_force / weights
-    return Guess(model.displacement.values(found.u), pressure, friction, space)
-
-
 def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) -> Guess:
     """The contact solution, or a displacement without contact stresses."""
+    space = DisplacementSpace.of(problem)
+    pressure, friction = np.zeros((2, space.n_nodes))
     if displacement is None:
-        return contact_solution(ContactSolver(problem))
-    nothing = np.zeros(DisplacementSpace.of(problem).n_nodes)
-    return Guess(displacement, nothing, nothing)
+        model, weights = ContactSolver(problem), space.weights(np.asarray(problem.mesh.p))
+        found, displacement = model.given, model.displacement.values(model.given.u)
+        pressure[model.contact_nodes] = found.normal_force / weights
+        if found.tangential_force.size:
+            friction[model.contact_nodes] = found.tangential_force / weights
+    return Guess(displacement, pressure, friction, space)
 
 
 def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:

@@ -10,15 +10,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    ExactSolution,
-    Laplace,
-    Motion,
-    PlaneStrain,
-    Traction,
-)
+from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, PlaneStrain, Traction
 
 LAMBDA, MU = 3.0, 2.0
 

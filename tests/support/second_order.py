@@ -126,55 +126,41 @@ class SecondOrder:
         return np.append(np.unique(self.mesh.facets[:, facets]), self.mesh.p.shape[1] + np.unique(facets))
 
     def _rows(self, free: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Gaps ``N u + d`` and slips ``S u`` (dense) with their bounds, in Bernstein's coefficients."""
-        normal, offset, slip, bound = [], [], [], []
-        is_free = np.zeros(self.basis.N, dtype=bool)
-        is_free[free] = True
-        for obstacle in self.problem.obstacles:
-            nodes = self._nodes_on(obstacle.boundary)
-            x, n = self.points(), obstacle.normals(self.points())
-            distance = self._coefficients(obstacle.distances(x)[None])[0]
-            rough = self._friction_bound(obstacle) if obstacle.frictional else None
-            for node in nodes:
-                direction = self._row(node, n[:, node], is_free)
-                if direction is None:
-                    continue
-                normal.append(direction)
-                offset.append(distance[node])
-                if rough is not None:
-                    along = self._row(node, np.array([n[1, node], -n[0, node]]), is_free)
-                    if along is not None:
-                        slip.append(along)
-                        bound.append(rough[node])
+        """Gaps ``N u + d`` and slips ``S u`` (dense) with their bounds, where they are free."""
+        x, T = self.points(), self._to_bernstein()
         empty = np.zeros((0, self.basis.N))
-        return np.array(normal or empty), np.array(offset), np.array(slip or empty), np.array(bound)
+        normal, offset, slip, bound = [empty], [np.zeros(0)], [empty], [np.zeros(0)]
+        for obstacle in self.problem.obstacles:
+            nodes, n = self._nodes_on(obstacle.boundary), obstacle.normals(x)
+            rows, moves = self._along(n, T, nodes, free)
+            normal.append(rows[moves])
+            offset.append((T @ obstacle.distances(x))[nodes][moves])
+            if obstacle.frictional:
+                rows, moves = self._along(np.array([n[1], -n[0]]), T, nodes, free)
+                slip.append(rows[moves])
+                bound.append(self._friction_bound(obstacle, T)[nodes][moves])
+        return np.vstack(normal), np.hstack(offset), np.vstack(slip), np.hstack(bound)
 
-    def _row(self, node: int, direction: np.ndarray, is_free: np.ndarray) -> np.ndarray | None:
-        """The row of the component of a coefficient; None where it is given."""
-        dofs = self.dofs[:, node]
-        if not np.any(is_free[dofs] & (np.abs(direction) > 1e-9)):
-            return None
-        row, n = np.zeros(self.basis.N), self.mesh.p.shape[1]
-        row[dofs] = direction
-        if node >= n:
-            row[dofs] *= 2
-            for end in self.mesh.facets[:, node - n]:
-                row[self.dofs[:, end]] -= direction / 2
-        return row
+    def _to_bernstein(self) -> np.ndarray:
+        """(nodes, nodes) coefficients of values."""
+        n, (a, b) = self.mesh.p.shape[1], self.mesh.facets
+        T, middle = np.eye(self.dofs.shape[1]), n + np.arange(a.size)
+        T[middle, middle] = 2
+        T[middle, a] = T[middle, b] = -1 / 2
+        return T
 
-    def _coefficients(self, values: np.ndarray) -> np.ndarray:
-        n = self.mesh.p.shape[1]
-        ends = values[:, self.mesh.facets].sum(axis=1)
-        return np.hstack([values[:, :n], 2 * values[:, n:] - ends / 2])
+    def _along(
+        self, ways: np.ndarray, T: np.ndarray, nodes: np.ndarray, free: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of the components of the coefficients at nodes, and which of them are not given."""
+        rows, is_free = np.zeros((nodes.size, self.basis.N)), np.isin(self.dofs, free)
+        for dofs, way in zip(self.dofs, ways[:, nodes], strict=True):
+            rows[:, dofs] = way[:, None] * T[nodes]
+        return rows, np.any(is_free[:, nodes] & (np.abs(ways[:, nodes]) > 1e-9), axis=0)
 
-    def _friction_bound(self, obstacle: Obstacle) -> np.ndarray:
-        """(nodes,) integrals of the bound times Bernstein's polynomials."""
-        facets, n = np.asarray(self.mesh.boundaries[str(obstacle.boundary)]), self.mesh.p.shape[1]
+    def _friction_bound(self, obstacle: Obstacle, T: np.ndarray) -> np.ndarray:
+        """(nodes,) integrals of the bound times Bernstein's polynomials; scikit-fem's are T^T times these."""
+        facets = np.asarray(self.mesh.boundaries[str(obstacle.boundary)])
         basis = FacetBasis(self.mesh, ElementTriP2(), facets=facets, intorder=DEGREE)
         form = LinearForm(lambda v, w: at(obstacle.friction, np.asarray(w.x)) * v)
-        nodal = form.assemble(basis)[np.append(basis.nodal_dofs[0], basis.facet_dofs[0])]
-        result = nodal.copy()  # at its own node a polynomial is 1 or, at an edge, 1/2; a vertex's 1/4 beside
-        result[n:] /= 2
-        for facet in np.unique(facets):
-            result[self.mesh.facets[:, facet]] += nodal[n + facet] / 4
-        return result
+        return np.linalg.solve(T.T, form.assemble(basis)[np.append(basis.nodal_dofs[0], basis.facet_dofs[0])])
