@@ -94,9 +94,6 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     assert one is same
     assert one is not other
     assert differentiated(strain_energy(laws[0]), None, [1]) is not one
-    x = np.random.default_rng(0).uniform(0, 1, 12)
-    values = [d.function("gradient")(x[:6], x[6:])[1].full() for d in (one, other)]
-    assert np.max(np.abs(values[0] - values[1])) > 1e-3
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
@@ -110,9 +107,10 @@ def test_weights_of_a_group_share_one_differentiated_function() -> None:
     one, two = (scaled_group(group, weight) for weight in (0.5, 3.0))
     assert one.function.serialize() == two.function.serialize()
     q = 0.1 * np.ones(MeshMap.of(problem).n)
-    plain, *weighted = (sum(part.sum() for part in element_values([each])(q)) for each in (group, one, two))
-    assert weighted == pytest.approx([0.5 * plain, 3 * plain], rel=1e-14)
-    assert element_values([scaled_group(one, 2.0)])(q)[0].sum() == pytest.approx(plain, rel=1e-14)
+    plain, *weighted = (
+        element_values([each])(q)[0].sum() for each in (group, one, two, scaled_group(one, 2.0))
+    )
+    assert weighted == pytest.approx([0.5 * plain, 3 * plain, plain], rel=1e-14)
 
 
 def test_functions_for_few_elements_have_the_same_values() -> None:

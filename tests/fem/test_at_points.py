@@ -11,7 +11,6 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.contact_terms import friction_energy
-from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.element import plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group, unknown_field
@@ -156,14 +155,3 @@ def test_tied_unknowns_fold_onto_the_diagonal() -> None:
     ours = results(list(rel.energies), x)[2]
     theirs = rel.nlp.derivatives.hess_lag(x, [], 0.7, np.zeros(rel.n_rows)).full()
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * np.max(np.abs(theirs)))
-
-
-@pytest.mark.parametrize(("height", "defined"), [(0.5, True), (0.0, False), (-0.5, False)])
-def test_a_flat_or_inverted_triangle_has_no_distortion(height, defined) -> None:
-    problem = EXAMPLES["6.1"](n=2)
-    one = distortion_group(problem, unknown_field((2, problem.mesh.p.shape[1])), "quality")
-    X = np.array(problem.mesh.p)
-    corner = problem.triangles[:, 0]
-    X[:, corner] = [[0.0, 1.0, 0.0], [0.0, 0.0, height]]
-    value = Assembled([one.some(np.array([0]))], ca.MX.sym("x", X.size), ca.MX(0, 1), 0).gradient
-    assert np.isfinite(value(X.ravel(order="F"))[0][0]) == defined

@@ -111,48 +111,25 @@ def energy_of_interpolation_error(law: Law, corners: np.ndarray, derivatives: np
 
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("degree", [2, 3])
-class TestErrors:
-    def test_are_the_energy_of_what_interpolation_leaves(self, name: str, degree: int) -> None:
-        law = LAWS[name]
-        corners, D = drawn(12, law.components, degree=degree)
-        expected = [energy_of_interpolation_error(law, corners[:, :, i], D[:, :, i]) for i in range(12)]
-        np.testing.assert_allclose(errors(law, corners, D), expected, rtol=1e-9)
-
-    def test_go_with_a_power_of_the_area_and_the_square_of_the_derivatives(
-        self, name: str, degree: int
-    ) -> None:
-        law = LAWS[name]
-        corners, D = drawn(8, law.components, 1, degree)
-        found = errors(law, corners, D)
-        np.testing.assert_allclose(errors(law, 3 * corners + 5.0, D), 9**degree * found, rtol=1e-9)
-        np.testing.assert_allclose(errors(law, corners, -2 * D), 4 * found, rtol=1e-12)
-
-    def test_do_not_depend_on_the_frame_or_the_first_vertex(self, name: str, degree: int) -> None:
-        law = LAWS[name]
-        corners, D = drawn(8, law.components, 2, degree)
-        found = errors(law, corners, D)
-        np.testing.assert_allclose(errors(law, np.roll(corners, 1, axis=1), D), found, rtol=1e-9)
-        if degree == 2:
-            c, s = np.cos(0.7), np.sin(0.7)
-            there = np.einsum("ij,jvn->ivn", np.array([[c, -s], [s, c]]), corners)
-            np.testing.assert_allclose(errors(law, there, turned(D, 0.7)), found, rtol=1e-10)
+def test_errors_are_the_energy_of_what_interpolation_leaves(name: str, degree: int) -> None:
+    law = LAWS[name]
+    corners, D = drawn(6, law.components, degree=degree)
+    expected = [energy_of_interpolation_error(law, corners[:, :, i], D[:, :, i]) for i in range(6)]
+    np.testing.assert_allclose(errors(law, corners, D), expected, rtol=1e-9)
 
 
-class TestShapes:
-    def test_have_area_one_and_are_equilateral_in_their_metric(self) -> None:
-        for stretch, angle, turn in ((0.0, 0.3, 0.1), (0.5, -0.4, 0.9), (1.5, 2.0, 0.0)):
-            corners = stretched(np.array([stretch]), np.array([angle]), turn)[..., 0]
-            edges = corners - np.roll(corners, 1, axis=1)
-            assert np.linalg.det(edges[:, :2]) / 2 == pytest.approx(1.0)
-            along = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ edges
-            size = np.hypot(along[0] * np.exp(-stretch), along[1] * np.exp(stretch))
-            np.testing.assert_allclose(size, size[0], rtol=1e-12)
-
-    def test_turn_turns_them_before_they_are_stretched(self) -> None:
-        zero, angle = np.zeros(1), np.array([0.4])
-        one, other = stretched(zero, angle, 0.0)[..., 0], stretched(zero, angle, 0.25)[..., 0]
-        c, s = np.cos(0.25), np.sin(0.25)
-        np.testing.assert_allclose(other, np.array([[c, -s], [s, c]]) @ one, atol=1e-12)
+def test_shapes_have_area_one_are_equilateral_in_their_metric_and_turn_before_they_are_stretched() -> None:
+    for stretch, angle, turn in ((0.0, 0.3, 0.1), (0.5, -0.4, 0.9), (1.5, 2.0, 0.0)):
+        first, corners = (stretched(np.array([stretch]), np.array([angle]), by)[..., 0] for by in (0.0, turn))
+        edges = corners - np.roll(corners, 1, axis=1)
+        assert np.linalg.det(edges[:, :2]) / 2 == pytest.approx(1.0)
+        frame = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        scale = np.exp([[-stretch], [stretch]])
+        size = np.linalg.norm(scale * (frame @ edges), axis=0)
+        np.testing.assert_allclose(size, size[0], rtol=1e-12)
+        c, s = np.cos(turn), np.sin(turn)
+        turned_first = np.array([[c, -s], [s, c]]) @ (scale * (frame @ first))
+        np.testing.assert_allclose(scale * (frame @ corners), turned_first, atol=1e-12)
 
 
 class TestBestShapes:
@@ -177,15 +154,11 @@ class TestBestShapes:
     def test_have_the_known_constants(self, ratio: float) -> None:
         """The energy is half the squared gradient; second derivatives in any frame and of any size."""
         for angle, size in ((0.0, 1.0), (0.6, 7.0), (-1.2, 1e-4)):
-            found = best_shapes(Laplace(), turned(diagonal(ratio, size), angle))[2]
+            second = turned(diagonal(ratio, size), angle)
+            found = best_shapes(Laplace(), second)[2]
             assert 2 * found[0] / (size**2 * abs(ratio)) == pytest.approx(EQUILATERAL[ratio], rel=2e-3)
-
-    def test_are_long_where_second_derivatives_are_small(self) -> None:
-        for turn in (0.0, 0.5, 2.0):
-            stretch, angle, _ = best_shapes(Laplace(), turned(diagonal(0.04), turn))
-            assert np.cos(2 * (angle[0] - turn - np.pi / 2)) == pytest.approx(1.0, abs=1e-3)
-            # as long as the metric |H| says, or more
-            assert 0.04**-0.5 / 1.2 < np.exp(2 * stretch[0]) < 2 * 0.04**-0.5
+            if ratio == 1.0:
+                np.testing.assert_allclose(isotropic_errors(Laplace(), second), found)
 
     def test_aspect_ratio_is_limited(self) -> None:
         second = drawn(6, 1, 4)[1]
@@ -228,10 +201,3 @@ class TestLeastErrors:
         assert np.all(mean <= isotropic_errors(law, second) * (1 + 1e-12))
         grid = on_grid(law, second, np.arange(8) * np.pi / 24).min(axis=(0, 1))
         assert np.all(least <= 1.03 * grid)
-
-
-def test_equilateral_triangles_have_the_constant_of_isotropic_second_derivatives() -> None:
-    found = isotropic_errors(Laplace(conductivity=3.0), diagonal(1.0, 2.0))
-    assert found[0] == pytest.approx(3.0 / 2 * 4 * 0.19245, rel=1e-4)
-    corners = stretched(np.zeros(1), np.zeros(1), 0.0)
-    np.testing.assert_allclose(errors(Laplace(conductivity=3.0), corners, diagonal(1.0, 2.0)), found)

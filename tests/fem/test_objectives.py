@@ -77,6 +77,7 @@ def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
         ("mean(top, x**8)", 2**8 / 9),
         ("2*body(x) + mean(top, x)", 2 * 2 + 1),
         ("-body(x)", -2.0),
+        ("body(x) - mean(top, x)+ -0.5*body(y)", 2 - 1 - 0.5),
         ("-1.5*body( x )", -3.0),
         ("1e+1*body(x)+2e-1*body(y)", 20 + 0.2),
         ("9.e+0*body(x)+1.E-0*body(y)", 19.0),
@@ -94,26 +95,6 @@ def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
 )
 def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
     assert value(plate, text, linear(plate, 0.3, -0.2)) == pytest.approx(expected, rel=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        # of the displacement (x^2, x y)
-        ("body(ux)", 8 / 3),
-        ("body(ux_x*uy_y + uy_x)", 2 * 8 / 3 + 1),
-        ("boundary(right, uy*ux)", 4.0),
-        ("node(2, 1, ux + 10*uy)", 4 + 20),
-    ],
-)
-def test_integrals_of_quadratic_displacements_by_hand(
-    plate: ContactProblem, text: str, expected: float
-) -> None:
-    problem = replace(plate, order=2)
-    space = discretise(problem).space
-    x, y = space.points(problem.mesh.p)
-    u = space.coefficients(np.stack([x * x, x * y]))
-    assert value(problem, text, u) == pytest.approx(expected, rel=1e-11)
 
 
 def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) -> None:
@@ -140,24 +121,11 @@ def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem)
         value(plate, f"node({2 - 2.1e-6!r}, 1, x)")
 
 
-def test_terms_are_added_and_subtracted(plate: ContactProblem) -> None:
-    u = linear(plate, 0.3, -0.2)
-    one, two = (value(plate, text, u) for text in ("mean(top, x - ux)", "boundary(right, y)"))
-    for text, expected in {
-        "mean(top, x - ux) - boundary(right, y)": one - two,
-        "-mean(top, x - ux)+2*boundary(right, y)": 2 * two - one,
-        "1e-1*mean(top, x - ux) - 1e+1*boundary(right, y)": 0.1 * one - 10 * two,
-        "boundary(right, y) + -0.5*mean(top, x - ux)": two - 0.5 * one,
-    }.items():
-        assert value(plate, text, u) == pytest.approx(expected, rel=1e-12)
-    with pytest.raises(ValueError, match="unknown objective 'error-l3'"):
-        value(plate, "error-l3 - quality")
-
-
 WRONG = {  # the last ones are told by a problem only: Example 6.2 without an exact solution
     "must be positive and finite": ("inf*quality", "nan*quality", "0*body(x)", "-0.5*quality"),
     "'x' in .* is not a number": ("x*quality",),
     "unknown objective 'body": ("body", "body)x(", "body(x"),
+    "unknown objective 'error-l3'": ("error-l3 - quality",),
     "unknown objective 'volume": ("volume(x)",),
     r"expected body\(EXPR\)": ("body(x, y)", "body()"),
     r"expected boundary\(NAME, EXPR\)": ("boundary(top)",),
@@ -262,32 +230,6 @@ def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None
     )
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("disc", [False, True])
-def test_the_peak_pressure_is_that_of_the_multipliers(disc: bool, order: int) -> None:
-    """Of two materials on a graph, and on a disc whose normals differ."""
-    mesh = rm.shapes.rectangle(5, 2, x=(0, 2)).with_subdomains(
-        {"soft": lambda x: x[0] < 1.1, "stiff": lambda x: x[0] > 1.1}
-    )
-    laws = {"soft": PlaneStrain(10.0, 20.0, body_force=(0.5, -4.0)), "stiff": PlaneStrain(50.0, 90.0)}
-    law, obstacle = laws, Obstacle.graph("bottom", lambda x, y: 0.05 * (x - 1) ** 2 - 0.01)
-    if disc:
-        law, obstacle = PlaneStrain(30.0, 40.0), Obstacle.circle("bottom", (0.8, -1.0), 1.0)
-        mesh = rm.shapes.rectangle(6, 2, x=(0, 2))
-    push = (0.02, -0.2) if disc else (0.0, -0.06)
-    problem = ContactProblem(mesh, law, (rm.Dirichlet("top", push),), obstacle, Motion(0.01), order=order)
-    solver = ContactSolver(problem)
-    space, u = solver.discretisation.space, solver.displacement.values(solver.given.u)
-    weights = space.weights(problem.mesh.p)
-    pressure = solver.given.normal_force / weights
-    pressed = space.contact_nodes[pressure > 0]
-    assert pressed.size >= (2 if disc else 3) * order
-    assert not disc or np.max(np.abs(space.points(mesh.p)[0, pressed] - 0.8)) > 0.1
-    for text, power in (("peak-pressure(bottom, 2, 4)", 4), ("peak-pressure(bottom, 2)", 8)):
-        expected = float(weights @ (pressure / 2) ** power) / 2
-        assert value(problem, text, u, solver.given.normal_force) == pytest.approx(expected, rel=1e-12)
-
-
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
     """Also beside the triangle number 0, wherever scikit-fem writes that."""
     mesh, rng, places = rm.shapes.rectangle(3, 2), np.random.default_rng(0), set()
@@ -326,7 +268,7 @@ INTEGRALS = {  # by text: the example, the boundary or None, and the form of sci
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("text", INTEGRALS)
 def test_integrals_are_those_of_scikit_fem(text: str, order: int) -> None:
     name, boundary, form = INTEGRALS[text]
