@@ -11,7 +11,6 @@ from skfem import MeshTri
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
-from support.quality import shape_quality
 
 SQUARE = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 HALVES = [[0, 1, 2], [0, 2, 3]]
@@ -39,12 +38,6 @@ def test_repairs_are_said_and_keep_names() -> None:
     assert mesh.p.T.tolist() == SQUARE
     assert signed_areas(mesh.p, mesh.t).tolist() == [0.5, 0.5]
     assert mesh.p[:, mesh.facets[:, mesh.boundaries["top"]]].mean(axis=1).ravel().tolist() == [0.5, 1.0]
-
-
-def test_shape_of_triangles() -> None:
-    nodes = np.array([[0, 1, 0.5, 0], [0, 0, np.sqrt(0.75), 1]])
-    found = shape_quality(nodes, np.array([[0, 0, 0], [1, 2, 1], [2, 1, 3]]))
-    np.testing.assert_allclose(found, [1, -1, np.sqrt(0.75)], rtol=1e-14)
 
 
 def test_only_rounding_of_the_size_is_no_area() -> None:

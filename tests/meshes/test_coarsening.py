@@ -20,7 +20,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
+from rmesh_nlp.models.levels import coarsened, prolonged
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
@@ -39,7 +39,7 @@ def sizes(mesh: MeshTri) -> dict[str, float]:
     return found
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_refinement_is_undone_in_any_order(seed: int) -> None:
     coarse = random_problem(seed).mesh
     fine, _ = shuffled(coarse.refined(1), seed)
@@ -63,7 +63,7 @@ def test_what_is_no_refinement_is_not_taken_for_one() -> None:
     assert unrefined(mesh) is not None
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     problem = refined(refined(random_problem(seed)))
     rng = np.random.default_rng(seed)
@@ -83,7 +83,7 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     assert solved.status.value == "converged"
 
 
-@pytest.mark.parametrize("shake", [0.0, 0.2, 0.4])
+@pytest.mark.parametrize("shake", [0.0, 0.4])
 def test_every_node_stays_or_is_beside_one_that_does(shake: float) -> None:
     mesh, rng = rectangle(23, 18), np.random.default_rng(3)
     p, n, inside = mesh.p.copy(), mesh.p.shape[1], mesh.interior_nodes()
@@ -111,8 +111,7 @@ def directions(mesh: MeshTri) -> np.ndarray:
     return np.asarray(np.round(np.mod(np.arctan2(*(b - a)[::-1]), np.pi), 6) % np.round(np.pi, 6))
 
 
-@pytest.mark.parametrize("diagonal", ["rising", "falling"])
-@pytest.mark.parametrize("size", [(17, 17), (24, 13), (31, 9)])
+@pytest.mark.parametrize(("size", "diagonal"), [((17, 17), "rising"), ((31, 9), "falling")])
 def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
     size: tuple[int, int], diagonal: str
 ) -> None:
@@ -126,10 +125,9 @@ def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
     assert np.mean(kept) > 0.7
 
 
-@pytest.mark.parametrize("stretch", [1, 20])
-def test_coarsening_does_not_depend_on_how_much_a_mesh_is_stretched(stretch: float) -> None:
+def test_coarsening_does_not_depend_on_how_much_a_mesh_is_stretched() -> None:
     """Its metric is its own: layers stay layers."""
-    mesh = rectangle(13, 11)
+    mesh, stretch = rectangle(13, 11), 20.0
     coarse = [
         coarsened(
             ContactProblem(
@@ -210,18 +208,6 @@ def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
     np.testing.assert_array_equal(delaunay(own, t, none), t)
     mirrored = Measured(p, own.metric * [[1], [-1], [1]])
     assert np.any(delaunay(mirrored, t, none) != t)
-
-
-def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
-    mesh, rng = rectangle(5, 3), np.random.default_rng(2)
-    t = counter_clockwise(mesh.p, mesh.t)
-    points = rng.uniform(0, 1, (2, 200))
-    values = np.array([2 * mesh.p[0] - mesh.p[1], 1 + mesh.p[1]])
-    found = interpolated(mesh.p, t, values, points)
-    np.testing.assert_allclose(found, [2 * points[0] - points[1], 1 + points[1]], atol=1e-12)
-    vertices, weights = located(mesh.p, t, np.array([[1.001], [0.5]]))
-    assert np.all(weights >= 0)
-    np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
 
 
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:

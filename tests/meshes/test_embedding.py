@@ -60,8 +60,7 @@ def test_node_hangs_on_an_edge_within_a_millionth_of_its_length(beside: float, h
     assert ("hangs" in found) == hangs
 
 
-@pytest.mark.parametrize("factor", [1.0, 1e-6, 1e6])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("factor", "seed"), [(1.0, 0), (1.0, 1), (1e-6, 2), (1e6, 3)])
 def test_the_same_is_found_wherever_the_mesh_lies(factor: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.standard_normal((2, 2)))[0]
@@ -95,7 +94,7 @@ def test_pieces_in_holes_beside_each_other_and_touching_in_a_node_are_sound() ->
     assert fault(MeshTri(bow.T.copy(), np.array([[0, 1, 2], [0, 3, 4]]).T.copy())) is None
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_meshes_are_sound_before_and_after_random_moves(seed: int) -> None:
     problem = random_problem(seed)
     assert fault(problem.mesh) is None

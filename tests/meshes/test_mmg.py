@@ -37,10 +37,8 @@ def corner_nodes(mesh: MeshTri) -> np.ndarray:
     return np.array(found)
 
 
-def made(mesh: MeshTri, length: float, fixed: np.ndarray | None = None) -> MeshTri:
-    return remeshed(
-        mesh, uniform(mesh, length), line_facets(mesh), corner_nodes(mesh) if fixed is None else fixed
-    )
+def made(mesh: MeshTri, length: float) -> MeshTri:
+    return remeshed(mesh, uniform(mesh, length), line_facets(mesh), corner_nodes(mesh))
 
 
 def area(mesh: MeshTri, elements: np.ndarray | None = None) -> float:
@@ -56,24 +54,14 @@ def middles(mesh: MeshTri, name: str) -> np.ndarray:
     return np.asarray(mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].mean(axis=1))
 
 
-def has_nodes(mesh: MeshTri, points: np.ndarray) -> bool:
-    off = np.abs(mesh.p[:, :, None] - points[:, None]).max(axis=0).min(axis=0)
-    return bool(np.all(off < 1e-12))
-
-
-@pytest.fixture(scope="module")
-def body() -> MeshTri:
-    """A square with two halves, and a part of the top that overlaps it."""
-    mesh = shapes.rectangle(6, 6)
-    return named(
-        mesh,
-        {"load": lambda x: (x[1] > 1 - 1e-9) & (x[0] < 0.5), "all": lambda x: x[0] > -1},
-        {"lower": lambda x: x[1] < 0.5, "upper": lambda x: x[1] > 0.5, "wide": lambda x: x[0] > -1},
-    )
-
-
 class TestNames:
-    def test_of_boundaries_are_kept_also_where_they_overlap(self, body: MeshTri) -> None:
+    def test_are_kept_also_where_they_overlap(self) -> None:
+        """A square with two halves, and a part of the top that overlaps it."""
+        body = named(
+            shapes.rectangle(6, 6),
+            {"load": lambda x: (x[1] > 1 - 1e-9) & (x[0] < 0.5), "all": lambda x: x[0] > -1},
+            {"lower": lambda x: x[1] < 0.5, "upper": lambda x: x[1] > 0.5, "wide": lambda x: x[0] > -1},
+        )
         new = made(body, 0.09)
         assert new.p.shape[1] > 1.5 * body.p.shape[1]
         assert set(new.boundaries) == set(body.boundaries)
@@ -83,9 +71,6 @@ class TestNames:
             assert length_of(new, name) == pytest.approx(length_of(body, name), rel=1e-12)
         assert np.all(middles(new, "load")[0] < 0.5)
         np.testing.assert_allclose(middles(new, "right")[0], 1.0, atol=1e-12)
-
-    def test_of_subdomains_are_kept_also_where_they_overlap(self, body: MeshTri) -> None:
-        new = made(body, 0.09)
         centres = new.p[:, new.t].mean(axis=1)
         assert set(new.subdomains) == {"lower", "upper", "wide"}
         np.testing.assert_array_equal(np.sort(new.subdomains["lower"]), np.flatnonzero(centres[1] < 0.5))
@@ -112,22 +97,16 @@ class TestNames:
 
 
 class TestDomain:
-    @pytest.mark.parametrize("length", [0.03, 0.1, 0.4])
+    @pytest.mark.parametrize("length", [0.03, 0.4])
     def test_l_shape_keeps_its_corners(self, length: float) -> None:
         mesh = shapes.l_shape(0.25)
         new = made(mesh, length)
         assert area(new) == pytest.approx(area(mesh), rel=1e-12)
-        assert has_nodes(new, mesh.p[:, corner_nodes(mesh)])
+        off = np.abs(new.p[:, :, None] - mesh.p[:, None, corner_nodes(mesh)]).max(axis=0).min(axis=0)
+        assert np.all(off < 1e-12)
         # counter-clockwise, and edges about as long as asked for
         edges = new.p[:, new.facets[0]] - new.p[:, new.facets[1]]
         assert 0.5 * length < np.median(np.linalg.norm(edges, axis=0)) < 1.5 * length
-
-    def test_a_polygonal_hole_keeps_its_vertices(self) -> None:
-        mesh = shapes.plate_with_hole(2.0)
-        new = made(mesh, 1.0)
-        rim = np.unique(mesh.facets[:, np.asarray(mesh.boundaries["hole"])])
-        assert has_nodes(new, mesh.p[:, rim])
-        assert area(new) == pytest.approx(area(mesh), rel=1e-10)
 
     def test_several_bodies_stay_apart(self) -> None:
         one = shapes.rectangle(4, 4)
@@ -149,13 +128,6 @@ class TestDomain:
         np.testing.assert_array_equal(np.unique(new.t), np.arange(new.p.shape[1]))
         for name in one.boundaries:
             assert length_of(new, name) == pytest.approx(1.0, rel=1e-12)
-
-    def test_fixed_nodes_stay_inside_and_on_the_boundary(self) -> None:
-        mesh = shapes.rectangle(7, 7)
-        chosen = np.flatnonzero(np.isclose(mesh.p[0], 3 / 7) & (mesh.p[1] < 0.5))
-        new = made(mesh, 0.4, np.union1d(corner_nodes(mesh), chosen))
-        assert has_nodes(new, mesh.p[:, chosen])
-        assert new.p.shape[1] < mesh.p.shape[1]
 
     def test_edges_are_stretched_as_the_metric_says(self) -> None:
         mesh = shapes.rectangle(8, 8)
