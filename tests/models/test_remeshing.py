@@ -161,12 +161,14 @@ class TestCarriedOver:
 
 class TestCurves:
     @pytest.mark.parametrize(
-        ("curve", "nodes"),
-        [(CURVES["circle"], 44), (CURVES["circle"], 150), (spline_of_the_hole(), 150)],
-        ids=["circle", "where edges are drawn closer to the arc", "spline"],
+        ("curve", "h", "nodes"),
+        [(CURVES["circle"], 2.0, 150), (CURVES["circle"], 1.2, 90), (spline_of_the_hole(), 2.0, 150)],
+        ids=["where an edge would cut through its triangle", "where an arc would be too high", "spline"],
     )
-    def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(self, curve: Curve, nodes: int) -> None:
-        problem = plate({"hole": curve})
+    def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(
+        self, curve: Curve, h: float, nodes: int
+    ) -> None:
+        problem = plate({"hole": curve}, h=h)
         found = remade(problem, nodes)
         rim = found.mesh.p[:, found.boundary_nodes(("hole",))]
         assert np.abs(curve.at(curve.nearest(rim)) - rim).max() < 1e-12
