@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.solver import Solver
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Traction, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
@@ -111,14 +109,6 @@ def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
     assert not outer.is_valid(1.01 * q)
 
 
-def test_the_quasi_newton_memory_is_not_forgotten() -> None:
-    # with Ipopt's default the memory is dropped after two skipped updates: 500 iterations, no success
-    problem = random_problem(6755)
-    solution = nested.solve(problem)
-    assert solution.success
-    assert solution.energy == pytest.approx(nested.solve(problem).energy, rel=1e-6)
-
-
 def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> None:
     nlp = joint.build(EXAMPLES["6.1"](4))
     start = np.zeros(nlp.n_x)
@@ -184,10 +174,3 @@ def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named
     assert formulation.solve(problem).record()["biactive_nodes"] == problem.contact_nodes.tolist()
     pressed = replace(problem, tractions=(Traction("top", (0.0, -5.0)),))
     assert formulation.solve(pressed).record()["biactive_nodes"] == []
-
-
-@pytest.mark.parametrize("limit", [1, 3, 6, 10])
-def test_a_limit_of_iterations_leaves_joint_with_a_valid_mesh(limit: int) -> None:
-    solution = joint.solve(EXAMPLES["6.2"]((4, 2), (2.0, 1.0)), limits={"iterations": limit})
-    assert solution.valid
-    assert solution.status in (Status.ITERATION_LIMIT, Status.CONVERGED)

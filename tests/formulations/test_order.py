@@ -8,18 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from formulations.cascade import Cascade
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.objectives import ENERGY
-from rmesh_nlp.models.cascade import CascadeSettings
-from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.solving.outer import Outer
 from support.formulations import fixed, joint, mpcc, nested
 from support.orders import slow_but
-from support.problems import no_move_limits
 from support.reduced import QUADRATIC
 from support.sliding import sliding_block
 
@@ -76,14 +69,3 @@ def test_order_2_relocated_has_less_error_than_either_alone() -> None:
         for one in (fixed, joint)
     ]
     assert errors[3] < 0.5 * min(errors[:3])  # 81 nodes each
-
-
-@pytest.mark.parametrize(("order", "most"), [(1, 20), (2, 6)])
-def test_descents_on_meshes_made_for_the_solution_are_shorter_at_order_2(order: int, most: int) -> None:
-    problem = replace(no_move_limits(EXAMPLES["6.1"](n=6)), quadrature=4, order=order)
-    energy = ReducedEnergy.of(ContactSolver(problem), ENERGY)
-    near = Outer.around(energy, 1e-6).near()
-    found = Cascade()._descents(near)
-    assert found.inner.iterations == most
-    assert found.weights == (Cascade().regularisation,)
-    assert CascadeSettings(brief_unnested=1).near(order) == 1

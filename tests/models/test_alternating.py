@@ -1,11 +1,15 @@
 """Starts with alternating steps."""
 
+from contextlib import suppress
+
 import numpy as np
 import pytest
 
 from formulations.joint import Joint
+from formulations.mpcc import AllAtOnce
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models.alternating import alternated, alternating
+from rmesh_nlp.optimize.budget import Limits, StoppedError
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 
@@ -44,9 +48,13 @@ def test_they_are_halved_until_the_mesh_is_valid() -> None:
     ("fine", "name", "size", "added"),
     [(100, "6.1", 8, True), (1000, "6.1", 8, False), (10, "6.3", (12, 6), False)],
 )
-def test_joint_starts_with_them_on_fine_meshes_without_areas(fine, name, size, added, monkeypatch) -> None:
-    monkeypatch.setattr("formulations.joint.FINE", fine)
+@pytest.mark.parametrize("formulation", [Joint(), AllAtOnce()], ids=lambda one: one.name)
+def test_solves_start_with_them_on_fine_meshes_without_areas(
+    formulation, fine, name, size, added, monkeypatch
+) -> None:
+    monkeypatch.setattr(f"formulations.{formulation.name}.FINE", fine)
     outer, first = Outer.of(EXAMPLES[name](size)), []
-    monitor = Monitor(on_step=lambda step: first.append(step.q))
-    Joint(ipopt={"max_iter": 0}).minimised(outer, np.zeros(outer.n), monitor.track(outer))
+    monitor = Monitor(Limits(iterations=1), on_step=lambda step: first.append(step.q))
+    with suppress(StoppedError):
+        formulation.run(outer, np.zeros(outer.n), monitor)
     assert (np.max(np.abs(alternating(outer.relocation) * first[0])) > 0.2) == added

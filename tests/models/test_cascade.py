@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
@@ -95,6 +94,9 @@ def test_descents_are_brief_on_the_finest_mesh_and_longer_where_it_is_not_nested
     settings = CascadeSettings(iterations=60, brief=10, brief_unnested=20)
     assert [settings.limit(True, nested) for nested in (True, False)] == [10, 20]
     assert [settings.limit(False, nested) for nested in (True, False)] == [60, 60]
+    # on meshes made for the solution, shorter at order 2
+    assert [CascadeSettings().near(order) for order in (1, 2)] == [20, 6]
+    assert CascadeSettings(brief_unnested=1).near(2) == 1
     assert settings.starts(60, 9000) == settings.schedules
     assert settings.starts(60, 8999) == settings.schedules[:1]
 
@@ -102,17 +104,15 @@ def test_descents_are_brief_on_the_finest_mesh_and_longer_where_it_is_not_nested
 def test_it_stops_when_asked_to_and_when_the_time_is_up() -> None:
     with pytest.raises(StoppedError):
         cascade(square(8), CascadeSettings(coarsest=20), budget=Budget(Limits(1e-9)))
-    found = cascade(square(8), CascadeSettings(coarsest=20), lambda iteration, *_: iteration == 2)
-    assert (found.status, len(found.levels), found.built) == (Status.INTERRUPTED, 1, None)
-    # the map so far is taken to the given mesh
-    assert found.q.size == found.energy.relocation.n_q
-    assert np.any(found.q)
-
-
-@pytest.mark.parametrize("bad", [{"schedules": ((0.0,),)}, {"schedules": (1.0,)}, {"distortion": "oval"}])
-def test_bad_settings_are_refused(bad: dict) -> None:
-    with pytest.raises(BadInputError):
-        CascadeSettings.of(bad)
+    late, seen = Budget(), []
+    late.is_over = lambda: len(seen) > 1  # type: ignore[method-assign]
+    for ask, budget in ((lambda iteration, *_: iteration == 2, None), (lambda i, *_: seen.append(i), late)):
+        found = cascade(square(8), CascadeSettings(coarsest=20), ask, budget)
+        assert (found.status, len(found.levels), found.built) == (Status.INTERRUPTED, 1, None)
+        # the map so far is taken to the given mesh, and lowers the energy there
+        assert found.q.size == found.energy.relocation.n_q
+        assert found.energy.is_defined(found.q)
+        assert found.energy(found.q).value < found.energy(0 * found.q).value
 
 
 LEAST = -3.66907
