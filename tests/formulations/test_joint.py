@@ -66,7 +66,12 @@ def test_newton_steps_that_lead_up_are_not_taken(monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize(
-    ("formulation", "n", "delta", "seed"), [(Joint(), 3, 0.15, 3), (AllAtOnce(), 4, 0.05, 1)]
+    ("formulation", "n", "delta", "seed"),
+    [
+        (Joint(), 3, 0.15, 3),
+        (AllAtOnce(), 4, 0.05, 1),
+        (Nested(ipopt={"mu_init": 10.0, "bound_push": 0.1, "max_iter": 3}), 3, 0.3, 3),
+    ],
 )
 def test_from_a_minimiser_the_barrier_leads_to_none_above_it(
     formulation: Joint | AllAtOnce, n: int, delta: float, seed: int

@@ -69,7 +69,7 @@ def test_a_finish_that_raises_the_objective_or_fails_is_not_taken_and_the_descen
 
 
 def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kinks, "FINISH", {**kinks.FINISH, "tol": 1e-2, "acceptable_tol": 1e-2})
+    monkeypatch.setattr(kinks, "FINISH", {**kinks.FINISH, "max_iter": 1})
     solution = rm.solve(seal(), "nested", objective=LEAK)
     assert solution.status is Status.CONVERGED
     assert solution.record()["outer"] == f"newton, then {EXACT_FINISH}"
