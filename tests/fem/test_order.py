@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
-import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem, Dirichlet, PointLoad
-from support.manufactured import corner_mode, l_shape, smooth_block, smooth_membrane
+from support.manufactured import smooth_block, smooth_membrane
 from support.second_order import SecondOrder
 
 SEEDS = range(20)
@@ -73,36 +71,3 @@ def test_smooth_solutions_have_full_rates(make: Any, order: int) -> None:
         nodes = [solver.discretisation.space.n_nodes for _, solver in found]
         slope = np.log(found[0][0] / found[1][0]) / np.log(nodes[1] / nodes[0])
         assert slope == pytest.approx(rate, abs=0.12 * rate)
-
-
-def corner_error(n: int, grading: float) -> tuple[float, int]:
-    """Squared energy norm of the error on the L-shape, and the number of nodes.
-
-    The mode has no load and is zero on the notch, so that integrals over the smooth outer boundary suffice:
-    ``|grad(u - u_h)|^2 = a(u, u) - 2 a(u, u_h) + a(u_h, u_h)``, the first two by ``a(u, v) = int u_n v``.
-    """
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    mode = ca.Function("mode", [x, y], [corner_mode(x, y), ca.gradient(corner_mode(x, y), ca.vertcat(x, y))])
-
-    def density(x: Any, y: Any, u: Any, normal: Any) -> Any:
-        value, gradient = mode(x, y)
-        return ca.dot(gradient, normal) * (value - 2 * u[0])
-
-    work = rm.quantities.boundary_integral("outer", density, degree=20)
-    value, solver = measured(l_shape(n, 2, grading), work)
-    return value + 2 * solver.given.energy, solver.discretisation.space.n_nodes
-
-
-@pytest.mark.parametrize(
-    ("grading", "expected", "rate"),
-    [(1.0, (7.22e-3, 2.86e-3, 1.136e-3), 2 / 3), (3.0, (1.117e-3, 1.066e-4, 9.03e-6), 2.0)],
-)
-def test_a_corner_costs_uniform_meshes_their_rate_and_grading_brings_it_back(
-    grading: float, expected: tuple[float, ...], rate: float
-) -> None:
-    found = [corner_error(n, grading) for n in (4, 8, 16)]
-    errors, nodes = np.array(found).T
-    assert nodes.tolist() == [225, 833, 3201]
-    np.testing.assert_allclose(errors, expected, rtol=5e-3)
-    slope = np.log(errors[1] / errors[2]) / np.log(nodes[2] / nodes[1])
-    assert slope == pytest.approx(rate, abs=0.1 * rate)

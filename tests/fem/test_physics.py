@@ -18,7 +18,7 @@ from rmesh_nlp.problem import (
     PlaneStress,
     Relative,
 )
-from support.formulations import fixed, joint
+from support.formulations import fixed
 
 EDGES = ("left", "right", "bottom", "top")
 
@@ -37,22 +37,6 @@ def test_uniaxial_tension_has_the_energy_of_youngs_modulus() -> None:
         assert solution.energy == pytest.approx(0.5 * modulus * strain**2 * 2, rel=1e-12)
         lateral = -contraction * strain * solution.mesh.p[1]
         np.testing.assert_allclose(solution.displacement[1], lateral, atol=1e-15)
-
-
-@pytest.mark.slow
-def test_two_materials_in_series_share_the_stretch() -> None:
-    mesh = rectangle(4, 2).with_subdomains({"soft": lambda x: x[0] < 0.5, "hard": lambda x: x[0] > 0.5})
-    problem = ContactProblem(
-        mesh,
-        {"soft": Laplace(conductivity=1.0), "hard": Laplace(conductivity=3.0)},
-        ("left", Dirichlet("right", (1.0,))),
-        motion=Motion(0.05),
-    )
-    solution = joint.solve(problem)
-    middle = np.isclose(mesh.p[0], 0.5)
-    np.testing.assert_allclose(solution.displacement[0, middle], 0.75, atol=1e-9)  # fluxes 1.5 on both sides
-    assert solution.energy == pytest.approx(0.5 * (0.5 * 1.5**2 + 0.5 * 3 * 0.5**2), rel=1e-10)
-    np.testing.assert_allclose(solution.mesh.p[0, middle], 0.5)  # the interface slides
 
 
 def test_displacements_given_as_a_function_reproduce_a_linear_field() -> None:

@@ -16,7 +16,6 @@ from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_fi
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
-from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
@@ -67,25 +66,6 @@ def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, 
     assert np.max(np.abs(nodal - values)) > 1e-3 * scale  # the numbering is another one
     strains = [s.strain_and_friction(X, e.u) for s, e in ((solver, one), (other, two))]
     np.testing.assert_allclose(*strains, rtol=1e-9)
-
-
-def test_another_numbering_has_the_same_energy_nlp(both: tuple[ContactProblem, Discretisation]) -> None:
-    problem, permuted = both
-    nlps = [relocation(parts).nlp for parts in (problem, permuted)]
-    rng, n = np.random.default_rng(0), discretise(problem).n_q
-    q = 0.3 * rng.uniform(-1, 1, n)
-    nodal = rng.uniform(-1e-2, 1e-2, (problem.components, problem.mesh.p.shape[1]))
-    found = []
-    for nlp, parts in zip(nlps, (discretise(problem), permuted), strict=True):
-        index, space = parts.displacement.index, parts.space
-        u = np.zeros(parts.n_u)
-        u[index[index >= 0]] = space.of_linear(nodal)[index >= 0]
-        s = np.zeros(parts.n_s)
-        index = parts.slip.index
-        s[index[index >= 0]] = np.tile(space.of_linear(nodal[:1]), (len(index), 1))[index >= 0]
-        f, g = ca.Function("f", [nlp.x], [nlp.f, nlp.g])(np.concatenate([q, u, s]))
-        found.append(np.append(float(f), g.full()))
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-11, atol=1e-14)
 
 
 @pytest.mark.parametrize(

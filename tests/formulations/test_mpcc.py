@@ -92,17 +92,6 @@ def test_what_is_solved_first_is_named(start: str | None) -> None:
 
 
 @pytest.mark.slow
-def test_a_solution_and_positions_are_starts() -> None:
-    end = solved("joint", "6.1", 4, 6)
-    again = mpcc.solve(coarse("6.1"), start=end)
-    assert again.start == "solution of joint"
-    assert again.energy == pytest.approx(end.energy, rel=1e-6)
-    np.testing.assert_allclose(again.mesh.p, end.mesh.p, atol=1e-4)
-    moved = mpcc.solve(coarse("6.1"), start=np.asarray(end.mesh.p))
-    assert (moved.start, moved.history[0].t) == ("positions", OPTIONS["t0"])
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) -> None:
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there

@@ -93,18 +93,6 @@ def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -
     assert np.min(rm.verify_gradient(problem).orders) > 1.99
 
 
-def test_weights_that_do_not_move_would_be_noticed() -> None:
-    """The derivative of omega_i is a visible part of the gradient of 6.3."""
-    problem = EXAMPLES["6.3"]()
-    moving = reduced(problem)
-    given = np.zeros(moving.relocation.n_q)
-    point = moving(given)
-    smooth = reduced(replace(problem, obstacle=replace(problem.obstacle, friction=1e-12)))
-    state = point.equilibrium
-    still = smooth.gradient(moving.point(given, state), state.normal_force, state.tangential_force)
-    assert np.max(np.abs(point.gradient - still)) > 0.1 * np.max(np.abs(point.gradient))
-
-
 @pytest.mark.parametrize("name", [name for name in CONTACTS if "slip" in name])
 def test_the_energy_gradient_is_the_adjoint_gradient_of_the_energy(name: str) -> None:
     energy = reduced(CONTACTS[name]())
@@ -137,11 +125,10 @@ def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(sm
     outer = Outer.of(small)
     energy, q, given = outer.energy, np.zeros(outer.n), outer.given
     assert counts(energy) == (0, 0, 0)
-    for _ in range(2):
-        assert energy(q).equilibrium is given
-        assert counts(energy) == (1, 1, given.iterations)
-        energy._last = None
+    assert energy(q).equilibrium is given
+    assert counts(energy) == (1, 1, given.iterations)
     energy(q + 0.1)
+    assert energy(q).equilibrium is given
     assert counts(energy)[:2] == (2, 1)
     later = outer.minimising(outer.objective).energy  # knows it, and is asked for another point before
     later(q + 0.1)

@@ -87,31 +87,12 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float
     np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
 
 
-def test_additional_unknowns_change_neither_objective_nor_constraints() -> None:
-    problem, rng = nlp_of(ENERGIES["6.1, areas"]()), np.random.default_rng(1)
-    larger, n = lifted(problem), problem.nlp.n_x
-    x = np.append(0.02 * rng.uniform(-1, 1, n), rng.standard_normal(larger.n_x - n))
-    for name in ("grad_f", "jac_g"):
-        value, slope = (part.full() for part in getattr(larger.derivatives, name)(x, []))
-        own, own_slope = (part.full() for part in getattr(problem.nlp.derivatives, name)(x[:n], []))
-        slope = slope.T if name == "grad_f" else slope
-        np.testing.assert_array_equal(value, own)
-        np.testing.assert_array_equal(slope[:, :n], own_slope.T if name == "grad_f" else own_slope)
-        assert not np.any(slope[:, n:])
-    assert np.all(np.isinf(larger.ubx[n:]))
-
-
 def test_entries_outside_the_pattern_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = nlp_of(bumpy(0.0))
     monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
     larger = lifted(problem)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
-
-
-def test_other_objectives_are_not_lifted() -> None:
-    with pytest.raises(TypeError, match="energy"):
-        lifted(nlp_of(EXAMPLES["6.1"](3), "error-l2"))
 
 
 def test_columns_in_one_block_or_in_many_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,9 +11,9 @@ from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.models import regularised_descent as module
 from rmesh_nlp.models.cascade import cascade
 from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.models.regularised_descent import KEPT, descend, finished, longest_valid, node_widths
 from rmesh_nlp.models.second_derivatives import Curvature
@@ -101,9 +101,15 @@ def test_a_descent_converges_to_a_valid_lower_and_nearly_stationary_mesh(name: s
 
 def test_steps_that_raise_the_residual_are_not_taken() -> None:
     energy = reduced(EXAMPLES["6.1"](n=3), "energy + 0.01*quality")
-    given, here = np.zeros(energy.relocation.n_q), 1e-3
-    q, residual, _ = module._polished(energy, given, lambda point: 2 * here, here, 1e-9)
-    assert (list(q), residual) == (list(given), here)
+    given, limits = np.zeros(energy.relocation.n_q), {"tolerance": 1e-6, "max_iterations": 100}
+    reported: list[bytes] = []
+
+    def residual(point: ReducedPoint) -> float:
+        return 5e-6 if point.q.tobytes() in reported else 1e-5  # the steps that follow the descent are not
+
+    note = lambda _, x, value: reported.append(x.tobytes())  # noqa: E731
+    end = finished(energy, given, residual, reference=energy(given).value, on_step=note, **limits)
+    assert (end.result.status, end.residual) == (Status.STALLED, 5e-6)
 
 
 @pytest.mark.parametrize(
