@@ -1,5 +1,7 @@
 """Nodes that slide along curves: outer variables, formulations, refined and coarsened meshes."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from typing import Any
 
@@ -7,11 +9,13 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.arcs import strain_energy
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.models.levels import coarsened
-from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving.solution import Solution
 from support.curved import HOLE, disc, plate
@@ -91,3 +95,23 @@ def test_auto_slides_along_the_arc_of_a_disc() -> None:
     assert off(problem, solution.mesh, "arc", ARC) < 1e-12
     assert moved(problem, solution, "arc") > 1e-3
     assert solution.record()["error_reduction"]["factor"] > 1.35
+
+
+HALF = 0.5
+"""Half the angle of an arc of the unit circle. The tangents at its ends meet at the distance 1.14."""
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_triangle_that_its_arc_folds_has_no_energy(order: int) -> None:
+    """So a solver shortens its steps to there, and does not find the minus infinity behind."""
+    energy = strain_energy(Laplace(), Circle((0.0, 0.0), 1.0), order)
+    u = np.arange(float(energy.size1_in(2)))
+    for apex, upright in ((1.3, True), (1.7, True), (1.1, False), (0.9, False)):
+        found = float(energy([HALF, -HALF], [apex, 0.0], u)[0])
+        assert bool(np.isfinite(found)) is upright
+
+
+def test_relocation_of_order_2_beside_a_hole_is_not_lost_in_folded_triangles() -> None:
+    solution = joint.solve(replace(plate({"hole": HOLE}), order=2))
+    assert solution.status is Status.CONVERGED
+    assert solution.gain_audited > 0.03

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.test_reduced_nlp import bumpy
+from models.test_programs import bumpy
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import least_angles

@@ -1,22 +1,28 @@
-"""The energy NLP: its Lagrangian, its parts, and element constraints."""
+"""Programs in all unknowns and in the outer variables alone: Lagrangians, Hessians, element constraints."""
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_between_two_foundations
 from support.curved import disc
+from support.orders import slow_but
 from support.problems import no_move_limits, renumbered, sloped_block
-from support.reduced import of_order_2
+from support.reduced import membrane_over_a_bump, of_order_2
 
 
 def large_limits() -> ContactProblem:
@@ -115,3 +121,93 @@ def test_inverted_elements_come_back_to_their_floor() -> None:
     assert np.max(np.abs(back)) <= 1
     np.testing.assert_array_equal(rows.back(back, rows.at(back), -one, one, one), back)
     assert rows.back(wild, given, -one, one, one) is None  # too many elements to bring back
+
+
+def bumpy(friction: float) -> ContactProblem:
+    """A gap along edges depends on the positions of two neighbours, which are of no common element."""
+    foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
+    law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
+    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
+
+
+ENERGIES = {
+    "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
+    "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
+    "6.3, friction": lambda: EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
+    "gaps along edges": lambda: bumpy(0.0),
+    "gaps along edges, friction": lambda: bumpy(0.3),
+}
+ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.items()}
+ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
+OBJECTIVES = {name: (make, "energy") for name, make in ENERGIES.items() if "edges" not in name}
+OBJECTIVES["6.1 and its error"] = (lambda: EXAMPLES["6.1"](4), "error-l2")
+OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), order=2), "error-l2")
+
+
+def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
+    outer = Outer.of(problem, objective)
+    return reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
+
+
+def whole(upper: ca.DM) -> Array:
+    """The symmetric matrix of an upper triangle."""
+    found = upper.full()
+    assert np.all(np.tril(found, -1) == 0)
+    return found + np.triu(found, 1).T
+
+
+@pytest.mark.parametrize("name", slow_but(OBJECTIVES, ("6.3, friction, order 2",)))
+def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
+    make, objective = OBJECTIVES[name]
+    problem, rng = with_hessian(nlp_of(make(), objective)), np.random.default_rng(4)
+    derivatives, n = problem.nlp.derivatives, problem.nlp.n_x
+    q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
+    lam_f, lam_g = 1.5, rng.uniform(-1, 0, problem.nlp.n_g)
+    # in units of its value on the given mesh
+    assert abs(float(derivatives.grad_f(0 * q, [])[0])) == pytest.approx(1.0)
+    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value / problem.scale)
+
+    def gradient(x: Array) -> Array:
+        slope = derivatives.grad_f(x, [])[1].full().ravel()
+        return lam_f * slope + derivatives.jac_g(x, [])[1].T.full() @ lam_g
+
+    product = whole(derivatives.hess_lag(q, [], lam_f, lam_g)) @ d
+    h = 1e-5
+    difference = (gradient(q + h * d) - gradient(q - h * d)) / (2 * h)
+    np.testing.assert_allclose(product, difference, atol=2e-6 * np.max(np.abs(product)))
+
+
+@pytest.mark.parametrize("factor", [1.5, 0.0])
+@pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
+def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float) -> None:
+    problem = nlp_of(ENERGIES[name]())
+    larger, other, n, rng = lifted(problem), with_hessian(problem), problem.nlp.n_x, np.random.default_rng(7)
+    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.nlp.n_g)
+    matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
+    corner = matrix[n:, n:]
+    schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
+    expected = whole(other.nlp.derivatives.hess_lag(q, [], factor, lam_g))
+    np.testing.assert_allclose(schur, expected, atol=1e-9 * np.max(np.abs(expected)))
+    # definite, and so stiff that a shift of the size of q's block does not change the complement
+    assert np.linalg.eigvalsh(corner)[0] > 0
+    np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
+
+
+def test_entries_outside_the_pattern_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = nlp_of(bumpy(0.0))
+    monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
+    larger = lifted(problem)
+    with pytest.raises(RuntimeError, match="outside its pattern"):
+        larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
+
+
+def test_columns_in_one_block_or_in_many_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    A = np.random.default_rng(0).standard_normal((7, 7))
+    monkeypatch.setattr(module, "COLUMNS", 3)
+    np.testing.assert_allclose(dense(lambda d: A @ d, 7), (A + A.T) / 2, rtol=1e-14)
+
+
+def test_meshes_with_inverted_elements_have_no_energy() -> None:
+    problem = nlp_of(EXAMPLES["6.1"](3, 0.9))
+    q = np.random.default_rng(0).uniform(-1, 1, problem.nlp.n_x)
+    assert np.isnan(float(problem.nlp.derivatives.grad_f(q, [])[0]))
