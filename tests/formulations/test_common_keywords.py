@@ -152,21 +152,8 @@ def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
 
 
 WRAPPERS = (Confirmed, MultiStart, Polished, Remeshed, Schedule)
-KINDS = (
-    AllAtOnce,
-    Auto,
-    Descent,
-    Fixed,
-    Joint,
-    Nested,
-    *WRAPPERS,
-    NewtonSettings,
-    NestedSettings,
-    CascadeSettings,
-    AssemblySettings,
-    Options,
-    Limits,
-)
+FORMS = (AllAtOnce, Auto, Descent, Fixed, Joint, Nested, *WRAPPERS)
+KINDS = (NewtonSettings, *FORMS, NestedSettings, CascadeSettings, AssemblySettings, Options, Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
