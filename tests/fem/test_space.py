@@ -1,8 +1,9 @@
-"""Nothing but the space knows which nodes carry unknowns: another numbering gives the same discretisation."""
+"""Spaces of displacements: any numbering, order 2 against another code, rates on solutions that are known."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,19 +12,22 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
-from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
 from support.curved import disc
+from support.manufactured import smooth_block, smooth_membrane
 from support.problems import renumbered, sloped_block
+from support.second_order import SecondOrder
 
-PROBLEMS = {
+KINDS = {
     "6.1": lambda: EXAMPLES["6.1"](4),
     "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
     "sloped": sloped_block,
@@ -40,11 +44,11 @@ PROBLEMS = {
 }
 
 
-@pytest.fixture(params=[(name, order) for name in PROBLEMS for order in (1, 2)], ids=str)
+@pytest.fixture(params=[(name, order) for name in KINDS for order in (1, 2)], ids=str)
 def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation]:
     """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
     name, order = request.param
-    problem = replace(PROBLEMS[name](), order=order)
+    problem = replace(KINDS[name](), order=order)
     return problem, renumbered(problem)
 
 
@@ -89,7 +93,7 @@ def test_objectives_ask_the_space(text: str) -> None:
 def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
     problem = EXAMPLES["6.2"]((6, 3))
     assert np.sum(DisplacementSpace.of(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
-    interior = PROBLEMS["interior"]()
+    interior = KINDS["interior"]()
     weights = DisplacementSpace.of(interior).weights(interior.mesh.p)
     x, y = interior.mesh.p[:, interior.contact_nodes]
     np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
@@ -121,3 +125,59 @@ def test_design_variables_are_arguments_of_element_terms() -> None:
     np.testing.assert_allclose(assembled.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
     with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
         term.on(unknown_field((1, 3)))
+
+
+SEEDS = range(20)
+
+
+def varied(seed: int) -> ContactProblem:
+    """A random problem of order 2, half of them with a second support or a point load; exact rules."""
+    problem = replace(random_problem(seed), order=2, quadrature=12)
+    if seed % 4 == 1:
+        (left,) = problem.supports
+        rise = left.value[0]
+        above = Dirichlet("top", (lambda x, y: rise + 0.02 * x * x,))
+        other = above if problem.components == 1 else Dirichlet("right", (0.005, None))
+        problem = replace(problem, dirichlet=(left, other))
+    if seed % 4 == 3:
+        node = int(np.argmax(np.sum(problem.mesh.p, axis=0)))
+        problem = replace(problem, point_loads=(PointLoad(node, (0.9,) * problem.components),))
+    return problem
+
+
+@pytest.mark.parametrize("seeds", [SEEDS[:6], pytest.param(SEEDS, marks=pytest.mark.slow)])
+def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
+    kinds, parted = set(), 0
+    for seed in seeds:
+        problem = varied(seed)
+        values, energy = SecondOrder(problem).solve()
+        solver = ContactSolver(problem)
+        found = solver.given
+        u = solver.discretisation.space.values(solver.displacement.values(found.u))
+        assert found.energy == pytest.approx(energy, rel=1e-10)
+        np.testing.assert_allclose(u, values, atol=1e-9 * np.max(np.abs(values)))
+        touching = found.active.touching
+        parted += 0 < np.sum(touching) < touching.size
+        kinds.add((problem.components, problem.frictional, len(problem.regions)))
+    assert parted >= len(seeds) // 4
+    assert len(kinds) == 6 or len(seeds) < len(SEEDS)
+
+
+def measured(problem: ContactProblem, objective: str | Objective) -> tuple[float, ContactSolver]:
+    """An objective at the contact solution on the given mesh, and its solver."""
+    solver = ContactSolver(problem)
+    space, given = solver.discretisation.space, solver.given
+    u = replace(constant_field(solver.displacement.values(given.u)), space=space)
+    fields = Fields(problem, constant_field(problem.mesh.p), u, u)
+    return parse_objective(objective).on(fields).evaluate()(np.zeros(0)), solver
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("make", [smooth_membrane, smooth_block])
+def test_smooth_solutions_have_full_rates(make: Any, order: int) -> None:
+    """Squared errors over the number of nodes N: N^-order in the energy norm, N^-(order + 1) in L2."""
+    for text, rate in (("2*error-energy", order), ("error-l2", order + 1)):
+        found = [measured(make(n, order), text) for n in (6, 12)]
+        nodes = [solver.discretisation.space.n_nodes for _, solver in found]
+        slope = np.log(found[0][0] / found[1][0]) / np.log(nodes[1] / nodes[0])
+        assert slope == pytest.approx(rate, abs=0.12 * rate)

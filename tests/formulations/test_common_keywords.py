@@ -74,11 +74,14 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
     assert record["limits"] == {"iterations": 2}
 
 
-@pytest.mark.parametrize("formulation", [nested, joint, mpcc])
-def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> None:
-    late = formulation.solve(SMALL, limits={"seconds": 1e-6})
+@pytest.mark.parametrize(
+    ("formulation", "problem"), [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), (auto, UNLIMITED)]
+)
+def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, problem: Any) -> None:
+    late = formulation.solve(problem, limits={"seconds": 1e-6})
     assert (late.status, late.valid, late.success) == (Status.TIME_LIMIT, True, True)
     assert late.energy <= late.energy_initial + 1e-9
+    assert late.record().get("error_reduction") is None
     seen: list[Step] = []
 
     def interrupt(step: Step) -> None:
@@ -86,7 +89,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> N
         if len(seen) == 3:
             raise KeyboardInterrupt
 
-    stopped = formulation.solve(SMALL, on_step=interrupt)
+    stopped = formulation.solve(problem, on_step=interrupt)
     assert (stopped.status, stopped.valid) == (Status.INTERRUPTED, True)
     assert len(seen) >= 3
 

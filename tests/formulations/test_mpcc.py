@@ -103,16 +103,6 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
     assert certified.iterations < 40
 
 
-def test_starts_that_do_not_fit_are_refused() -> None:
-    problem = coarse("6.1")
-    with pytest.raises(ValueError, match="unknown start 'zero': choose from"):
-        mpcc.solve(problem, start="zero")
-    with pytest.raises(ValueError, match="joint minimises the energy only"):
-        mpcc.solve(problem, start="joint", objective="error-l2")
-    with pytest.raises(ValueError, match="the start has 25 nodes, the problem 49"):
-        mpcc.solve(EXAMPLES["6.1"](6), start=joint.solve(problem))
-
-
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
     problem = coarse("6.1")

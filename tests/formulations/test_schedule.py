@@ -10,7 +10,6 @@ import pytest
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.problem import ContactProblem, Motion
 from support.formulations import joint, mpcc, nested
 
@@ -60,13 +59,6 @@ def test_the_last_weight_may_be_zero_and_areas_are_then_constraints() -> None:
     assert solution.energy <= joint.solve(problem(), regularisation=0.1).energy
 
 
-@SLOW
-def test_a_least_angle_holds_as_a_constraint() -> None:
-    solution = joint.solve(problem(min_angle=15.0), regularisation=0.01)
-    assert np.min(least_angles(solution.mesh.p, solution.problem.triangles)) >= 15 - 1e-6
-    assert solution.record()["gain_audited"] > 0.2 * solution.record()["gain_estimate"]
-
-
 def test_move_limits_hold_too() -> None:
     limited = problem(0.05)
     solution = nested.solve(limited, regularisation=0.01)
@@ -79,6 +71,8 @@ def test_other_objectives_are_refused() -> None:
         nested.solve(problem(), regularisation=0.01, objective="error-l2")
     with pytest.raises(ValueError, match="mpcc or nested"):
         joint.solve(problem(), objective="error-l2 + 0.1*quality")
+    with pytest.raises(ValueError, match="joint minimises the energy only"):
+        mpcc.solve(problem(), start="joint", objective="error-l2")
 
 
 @pytest.mark.parametrize("formulation", [joint, *(pytest.param(one, marks=SLOW) for one in (nested, mpcc))])

@@ -137,21 +137,6 @@ def test_a_least_angle_holds_with_and_without_a_barrier(by_barrier: bool) -> Non
     assert is_valid(problem(replace(motion, min_angle=0.0)), squeezed(0.1), by_barrier=by_barrier)
 
 
-@pytest.mark.parametrize("min_angle", [0.0, 20.0])
-def test_an_inverted_element_is_not_a_number_and_no_other_is(min_angle: float) -> None:
-    stated = problem(Motion(delta=None, min_area_fraction=0.1, min_angle=min_angle))
-    validity = discretise(stated).validity
-    area0 = 0.125
-    for height, inverted in ((0.5, False), (1e-6, False), (-1e-6, True), (-0.3, True)):
-        corners = np.array([[0.0, 0.5, 0.0], [0.0, 0.0, height]]).ravel(order="F")
-        given = np.asarray(validity.group.function(corners, area0)[1]).ravel()
-        upright = np.asarray(validity.upright_group.function(corners, area0)[1]).ravel()
-        assert not np.any(np.isnan(given))
-        assert np.any(np.isnan(upright)) == inverted
-        if not inverted:
-            assert np.array_equal(upright, given)
-
-
 def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
     plain = discretise(problem(Motion(0.01)))
     assert plain.validity.size == 0  # move limits keep all areas

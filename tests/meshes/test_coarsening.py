@@ -13,7 +13,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.coarsening import Lines, staying
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -81,27 +80,6 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     # coarser spaces have higher energies, up to quadrature: the problem is the same one
     solved = ContactSolver(replace(coarse, quadrature=12)).solve(coarse.mesh.p)
     assert solved.status.value == "converged"
-
-
-@pytest.mark.parametrize("shake", [0.0, 0.4])
-def test_every_node_stays_or_is_beside_one_that_does(shake: float) -> None:
-    mesh, rng = rectangle(23, 18), np.random.default_rng(3)
-    p, n, inside = mesh.p.copy(), mesh.p.shape[1], mesh.interior_nodes()
-    p[:, inside] += shake / 23 * rng.uniform(-1, 1, (2, inside.size))
-    t = counter_clockwise(p, mesh.t)
-    kept = np.isin(np.arange(n), [0, 100, 101])
-    lines = Lines(kept, mesh.facets[:, mesh.boundary_facets()])
-    found = staying(Measured.by(p, t), t, lines, rng.permutation(n))
-    assert np.all(found[kept])
-    a, b = np.hstack([mesh.facets, mesh.facets[::-1]])
-    covered = found.copy()
-    covered[a[found[b]]] = True
-    assert np.all(covered)
-    rim = np.zeros(n, dtype=bool)
-    rim[lines.edges] = True
-    # two neighbours stay only on lines, or where they have to
-    assert not np.any(found[a] & found[b] & ~rim[a] & ~kept[a] & ~kept[b])
-    assert found.sum() < n / 2.5
 
 
 def directions(mesh: MeshTri) -> np.ndarray:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -169,26 +170,18 @@ class TestErrors:
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])
 
 
-def press() -> None:
-    os.kill(os.getpid(), signal.SIGINT)
-
-
 class TestSignals:
     """Mmg has handlers of its own, of which that for Ctrl-C ends the process."""
 
     @pytest.mark.parametrize("within", [False, True], ids=["main thread", "another thread"])
     def test_ctrl_c_after_a_remeshing_is_a_keyboard_interrupt(self, within: bool) -> None:
-        def run() -> None:
-            made(shapes.rectangle(3, 3), 0.2)
-
         if within:
-            thread = threading.Thread(target=run)
-            thread.start()
-            thread.join()
+            with ThreadPoolExecutor(1) as pool:
+                pool.submit(made, shapes.rectangle(3, 3), 0.2).result()
         else:
-            run()
+            made(shapes.rectangle(3, 3), 0.2)
         with pytest.raises(KeyboardInterrupt):
-            press()
+            os.kill(os.getpid(), signal.SIGINT)
         assert not [one for one in threading.enumerate() if one.name == "signals"]
 
     def test_handlers_of_the_caller_are_kept(self) -> None:
