@@ -130,13 +130,17 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
 @pytest.mark.parametrize(
     ("formulation", "settings"),
     [
-        (nested, {"newton": {"forcing": 0.2}}),
-        (joint, {"tol": 1e-8}),
-        (mpcc, {"options": {"crossover": 1e-3}}),
+        (nested, {"newton": {"first_radius": 1e-3, "max_products": 10}}),
+        (joint, {"tol": 1e-3}),
+        (mpcc, {"options": {"t0": 1e-3}}),
     ],
 )
-def test_settings_that_differ_from_the_defaults_are_in_the_record(formulation: Any, settings: Any) -> None:
-    assert formulation.solve(SMALL, **settings).record()["settings"] == settings
+def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(
+    formulation: Any, settings: Any
+) -> None:
+    solution = formulation.solve(example("6.1", 4, 6), **settings)
+    assert solution.record()["settings"] == settings
+    assert solution.iterations != solved(formulation.name, "6.1", 4, 6).iterations
 
 
 def test_nothing_to_move_is_no_crash() -> None:

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples.random_problems import STILL, Frame, random_problem
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.problem import NO_CONTACT, ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from support.formulations import joint, nested
 from support.problems import shuffled
@@ -90,14 +89,3 @@ def test_relocation_never_inverts_an_element_nor_raises_the_energy(seed: int, fo
     delta = problem.motion.delta
     if isinstance(delta, tuple):
         assert np.all(np.abs(solution.mesh.p - problem.mesh.p) <= np.array(delta)[:, None] * (1 + 1e-9))
-
-
-@FEW
-@given(SEEDS, st.floats(1, 25))
-def test_random_starts_keep_areas_and_angles(seed: int, angle: float) -> None:
-    problem = drawn(seed)
-    angle = min(angle, 0.9 * float(np.min(least_angles(problem.mesh.p, problem.triangles))))
-    outer = Outer.of(replace(problem, motion=replace(problem.motion, min_angle=angle), obstacle=NO_CONTACT))
-    nodes = outer.relocation.nodes(outer.variables(seed=seed))
-    assert np.min(least_angles(nodes, problem.triangles)) >= angle
-    assert np.any(nodes != problem.mesh.p)

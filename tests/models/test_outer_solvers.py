@@ -56,13 +56,6 @@ def test_another_objective_of_many_variables_takes_newton_along_areas(
     assert row["min_area_ratio"] >= problem.motion.min_area_fraction * (1 - 1e-9)
 
 
-def test_what_differs_from_the_defaults_is_in_the_record_and_changes_the_path() -> None:
-    problem, given = EXAMPLES["6.1"](5), {"newton": {"first_radius": 1e-3, "max_products": 10}}
-    usual, other = nested.solve(problem), nested.solve(problem, **given)
-    assert (usual.record()["settings"], other.record()["settings"]) == ({}, given)
-    assert other.iterations > usual.iterations
-
-
 @pytest.mark.slow
 def test_a_start_at_a_minimiser_ends_there_and_never_higher() -> None:
     first = nested.solve(with_areas("6.2"))

@@ -49,19 +49,10 @@ QUICK = {
     ("curved foundation, stick and slip", "energy"),
     ("curved foundation, stick and slip", "error-l2"),
 }
-"""Each objective and each kind of contact; the other combinations are slow, and most of order 2."""
-WITHOUT_WORK = ("interior obstacle", "bump", "two materials", "graph")
-"""Where the objective ``contact`` is refused, or zero: quadratic displacements meet a parabola exactly."""
+"""Each objective and each kind of contact; the other combinations are slow."""
 COMBINATIONS = [
-    pytest.param(*both, marks=() if both in QUICK else pytest.mark.slow)
-    for both in product(CONTACTS, OBJECTIVES)
-]
-COMBINATIONS += [
-    pytest.param(
-        name, objective, marks=() if "error-energy" in objective and name in QUICK_2 else pytest.mark.slow
-    )
-    for name, objective in product(QUADRATIC, OBJECTIVES)
-    if objective != "contact" or name.split(",")[0] not in WITHOUT_WORK
+    pytest.param(*both, marks=() if both in QUICK or both[0] in QUICK_2 else pytest.mark.slow)
+    for both in (*product(CONTACTS, OBJECTIVES), *product(QUADRATIC, ("error-energy",)))
 ]
 
 

@@ -143,20 +143,13 @@ def test_the_end_of_a_cascade_leads_to_a_minimum(name: str, size: int | tuple[in
     start = cascade(problem)
     residual = Outer.of(problem, start.energy.relocation.objective).residual
     before = start.energy(start.q).value
-    end = finished(
-        start.energy,
-        start.q,
-        residual,
-        tolerance=1e-6,
-        reference=before + start.gain_estimate,
-        max_iterations=80,
-    )
+    limits = {"tolerance": 1e-6, "max_iterations": 80}
+    end = finished(start.energy, start.q, residual, reference=before + start.gain_estimate, **limits)
     assert end.result.status is Status.CONVERGED
     assert end.residual == residual(start.energy(end.result.x)) <= 1e-6
     assert end.result.value == start.energy(end.result.x).value <= before
     # a minimum, not only a stationary point: no direction has negative curvature
-    hessian = Curvature(start.energy).at(start.energy(end.result.x))
-    matrix = hessian(np.eye(end.result.x.size))
+    matrix = Curvature(start.energy).at(start.energy(end.result.x))(np.eye(end.result.x.size))
     eigenvalues = np.linalg.eigvalsh((matrix + matrix.T) / 2)
     assert eigenvalues.min() > -1e-6 * eigenvalues.max()
 
