@@ -1,14 +1,12 @@
-"""Spaces of displacements: any numbering, order 2 against another code, rates on solutions that are known."""
+"""Spaces of displacements: numbering, order 2 against another code, known rates, fields cut into pieces."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
-
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
@@ -17,7 +15,9 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
@@ -26,6 +26,19 @@ from support.curved import disc
 from support.manufactured import smooth_block, smooth_membrane
 from support.problems import renumbered, sloped_block
 from support.second_order import SecondOrder
+from dataclasses import replace
+import numpy as np
+import pytest
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem import sampling
+from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.problem import ContactProblem
+from support.curved import HOLE, plate
+from support.problems import renumbered
+
 
 KINDS = {
     "6.1": lambda: EXAMPLES["6.1"](4),
@@ -70,24 +83,13 @@ def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, 
     assert np.max(np.abs(nodal - values)) > 1e-3 * scale  # the numbering is another one
     strains = [s.strain_and_friction(X, e.u) for s, e in ((solver, one), (other, two))]
     np.testing.assert_allclose(*strains, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    "text", ["body(u_x**2 + x*u)", "mean(contact, u*nx + y)", "error-l2", "contact", "energy"]
-)
-def test_objectives_ask_the_space(text: str) -> None:
-    problem = EXAMPLES["6.1"](3)
-    n = problem.mesh.p.shape[1]
-    order, u = np.random.default_rng(1).permutation(n), np.random.default_rng(2).uniform(-1, 1, (1, n))
-    values = []
-    for space in (DisplacementSpace.of(problem), DisplacementSpace(problem, order)):
-        displacement = replace(constant_field(space.of_linear(u)), space=space)
-        fields = Fields(problem, constant_field(problem.mesh.p), displacement, displacement)
-        groups = parse_objective(text).on(fields).groups
-        nothing = ca.MX.sym("x", 0)
-        assembled = Assembled(groups, nothing, ca.MX(0, 1), 0)
-        values.append(float(ca.Function("f", [nothing], [assembled.f])(ca.DM(0, 1))))
-    assert values[1] == pytest.approx(values[0], rel=1e-12)
+    u, boundary = "u" if problem.components == 1 else "uy", next(iter(problem.mesh.boundaries))
+    text = f"body({u}_x**2 + x*{u}) + mean({boundary}, {u}*nx + y)"
+    text += " + error-l2 + contact" * bool(problem.exact)
+    energies = (ReducedEnergy.of(each, ENERGY) for each in (solver, other))
+    functions = [ReducedObjective(energy, parse_objective(text)) for energy in energies]
+    found = [function(np.zeros(permuted.n_q)).value for function in functions]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
 
 
 def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
@@ -181,3 +183,72 @@ def test_smooth_solutions_have_full_rates(make: Any, order: int) -> None:
         nodes = [solver.discretisation.space.n_nodes for _, solver in found]
         slope = np.log(found[0][0] / found[1][0]) / np.log(nodes[1] / nodes[0])
         assert slope == pytest.approx(rate, abs=0.12 * rate)
+
+
+ORDERS = pytest.mark.parametrize("order", [1, 2])
+
+
+def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
+    """A space whose nodes are numbered at random."""
+    return renumbered(replace(problem, order=order)).space
+
+
+def polynomial(order: int, x: np.ndarray) -> np.ndarray:
+    """One of that degree."""
+    return np.asarray(2 * x[0] - x[1] + 0.5 + (order - 1) * (3 * x[0] * x[1] - x[1] ** 2))
+
+
+@ORDERS
+@pytest.mark.parametrize("most", [4, 16, 64])
+def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(
+    order: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sampling, "MOST", 18 * most)
+    space = space_of(EXAMPLES["6.1"](3), order)
+    nodes = points_of(space, space.problem.mesh.p)
+    cut = pieces(space.elements, space.n_nodes)
+    each = {1: 1, 2: most}[order]
+    assert cut.triangles.shape == (3, each * space.elements.shape[1])
+    points = cut(nodes)
+    np.testing.assert_allclose(cut(polynomial(order, nodes)), polynomial(order, points), atol=1e-14)
+    areas = signed_areas(points, cut.triangles)
+    np.testing.assert_allclose(areas, 1 / areas.size, rtol=1e-10)  # all alike, and the square is covered
+    # no two points at one place, where the pieces would not be joined
+    assert np.unique(np.round(points, 9), axis=1).shape == points.shape
+    where = np.einsum("cve,vp->cep", nodes[:, space.elements[:3]], centres(space.elements))
+    middles = points[:, cut.triangles].mean(axis=1)
+    np.testing.assert_allclose(where.reshape(2, -1), middles, atol=1e-14)
+
+
+@ORDERS
+def test_edges_are_those_of_the_mesh_with_their_middles(order: int) -> None:
+    space = space_of(EXAMPLES["6.3"]((4, 2)), order)
+    mesh, nodes = space.problem.mesh, points_of(space, space.problem.mesh.p)
+    for edges, facets in (
+        (edges_of(space.elements), np.arange(mesh.facets.shape[1])),
+        (edges_of(space.elements, outer=True), mesh.boundary_facets()),
+    ):
+        expected = space.nodes_of(mesh.facets[:, facets])
+        assert {frozenset(one) for one in edges.T.tolist()} == {frozenset(one) for one in expected.T.tolist()}
+        assert edges.shape == expected.shape
+        np.testing.assert_allclose(
+            nodes[:, edges[2:]] - nodes[:, edges[:2]].mean(axis=1)[:, None], 0, atol=1e-15
+        )
+        values = along(edges, polynomial(order, nodes), 4)
+        np.testing.assert_allclose(values, polynomial(order, along(edges, nodes, 4)), atol=1e-14)
+
+
+def test_middles_of_edges_on_a_curve_are_on_it() -> None:
+    space = space_of(plate({"hole": HOLE}), 2)
+    mesh = space.problem.mesh
+    nodes = points_of(space, np.asarray(mesh.p))
+    assert isinstance(HOLE, Circle)
+    on_hole = space.nodes_of(mesh.facets[:, mesh.boundaries["hole"]])
+    np.testing.assert_allclose(np.linalg.norm(nodes[:, on_hole] - 5.0, axis=0), 2.5, rtol=1e-12)
+    others = np.setdiff1d(np.arange(space.n_nodes), on_hole)
+    np.testing.assert_array_equal(nodes[:, others], space.points(mesh.p)[:, others])
+    chords = np.linalg.norm(space.points(mesh.p)[:, on_hole[2]] - 5.0, axis=0)
+    assert np.all(chords < 2.49)
+    # the parabola through the middle leaves the arc by far less than the chord
+    bent = np.linalg.norm(along(on_hole, nodes) - 5.0, axis=0)
+    assert np.max(np.abs(bent - 2.5)) < 0.02 * np.max(2.5 - chords)

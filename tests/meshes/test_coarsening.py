@@ -24,18 +24,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
 from support.problems import shuffled
-from support.quality import shape_quality
-
-
-def sizes(mesh: MeshTri) -> dict[str, float]:
-    """Lengths of named boundaries, areas of named subdomains, and the whole area."""
-    found = {"": float(np.abs(signed_areas(mesh.p, mesh.t)).sum())}
-    for name, facets in mesh.boundaries.items():
-        a, b = mesh.facets[:, facets]
-        found[name] = float(np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0).sum())
-    for name, elements in (mesh.subdomains or {}).items():
-        found[name] = float(np.abs(signed_areas(mesh.p, mesh.t))[elements].sum())
-    return found
+from support.quality import shape_quality, sizes
 
 
 @pytest.mark.parametrize("seed", range(3))
