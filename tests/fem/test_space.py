@@ -4,41 +4,34 @@ from __future__ import annotations
 
 from dataclasses import replace
 from typing import Any
+
 import casadi as ca
 import numpy as np
 import pytest
+
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem import sampling
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
-from support.curved import disc
+from support.curved import HOLE, disc, plate
 from support.manufactured import smooth_block, smooth_membrane
 from support.problems import renumbered, sloped_block
 from support.second_order import SecondOrder
-from dataclasses import replace
-import numpy as np
-import pytest
-from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem import sampling
-from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
-from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.problem import ContactProblem
-from support.curved import HOLE, plate
-from support.problems import renumbered
-
 
 KINDS = {
     "6.1": lambda: EXAMPLES["6.1"](4),

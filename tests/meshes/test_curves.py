@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
-import numpy as np
-import pytest
-from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.fem.arcs import strain_energy
-from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.models.levels import coarsened
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion
-from rmesh_nlp.problem.contact_problem import locally_refined, refined
-from rmesh_nlp.solving.solution import Solution
-from support.curved import HOLE, disc, plate
-from support.formulations import auto, joint, mpcc, nested
-from collections.abc import Callable
+
 import casadi as ca
 import numpy as np
 import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.arcs import strain_energy
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import (
     Circle,
     Curve,
@@ -31,8 +22,14 @@ from rmesh_nlp.meshes.curves import (
     on_values,
     spline_through,
 )
-from support.curved import HOLE, spline_of_the_hole
-
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.models.levels import coarsened
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.problem.contact_problem import locally_refined, refined
+from rmesh_nlp.solving.solution import Solution
+from support.curved import HOLE, disc, plate, spline_of_the_hole
+from support.formulations import auto, joint, mpcc, nested
 
 ARC = Circle((0.0, 1.0), 1.0)
 
