@@ -156,7 +156,6 @@ def field() -> Field:
 
 
 def columns(values: np.ndarray) -> np.ndarray:
-    """Node by node, each with its components."""
     return np.array([np.concatenate([values[:, node] for node in nodes]) for nodes in NODES.T]).T
 
 

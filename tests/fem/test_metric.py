@@ -191,7 +191,6 @@ def drawn(n: int, components: int, seed: int = 0, degree: int = 2) -> tuple[np.n
 
 
 def matrices(second: np.ndarray) -> np.ndarray:
-    """(components, n, 2, 2)."""
     a, b, c = second.transpose(1, 0, 2)
     return np.stack([np.stack([a, b], axis=-1), np.stack([b, c], axis=-1)], axis=-1)
 

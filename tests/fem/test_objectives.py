@@ -61,7 +61,6 @@ def unknowns(problem: ContactProblem, u: np.ndarray) -> np.ndarray:
 
 
 def drawn(problem: ContactProblem) -> np.ndarray:
-    """Random coefficients."""
     held, given = discretise(problem).space.given()
     return np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
 
@@ -342,7 +341,6 @@ def at_zero(problem: ContactProblem, objective: object) -> float:
 
 
 def still(problem: ContactProblem) -> ContactProblem:
-    """The same with nodes that do not move."""
     return replace(problem, motion=rm.Motion(delta=0.05, pinned=tuple(range(problem.mesh.p.shape[1]))))
 
 

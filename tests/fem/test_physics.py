@@ -53,7 +53,6 @@ def test_displacements_given_as_a_function_reproduce_a_linear_field() -> None:
 
 
 def pressed_block(obstacle: Obstacle) -> ContactProblem:
-    """A block pressed onto its lower edge by its upper one."""
     mesh, push = rectangle(4, 4, diagonal="falling"), Dirichlet("top", (0.001, -0.01))
     return ContactProblem(mesh, PlaneStrain(100.0, 80.0), (push,), obstacle, Motion(Relative(0.2)))
 

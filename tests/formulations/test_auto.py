@@ -37,7 +37,6 @@ from support.problems import no_move_limits
 
 
 def free(n: int, quadrature: int | None = None) -> ContactProblem:
-    """Example 6.1 without move limits."""
     problem = no_move_limits(EXAMPLES["6.1"](n=n))
     return problem if quadrature is None else replace(problem, quadrature=quadrature)
 

@@ -79,7 +79,6 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
 
 @pytest.mark.parametrize("start", ["joint", "nested", None])
 def test_what_is_solved_first_is_named(start: str | None) -> None:
-    """Another formulation, or the same program without its complementarity."""
     solution = mpcc.solve(example("6.3", (4, 2)), start=start, without_first=start is None)
     record = solution.record()
     assert record["success"]

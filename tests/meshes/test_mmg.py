@@ -77,11 +77,6 @@ class TestNames:
         np.testing.assert_allclose(middles(new, "line")[0], 1 / 3, atol=1e-12)
         assert (new.boundaries["line"].size > 8) == (top > 1)  # kept as it is where it ends inside
 
-    def test_a_mesh_without_names_has_none(self) -> None:
-        mesh = MeshTri.init_sqsymmetric().refined(2)
-        new = made(MeshTri(mesh.p, mesh.t), 0.15)
-        assert sizes(new) == pytest.approx({"": 1.0}, rel=1e-12)
-
 
 class TestDomain:
     @pytest.mark.parametrize("length", [0.03, 0.4])
@@ -99,7 +94,7 @@ class TestDomain:
         one = shapes.rectangle(4, 4)
         p = np.hstack([one.p, one.p + np.array([[1.1], [0.3]])])
         new = made(MeshTri(p, np.hstack([one.t, one.t + one.p.shape[1]])), 0.12)
-        assert sizes(new)[""] == pytest.approx(2.0, rel=1e-12)
+        assert sizes(new) == pytest.approx({"": 2.0}, rel=1e-12)  # without names, as they were
         left = np.all(new.p[0, new.t] < 1 + 1e-9, axis=0)
         right = np.all(new.p[0, new.t] > 1.1 - 1e-9, axis=0)
         assert np.all(left ^ right)

@@ -22,7 +22,6 @@ from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import NewtonResult
 from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,
@@ -60,14 +59,8 @@ def test_of_several_schedules_the_best_end_counts_and_weights_are_continued(
         np.testing.assert_array_equal(descents[lighter][0][1], descents[heavier][-1][1])
 
 
-def test_levels_have_the_weight_of_their_error_and_add_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    problem, seen, gains, descend = square(8), [], [], module.descend
-
-    def noted(energy: ReducedEnergy, q: np.ndarray, **options: Any) -> NewtonResult:
-        gains.append(options["reference"] - energy(q).value)
-        return descend(energy, q, **options)
-
-    monkeypatch.setattr(module, "descend", noted)
+def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
+    problem, seen = square(8), []
     result = cascade(problem, CascadeSettings(coarsest=20, iterations=6), lambda i, *_: seen.append(i))
     coarse, fine = result.levels
     assert (coarse.nodes, fine.nodes, coarse.triangles, fine.triangles) == (25, 81, 32, 128)
@@ -80,8 +73,6 @@ def test_levels_have_the_weight_of_their_error_and_add_up(monkeypatch: pytest.Mo
     assert fine.taken == 1
     assert fine.energy == result.energy(result.q).equilibrium.energy < fine.prolonged
     assert fine.prolonged < result.energy(0 * result.q).equilibrium.energy
-    # a descent ends where little of the whole error is predicted
-    assert gains == pytest.approx([*[error] * (len(gains) - 1), error * 25 / 81])
     # the last iterate of each descent is reported with the number of those before it
     assert seen == sorted(seen)
     assert seen[-1] == coarse.iterations + fine.iterations
@@ -127,7 +118,6 @@ def test_it_stops_when_asked_to_and_when_the_time_is_up() -> None:
 
 @pytest.mark.slow
 def test_meshes_that_are_not_nested_gain_as_much_as_their_neighbours() -> None:
-    """Error times nodes hardly depends on the size, whether a mesh is a refinement of others or not."""
     products = []
     for n in (12, 13, 16, 17):
         found = cascade(replace(square(n), quadrature=8))

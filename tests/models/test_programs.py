@@ -150,7 +150,6 @@ def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
 
 
 def whole(upper: ca.DM) -> Array:
-    """The symmetric matrix of an upper triangle."""
     found = upper.full()
     assert np.all(np.tril(found, -1) == 0)
     return found + np.triu(found, 1).T

@@ -258,8 +258,6 @@ def test_contact_of_a_similar_mesh_saves_steps_and_changes_nothing(order: int) -
 
 
 class Calls:
-    """Rounds whose energies are given."""
-
     def __init__(
         self, monkeypatch: pytest.MonkeyPatch, energies: list[Any], after: Callable[[], Any] = lambda: None
     ) -> None:
