@@ -312,14 +312,6 @@ class TestBestShapes:
         assert not np.any(stretch)
         np.testing.assert_allclose(found, isotropic_errors(Laplace(), second), rtol=1e-12)
 
-    def test_without_second_derivatives_all_shapes_are_as_good(self) -> None:
-        for law in (LAWS["laplace"], LAWS["plane strain"]):
-            second = np.zeros((law.components, 3, 2))
-            stretch, angle, found = best_shapes(law, second)
-            assert not np.any(stretch)
-            assert not np.any(found)
-            assert not np.any(least_errors(law, second, stretch, angle))
-
 
 class TestLeastErrors:
     @pytest.mark.parametrize("ratio", LATTICE)

@@ -14,7 +14,6 @@ from formulations import cascade as of_formulation
 from formulations.auto import Auto
 from formulations.joint import Joint
 from formulations.nested import Nested
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.meshes.shapes import rectangle
@@ -110,12 +109,6 @@ def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     assert row["rules"][-1] == row["quadrature"]
     assert row["gain_audited"] > 0
     assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
-
-
-@pytest.mark.parametrize("bad", [{"regularisation": 0}, {"distortion": "oval"}, {"brief": 0}, {"speed": 1}])
-def test_bad_settings_are_refused(bad: dict) -> None:
-    with pytest.raises(BadInputError):
-        auto.solve(free(4), **bad)
 
 
 @pytest.mark.parametrize(("n", "chosen"), [(8, Joint), (33, Nested)])

@@ -196,7 +196,11 @@ def test_numbers_of_a_tuple_are_checked_one_by_one(schedules: Any) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "given"),
-    [(Joint, {"ipopt": 3}), (Options, {"warm_duals": "yes"}), (Cascade, {"distortion": 1})],
+    [
+        (Joint, {"ipopt": 3}),
+        (Options, {"warm_duals": "yes"}),
+        *((kind, {"distortion": bad}) for kind in (Cascade, Auto, CascadeSettings) for bad in (1, "oval")),
+    ],
 )
 def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
     with pytest.raises(BadInputError, match=next(iter(given))):

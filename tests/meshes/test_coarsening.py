@@ -165,18 +165,6 @@ def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
     assert plane.flatness(t).sum() > plane.flatness(held).sum() > plane.flatness(found).sum()
 
 
-def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
-    mesh = rectangle(6, 4, x=(0, 5))
-    p, t = mesh.p, counter_clockwise(mesh.p, mesh.t)
-    own, none = Measured.by(p, t), np.zeros((2, 0), dtype=int)
-    np.testing.assert_allclose(own.flatness(t), 1)
-    ends = p[:, mesh.facets]
-    np.testing.assert_allclose(own.squared_lengths(mesh.facets[0], ends[:, 0] - ends[:, 1]), 1)
-    np.testing.assert_array_equal(delaunay(own, t, none), t)
-    mirrored = Measured(p, own.metric * [[1], [-1], [1]])
-    assert np.any(delaunay(mirrored, t, none) != t)
-
-
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
     coarse = replace(EXAMPLES["6.1"](n=4), motion=Motion(None))
     flat = coarse.mesh.p.copy()

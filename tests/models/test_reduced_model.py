@@ -29,10 +29,7 @@ BENT_LOAD = (lambda x, y: x * y, lambda x, y: ca.sin(x))
 
 
 def with_exact(problem: ContactProblem) -> ContactProblem:
-    """The problem with some smooth function in the place of its exact solution.
-
-    Its traction does not vanish at x = 0, the only place where nodes of 6.3 do not touch.
-    """
+    """With some smooth solution, whose traction does not vanish at x = 0, where nodes of 6.3 do not touch."""
     if problem.exact is not None:
         return problem
     value = [lambda x, y: -1e-3 * (x + 1) * y, lambda x, y: -1e-2 * (x * x + y)][: problem.components]
