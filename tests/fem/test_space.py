@@ -187,7 +187,6 @@ def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
 
 
 def polynomial(order: int, x: np.ndarray) -> np.ndarray:
-    """One of that degree."""
     return np.asarray(2 * x[0] - x[1] + 0.5 + (order - 1) * (3 * x[0] * x[1] - x[1] ** 2))
 
 

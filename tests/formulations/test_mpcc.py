@@ -161,3 +161,7 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
         near.clear()
         assert formulation.run(problem, np.zeros(problem.n), Monitor()).status is Status.CONVERGED
         assert near == [False]
+    # ends at no mesh, where there is no contact solution to report
+    ends, monitor = 2 * [np.full(outer.n, 1e3)], Monitor()
+    assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[0]
+    assert not monitor.steps

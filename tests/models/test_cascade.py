@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from formulations.cascade import Cascade
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Array
@@ -33,6 +34,8 @@ from rmesh_nlp.problem import (
     PointLoad,
     Traction,
 )
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer
 from support.curved import HOLE, plate
 from support.problems import no_move_limits
 from support.reduced import reduced, with_distortion
@@ -95,9 +98,11 @@ def test_descents_are_brief_on_the_finest_mesh_and_longer_where_it_is_not_nested
     settings = CascadeSettings(iterations=60, brief=10, brief_unnested=20)
     assert [settings.limit(True, nested) for nested in (True, False)] == [10, 20]
     assert [settings.limit(False, nested) for nested in (True, False)] == [60, 60]
-    # on meshes made for the solution, shorter at order 2
+    # on meshes made for the solution, shorter at order 2, and without coarser ones
     assert [CascadeSettings().near(order) for order in (1, 2)] == [20, 6]
-    assert CascadeSettings(brief_unnested=1).near(2) == 1
+    near, monitor = Outer.of(square(6)).near(), Monitor()
+    Cascade(brief_unnested=3).run(near, near.variables(), monitor)
+    assert (monitor.iterations, len(monitor.steps)) == (3, 4)
     assert settings.starts(60, 9000) == settings.schedules
     assert settings.starts(60, 8999) == settings.schedules[:1]
 

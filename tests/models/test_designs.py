@@ -20,7 +20,6 @@ OBJECTIVE = "mean(right, uy) + 0.3*boundary(bottom, ux**2) + body(x*ux)"
 
 
 def at_random(problem: ContactProblem, objective: str = OBJECTIVE, seed: int = 3) -> tuple[Outer, np.ndarray]:
-    """An outer problem and a point away from its limits."""
     outer = Outer.of(problem, objective)
     return outer, 0.3 * outer.variables(seed=seed)
 

@@ -38,6 +38,7 @@ def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(n
     assert solution.stationarity_residual <= TOLERANCE
     assert np.any(solution.multipliers.area > 0) == (name == "6.2")
     assert solution.contact_solves <= 2 * solution.iterations < 120
+    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
     assert solution.record()["outer"] == INTERIOR
     # one that went on below the tolerance would spend dozens of solves on rounding
     assert all(step.stationarity > TOLERANCE for step in solution.history[:-1])

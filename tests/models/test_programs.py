@@ -192,7 +192,9 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float
     np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
 
 
-def test_entries_outside_the_pattern_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_objectives_and_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(TypeError, match="energy"):
+        lifted(nlp_of(EXAMPLES["6.1"](3), "error-l2"))
     problem = nlp_of(bumpy(0.0))
     monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
     larger = lifted(problem)
