@@ -1,3 +1,5 @@
+"""Fields, sums over elements, values at points, and derivatives of assembled programs."""
+
 from collections.abc import Callable
 from dataclasses import replace
 from math import factorial
@@ -5,17 +7,35 @@ from math import factorial
 import casadi as ca
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.assembly import Assembled, element_values
+from rmesh_nlp.fem.at_points import PointValues
+from rmesh_nlp.fem.contact_terms import friction_energy
 from rmesh_nlp.fem.distortion import distortion_group
-from rmesh_nlp.fem.element import differentiated
-from rmesh_nlp.fem.energy import strain_energy, triangle_rule
+from rmesh_nlp.fem.element import differentiated, plain
+from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
+from rmesh_nlp.fem.fields import (
+    CONSTANT,
+    STRAIGHT,
+    Bends,
+    ElementGroup,
+    Field,
+    constant_field,
+    element_group,
+    unknown_field,
+)
 from rmesh_nlp.fem.functional import scaled_group
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.sums import Entries, Sums
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.problem import ContactProblem, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
+from rmesh_nlp.vectorised import USUAL, AssemblySettings
 from support.contact_geometry import block_along_a_circle
 from support.problems import sloped_block, tied_neighbours
 
@@ -94,9 +114,6 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     assert one is same
     assert one is not other
     assert differentiated(strain_energy(laws[0]), None, [1]) is not one
-    x = np.random.default_rng(0).uniform(0, 1, 12)
-    values = [d.function("gradient")(x[:6], x[6:])[1].full() for d in (one, other)]
-    assert np.max(np.abs(values[0] - values[1])) > 1e-3
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
@@ -110,9 +127,10 @@ def test_weights_of_a_group_share_one_differentiated_function() -> None:
     one, two = (scaled_group(group, weight) for weight in (0.5, 3.0))
     assert one.function.serialize() == two.function.serialize()
     q = 0.1 * np.ones(MeshMap.of(problem).n)
-    plain, *weighted = (sum(part.sum() for part in element_values([each])(q)) for each in (group, one, two))
-    assert weighted == pytest.approx([0.5 * plain, 3 * plain], rel=1e-14)
-    assert element_values([scaled_group(one, 2.0)])(q)[0].sum() == pytest.approx(plain, rel=1e-14)
+    plain, *weighted = (
+        element_values([each])(q)[0].sum() for each in (group, one, two, scaled_group(one, 2.0))
+    )
+    assert weighted == pytest.approx([0.5 * plain, 3 * plain, plain], rel=1e-14)
 
 
 def test_functions_for_few_elements_have_the_same_values() -> None:
@@ -123,3 +141,229 @@ def test_functions_for_few_elements_have_the_same_values() -> None:
         many, few = (found.function(which, for_few=one)(X, u, *more) for one in (False, True))
         for a, b in zip(*(part if isinstance(part, tuple) else (part,) for part in (many, few)), strict=True):
             np.testing.assert_allclose(a.full(), b.full(), rtol=1e-13, atol=1e-14)
+
+
+NODES = np.array([[0, 2, 1], [3, 1, 0]])
+
+
+def field() -> Field:
+    """Two components at four nodes, one value of which is fixed and one on a curve."""
+    index = np.array([[0, 2, CONSTANT, 4], [1, 3, 5, 6]])
+    t, which = ca.SX.sym("t"), np.full((2, 4), STRAIGHT)
+    which[1, 3] = 0
+    bends = Bends(which, (ca.Function("square", [t], [t**2]),))
+    return Field(index, np.arange(1.0, 9.0).reshape(2, 4), np.linspace(0, 1, 8).reshape(2, 4), bends=bends)
+
+
+def columns(values: np.ndarray) -> np.ndarray:
+    return np.array([np.concatenate([values[:, node] for node in nodes]) for nodes in NODES.T]).T
+
+
+def test_local_values_are_those_of_the_nodes() -> None:
+    nodal = field()
+    local, w = nodal.at(NODES), np.random.default_rng(0).standard_normal(7)
+    assert local.shape == (4, 3) == local.index.shape
+    for name in ("index", "scale", "offset"):
+        np.testing.assert_array_equal(getattr(local, name), columns(getattr(nodal, name)))
+    np.testing.assert_array_equal(local.values(w), columns(nodal.values(w)))
+    np.testing.assert_array_equal(local.elements(np.array([2, 0])).values(w), local.values(w)[:, [2, 0]])
+
+
+def test_a_straight_field_is_the_affine_one() -> None:
+    local, w = field().at(NODES), np.full(7, 2.0)
+    assert local.bends is not None
+    np.testing.assert_array_equal(local.bends.which, columns(field().bends.which))
+    straight = local.straight()
+    assert straight.bends is None
+    affine = np.where(local.index == CONSTANT, 0.0, 2.0 * local.scale) + local.offset
+    np.testing.assert_allclose(straight.values(w), affine, rtol=1e-15)
+    assert np.any(straight.values(w) != local.values(w))
+
+
+def test_a_constant_field_has_no_unknowns() -> None:
+    values = np.arange(6.0).reshape(2, 3)
+    constant = constant_field(values)
+    assert constant.shape == (2, 3)
+    assert np.all(constant.index == CONSTANT)
+    np.testing.assert_array_equal(constant.values(np.ones(4)), values)
+
+
+def entries(seed: int, shape: tuple[int, int], local: tuple[int, int], *, scaled: bool) -> Entries:
+    """Places, some of them taken twice and some dropped."""
+    rng = np.random.default_rng(seed)
+    row, column = (rng.integers(-1, n, local) for n in shape)
+    return Entries(row, column, rng.standard_normal(local) if scaled else None)
+
+
+@pytest.mark.parametrize("shape", [(5, 7), (6, 1), (1, 1)])
+@pytest.mark.parametrize("scaled", [False, True])
+def test_nonzeros_are_the_sums_of_their_results(shape, scaled) -> None:
+    parts = [entries(1, shape, (3, 20), scaled=scaled), entries(2, shape, (2, 9), scaled=False)]
+    sums, results = Sums(shape, parts), np.random.default_rng(3).standard_normal(78)
+    expected, filled = np.zeros(shape), np.zeros(shape, dtype=bool)
+    flat = [np.concatenate([np.ravel(getattr(part, axis)) for part in parts]) for axis in ("row", "column")]
+    scale = np.concatenate([np.ones(p.row.size) if p.scale is None else p.scale.ravel() for p in parts])
+    for i, j, factor, result in zip(*flat, scale, results, strict=True):
+        if i >= 0 and j >= 0:
+            expected[i, j] += factor * result
+            filled[i, j] = True
+    matrix = sums.numbered.astype(float)
+    np.testing.assert_array_equal(matrix.data, 1 + np.arange(sums.n))
+    matrix.data = sums(results)
+    np.testing.assert_allclose(matrix.toarray(), expected, rtol=1e-12, atol=1e-14)
+    assert sums.n_local == 78
+    assert sums.pattern.nnz() == sums.n == (filled.sum() if shape[1] > 1 else shape[0])
+    np.testing.assert_array_equal(sums.pattern.row(), matrix.indices)
+
+
+def test_results_by_element_go_to_the_same_places() -> None:
+    shape = (5, 7)
+    parts = [entries(1, shape, (3, 20), scaled=True), entries(2, shape, (2, 9), scaled=True)]
+    sums, rng = Sums(shape, parts), np.random.default_rng(3)
+    local = [rng.standard_normal(part.row.shape) for part in parts]
+    found = sums(np.concatenate([one.ravel() for one in local]))
+    by_element = sum(
+        sums.by_element(number, one.shape).full() @ one.ravel(order="F") for number, one in enumerate(local)
+    )
+    np.testing.assert_allclose(by_element, found, rtol=1e-12, atol=1e-14)
+
+
+def test_sums_of_nothing_have_no_nonzeros() -> None:
+    sums = Sums((4, 3), [])
+    assert (sums.n, sums.n_local, sums(np.zeros(0)).size) == (0, 0, 0)
+    np.testing.assert_array_equal(Sums((4, 1), [])(np.zeros(0)), np.zeros(4))
+
+
+def wave(x, y):
+    return ca.sin(2 * x + y) + ca.if_else(x < y, x * y, y**3)
+
+
+LAWS = {
+    "varying": Laplace(wave, conductivity=2.5),
+    "constant": Laplace(3.0),
+    "two components": PlaneStrain(1.3, 0.7, (wave, lambda x, y: ca.exp(x - y))),
+}
+MANY = USUAL.numpy_from
+
+
+def triangles(seed: int, n: int, components: int, order: int = 1) -> tuple[np.ndarray, np.ndarray]:
+    """Corners of upright triangles (6, n) that are not too thin, and displacements (nodes components, n)."""
+    rng = np.random.default_rng(seed)
+    a, length, angle = rng.uniform(-1, 1, (2, n)), rng.uniform(0.2, 2, (2, n)), rng.uniform(0.2, 2.8, n)
+    turn = rng.uniform(0, 2 * np.pi, n)
+    b = a + length[0] * np.stack([np.cos(turn), np.sin(turn)])
+    c = a + length[1] * np.stack([np.cos(turn + angle), np.sin(turn + angle)])
+    return np.concatenate([a, b, c]), rng.standard_normal((3 * order * components, n))
+
+
+def group(function, at_points: PointValues | None, sizes: list[int], n: int) -> ElementGroup:
+    """Elements that share no unknown: all positions first, then all displacements."""
+    firsts = np.cumsum([0, *(size * n for size in sizes)])
+    local = [unknown_field((size, n), int(first)) for size, first in zip(sizes, firsts, strict=False)]
+    return replace(element_group(function, local[0], tuple(local)), at_points=at_points)
+
+
+def results(groups: list[ElementGroup], x: np.ndarray, leading: int | None = None) -> list[np.ndarray]:
+    """Value, gradient and Hessian of the groups as the numeric sums give them."""
+    sums = Assembled(groups, ca.MX.sym("x", x.size), ca.MX(0, 1), 0)
+    f, gradient = sums.gradient(x)
+    hessian = sums.hessian(leading)
+    matrix = hessian.pattern.astype(float)
+    matrix.data[:] = hessian(x, None, np.array([0.7]), np.zeros(0))[0]
+    return [f, gradient, matrix.toarray()]
+
+
+def agree(groups: list[ElementGroup], x: np.ndarray) -> None:
+    """Joined groups with values at points agree with each group by itself, differentiated as a whole."""
+    whole = [replace(one, function=plain(one.function, one.at_points), at_points=None) for one in groups]
+    apart = [sum(parts) for parts in zip(*(results([one], x) for one in whole), strict=True)]
+    for ours, theirs in zip(results(groups, x), apart, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11 * max(1, np.max(np.abs(theirs))))
+
+
+def packed(X: np.ndarray, *u: np.ndarray) -> np.ndarray:
+    return np.concatenate([part.ravel(order="F") for part in (X, *u)])
+
+
+@pytest.mark.parametrize(("rule", "order"), [("midpoint", 1), (6, 1), (3, 2)])
+@pytest.mark.parametrize("name", LAWS)
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=3, deadline=None)
+def test_energy_of_triangles_has_the_derivatives_of_its_parts(name, rule, order, seed) -> None:
+    law = LAWS[name]
+    X, u = triangles(seed, 3, law.components, order)
+    sizes, (work, at_points) = [6, len(u)], load_energy(law, rule, order)
+    parts = [group(strain_energy(law, order), None, sizes, 3), group(work, at_points, sizes, 3)]
+    agree([*parts, scaled_group(parts[1], -2.5)], packed(X, u))
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_friction_on_edges_has_the_derivatives_of_its_function(order) -> None:
+    function, at_points = friction_energy(wave, order)
+    X, s = np.random.default_rng(3).uniform(0, 1, (4, 5)), np.ones((order + 1, 5))
+    agree([group(function, at_points, [4, order + 1], 5)], packed(X, s))
+
+
+def test_values_that_enter_one_by_one_have_the_derivatives_of_their_function() -> None:
+    """As distances to a foundation do, whose gaps are not linear in them."""
+    at_points = PointValues.of(wave, np.array([[1.0, 0.3, 0.0], [0.0, 0.7, 1.0]]))
+    X, values = ca.SX.sym("X", 4), ca.SX.sym("v", 3)
+    function = ca.Function("f", [X, values], [ca.sumsqr(values) * X[0] + ca.exp(values[1]), ca.SX(0, 1)])
+    agree([group(function, at_points, [4], 6)], np.random.default_rng(1).uniform(0, 1, 24))
+
+
+def test_many_triangles_are_summed_as_few_are() -> None:
+    law, n = LAWS["two components"], 2 * MANY + 5  # more than one chunk of points
+    X, u = triangles(3, n, 2)
+    work, at_points = load_energy(law, 8)
+
+    def parts(count: int) -> list[ElementGroup]:
+        sizes = [6, 6]
+        return [group(strain_energy(law), None, sizes, count), group(work, at_points, sizes, count)]
+
+    def gradient(count: int, x: np.ndarray) -> np.ndarray:
+        return Assembled(parts(count), ca.MX.sym("x", x.size), ca.MX(0, 1), 0).gradient(x)[1]
+
+    ours = np.split(gradient(n, packed(X, u)), 2)
+    for k in range(0, n, 7):
+        theirs = np.split(gradient(1, packed(X[:, [k]], u[:, [k]])), 2)
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(a[6 * k : 6 * k + 6], b, rtol=0, atol=1e-11 * np.max(np.abs(b)))
+
+
+def test_what_is_kept_follows_the_positions() -> None:
+    work, at_points = load_energy(LAWS["varying"], 3)
+    numeric = Assembled([group(work, at_points, [6, 3], 4)], ca.MX.sym("x", 36), ca.MX(0, 1), 0).gradient
+    first, second, again = (packed(*triangles(seed, 4, 1)) for seed in (1, 2, 1))
+    before, _, after = numeric(first)[1].copy(), numeric(second), numeric(again)[1]
+    np.testing.assert_array_equal(before, after)
+    assert not np.allclose(before, numeric(second)[1])
+
+
+@pytest.mark.parametrize("fixed", ["positions", "displacements"])
+def test_what_is_fixed_has_no_derivatives(fixed) -> None:
+    law, n = LAWS["two components"], 3
+    X, u = triangles(5, n, 2)
+    fields = [unknown_field((6, n)), constant_field(u)]
+    if fixed == "positions":
+        fields = [constant_field(X), unknown_field((6, n))]
+    work, at_points = load_energy(law, 3)
+    strain, load = (element_group(one, fields[0], tuple(fields)) for one in (strain_energy(law), work))
+    agree([strain, replace(load, at_points=at_points)], (u if fixed == "positions" else X).ravel(order="F"))
+
+
+def test_leading_rows_are_those_of_the_whole() -> None:
+    rel = relocation(EXAMPLES["6.3"]((4, 2)), parse_objective("energy + 3*shape-size"))
+    x = np.random.default_rng(0).uniform(-0.1, 0.1, rel.n_x)
+    whole, part = results([*rel.energies], x), results([*rel.energies], x, rel.n_q)
+    np.testing.assert_allclose(part[2][: rel.n_q], whole[2][: rel.n_q], rtol=1e-12)
+    assert not np.any(part[2][rel.n_q :])
+    assert np.any(whole[2][rel.n_q :])
+
+
+def test_tied_unknowns_fold_onto_the_diagonal() -> None:
+    rel = relocation(discretise(tied_neighbours(), AssemblySettings(numpy_from=10**9)))
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, rel.n_x)
+    ours = results(list(rel.energies), x)[2]
+    theirs = rel.nlp.derivatives.hess_lag(x, [], 0.7, np.zeros(rel.n_rows)).full()
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * np.max(np.abs(theirs)))

@@ -109,35 +109,13 @@ def test_only_foundations_that_rise_above_their_chords_are_changed() -> None:
 
 
 @pytest.mark.parametrize(("obstacle", "order"), [(PARABOLA, 1), (DISC, 1), (WAVE, 2)])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, order: int, seed: int) -> None:
     at_nodes = replace(shaken(block(6, obstacle), seed), order=order)
     (deep, low), (none, high) = passes(at_nodes), passes(with_edge_gaps(at_nodes))
     assert deep > 1e-4 / 10 ** (order - 1)
     assert none < 1e-12
     assert high > low
-
-
-def test_of_order_2_nodes_keep_off_also_where_the_foundation_does_not_rise() -> None:
-    """Where its third derivative changes its sign the norm would have a kink; see SMOOTH."""
-    at_nodes = replace(block(6, WAVE), order=2)
-    nodes, along = at_nodes.mesh.p, with_edge_gaps(at_nodes)
-    one, two = (ContactSolver(problem).system(nodes).offset for problem in (at_nodes, along))
-    off = one - two
-    assert np.min(off) > 0.05 * np.max(off)
-    assert np.min(off) < 0.2 * np.max(off)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("obstacle", [PARABOLA, DISC])
-def test_energies_fall_to_the_limit_from_above(obstacle: Obstacle) -> None:
-    node, edge = (
-        [passes(block(n, replace(obstacle, gap=gap)))[1] for n in (4, 8, 16)] for gap in ("node", "edge")
-    )
-    assert np.all(np.diff(edge) < 0)
-    # both tend to the same, the error and the difference by a factor of about four
-    difference = np.subtract(edge, node)
-    assert np.all(difference[:-1] / difference[1:] > 3)
 
 
 def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
@@ -150,7 +128,7 @@ def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int, order: int) -> None:
     dome = Obstacle.interior(lambda x, y: 0.05 - 0.4 * (x - 0.4) ** 2 - 0.6 * (y - 0.5) ** 2)
     if order == 2:  # a parabola would be met exactly

@@ -1,8 +1,9 @@
-"""Nothing but the space knows which nodes carry unknowns: another numbering gives the same discretisation."""
+"""Spaces of displacements: numbering, order 2 against another code, known rates, fields cut into pieces."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,20 +12,28 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.fem import sampling
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
-from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
-from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
-from support.curved import disc
+from support.curved import HOLE, disc, plate
+from support.manufactured import smooth_block, smooth_membrane
 from support.problems import renumbered, sloped_block
+from support.second_order import SecondOrder
 
-PROBLEMS = {
+KINDS = {
     "6.1": lambda: EXAMPLES["6.1"](4),
     "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
     "sloped": sloped_block,
@@ -41,11 +50,11 @@ PROBLEMS = {
 }
 
 
-@pytest.fixture(params=[(name, order) for name in PROBLEMS for order in (1, 2)], ids=str)
+@pytest.fixture(params=[(name, order) for name in KINDS for order in (1, 2)], ids=str)
 def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation]:
     """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
     name, order = request.param
-    problem = replace(PROBLEMS[name](), order=order)
+    problem = replace(KINDS[name](), order=order)
     return problem, renumbered(problem)
 
 
@@ -67,49 +76,19 @@ def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, 
     assert np.max(np.abs(nodal - values)) > 1e-3 * scale  # the numbering is another one
     strains = [s.strain_and_friction(X, e.u) for s, e in ((solver, one), (other, two))]
     np.testing.assert_allclose(*strains, rtol=1e-9)
-
-
-def test_another_numbering_has_the_same_energy_nlp(both: tuple[ContactProblem, Discretisation]) -> None:
-    problem, permuted = both
-    nlps = [relocation(parts).nlp for parts in (problem, permuted)]
-    rng, n = np.random.default_rng(0), discretise(problem).n_q
-    q = 0.3 * rng.uniform(-1, 1, n)
-    nodal = rng.uniform(-1e-2, 1e-2, (problem.components, problem.mesh.p.shape[1]))
-    found = []
-    for nlp, parts in zip(nlps, (discretise(problem), permuted), strict=True):
-        index, space = parts.displacement.index, parts.space
-        u = np.zeros(parts.n_u)
-        u[index[index >= 0]] = space.of_linear(nodal)[index >= 0]
-        s = np.zeros(parts.n_s)
-        index = parts.slip.index
-        s[index[index >= 0]] = np.tile(space.of_linear(nodal[:1]), (len(index), 1))[index >= 0]
-        f, g = ca.Function("f", [nlp.x], [nlp.f, nlp.g])(np.concatenate([q, u, s]))
-        found.append(np.append(float(f), g.full()))
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-11, atol=1e-14)
-
-
-@pytest.mark.parametrize(
-    "text", ["body(u_x**2 + x*u)", "mean(contact, u*nx + y)", "error-l2", "contact", "energy"]
-)
-def test_objectives_ask_the_space(text: str) -> None:
-    problem = EXAMPLES["6.1"](3)
-    n = problem.mesh.p.shape[1]
-    order, u = np.random.default_rng(1).permutation(n), np.random.default_rng(2).uniform(-1, 1, (1, n))
-    values = []
-    for space in (DisplacementSpace.of(problem), DisplacementSpace(problem, order)):
-        displacement = replace(constant_field(space.of_linear(u)), space=space)
-        fields = Fields(problem, constant_field(problem.mesh.p), displacement, displacement)
-        groups = parse_objective(text).on(fields).groups
-        nothing = ca.MX.sym("x", 0)
-        assembled = Assembled(groups, nothing, ca.MX(0, 1), 0)
-        values.append(float(ca.Function("f", [nothing], [assembled.f])(ca.DM(0, 1))))
-    assert values[1] == pytest.approx(values[0], rel=1e-12)
+    u, boundary = "u" if problem.components == 1 else "uy", next(iter(problem.mesh.boundaries))
+    text = f"body({u}_x**2 + x*{u}) + mean({boundary}, {u}*nx + y)"
+    text += " + error-l2 + contact" * bool(problem.exact)
+    energies = (ReducedEnergy.of(each, ENERGY) for each in (solver, other))
+    functions = [ReducedObjective(energy, parse_objective(text)) for energy in energies]
+    found = [function(np.zeros(permuted.n_q)).value for function in functions]
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
 
 
 def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
     problem = EXAMPLES["6.2"]((6, 3))
     assert np.sum(DisplacementSpace.of(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
-    interior = PROBLEMS["interior"]()
+    interior = KINDS["interior"]()
     weights = DisplacementSpace.of(interior).weights(interior.mesh.p)
     x, y = interior.mesh.p[:, interior.contact_nodes]
     np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
@@ -141,3 +120,127 @@ def test_design_variables_are_arguments_of_element_terms() -> None:
     np.testing.assert_allclose(assembled.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
     with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
         term.on(unknown_field((1, 3)))
+
+
+SEEDS = range(20)
+
+
+def varied(seed: int) -> ContactProblem:
+    """A random problem of order 2, half of them with a second support or a point load; exact rules."""
+    problem = replace(random_problem(seed), order=2, quadrature=12)
+    if seed % 4 == 1:
+        (left,) = problem.supports
+        rise = left.value[0]
+        above = Dirichlet("top", (lambda x, y: rise + 0.02 * x * x,))
+        other = above if problem.components == 1 else Dirichlet("right", (0.005, None))
+        problem = replace(problem, dirichlet=(left, other))
+    if seed % 4 == 3:
+        node = int(np.argmax(np.sum(problem.mesh.p, axis=0)))
+        problem = replace(problem, point_loads=(PointLoad(node, (0.9,) * problem.components),))
+    return problem
+
+
+@pytest.mark.parametrize("seeds", [SEEDS[:6], pytest.param(SEEDS, marks=pytest.mark.slow)])
+def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
+    kinds, parted = set(), 0
+    for seed in seeds:
+        problem = varied(seed)
+        values, energy = SecondOrder(problem).solve()
+        solver = ContactSolver(problem)
+        found = solver.given
+        u = solver.discretisation.space.values(solver.displacement.values(found.u))
+        assert found.energy == pytest.approx(energy, rel=1e-10)
+        np.testing.assert_allclose(u, values, atol=1e-9 * np.max(np.abs(values)))
+        touching = found.active.touching
+        parted += 0 < np.sum(touching) < touching.size
+        kinds.add((problem.components, problem.frictional, len(problem.regions)))
+    assert parted >= len(seeds) // 4
+    assert len(kinds) == 6 or len(seeds) < len(SEEDS)
+
+
+def measured(problem: ContactProblem, objective: str | Objective) -> tuple[float, ContactSolver]:
+    """An objective at the contact solution on the given mesh, and its solver."""
+    solver = ContactSolver(problem)
+    space, given = solver.discretisation.space, solver.given
+    u = replace(constant_field(solver.displacement.values(given.u)), space=space)
+    fields = Fields(problem, constant_field(problem.mesh.p), u, u)
+    return parse_objective(objective).on(fields).evaluate()(np.zeros(0)), solver
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("make", [smooth_membrane, smooth_block])
+def test_smooth_solutions_have_full_rates(make: Any, order: int) -> None:
+    """Squared errors over the number of nodes N: N^-order in the energy norm, N^-(order + 1) in L2."""
+    for text, rate in (("2*error-energy", order), ("error-l2", order + 1)):
+        found = [measured(make(n, order), text) for n in (6, 12)]
+        nodes = [solver.discretisation.space.n_nodes for _, solver in found]
+        slope = np.log(found[0][0] / found[1][0]) / np.log(nodes[1] / nodes[0])
+        assert slope == pytest.approx(rate, abs=0.12 * rate)
+
+
+ORDERS = pytest.mark.parametrize("order", [1, 2])
+
+
+def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
+    """A space whose nodes are numbered at random."""
+    return renumbered(replace(problem, order=order)).space
+
+
+def polynomial(order: int, x: np.ndarray) -> np.ndarray:
+    return np.asarray(2 * x[0] - x[1] + 0.5 + (order - 1) * (3 * x[0] * x[1] - x[1] ** 2))
+
+
+@ORDERS
+@pytest.mark.parametrize("most", [4, 16, 64])
+def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(
+    order: int, most: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sampling, "MOST", 18 * most)
+    space = space_of(EXAMPLES["6.1"](3), order)
+    nodes = points_of(space, space.problem.mesh.p)
+    cut = pieces(space.elements, space.n_nodes)
+    each = {1: 1, 2: most}[order]
+    assert cut.triangles.shape == (3, each * space.elements.shape[1])
+    points = cut(nodes)
+    np.testing.assert_allclose(cut(polynomial(order, nodes)), polynomial(order, points), atol=1e-14)
+    areas = signed_areas(points, cut.triangles)
+    np.testing.assert_allclose(areas, 1 / areas.size, rtol=1e-10)  # all alike, and the square is covered
+    # no two points at one place, where the pieces would not be joined
+    assert np.unique(np.round(points, 9), axis=1).shape == points.shape
+    where = np.einsum("cve,vp->cep", nodes[:, space.elements[:3]], centres(space.elements))
+    middles = points[:, cut.triangles].mean(axis=1)
+    np.testing.assert_allclose(where.reshape(2, -1), middles, atol=1e-14)
+
+
+@ORDERS
+def test_edges_are_those_of_the_mesh_with_their_middles(order: int) -> None:
+    space = space_of(EXAMPLES["6.3"]((4, 2)), order)
+    mesh, nodes = space.problem.mesh, points_of(space, space.problem.mesh.p)
+    for edges, facets in (
+        (edges_of(space.elements), np.arange(mesh.facets.shape[1])),
+        (edges_of(space.elements, outer=True), mesh.boundary_facets()),
+    ):
+        expected = space.nodes_of(mesh.facets[:, facets])
+        assert {frozenset(one) for one in edges.T.tolist()} == {frozenset(one) for one in expected.T.tolist()}
+        assert edges.shape == expected.shape
+        np.testing.assert_allclose(
+            nodes[:, edges[2:]] - nodes[:, edges[:2]].mean(axis=1)[:, None], 0, atol=1e-15
+        )
+        values = along(edges, polynomial(order, nodes), 4)
+        np.testing.assert_allclose(values, polynomial(order, along(edges, nodes, 4)), atol=1e-14)
+
+
+def test_middles_of_edges_on_a_curve_are_on_it() -> None:
+    space = space_of(plate({"hole": HOLE}), 2)
+    mesh = space.problem.mesh
+    nodes = points_of(space, np.asarray(mesh.p))
+    assert isinstance(HOLE, Circle)
+    on_hole = space.nodes_of(mesh.facets[:, mesh.boundaries["hole"]])
+    np.testing.assert_allclose(np.linalg.norm(nodes[:, on_hole] - 5.0, axis=0), 2.5, rtol=1e-12)
+    others = np.setdiff1d(np.arange(space.n_nodes), on_hole)
+    np.testing.assert_array_equal(nodes[:, others], space.points(mesh.p)[:, others])
+    chords = np.linalg.norm(space.points(mesh.p)[:, on_hole[2]] - 5.0, axis=0)
+    assert np.all(chords < 2.49)
+    # the parabola through the middle leaves the arc by far less than the chord
+    bent = np.linalg.norm(along(on_hole, nodes) - 5.0, axis=0)
+    assert np.max(np.abs(bent - 2.5)) < 0.02 * np.max(2.5 - chords)

@@ -2,18 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import re
+from dataclasses import fields, replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from formulations.auto import Auto
+from formulations.cascade import Cascade, Descent
+from formulations.confirmed import Confirmed
+from formulations.fixed import Fixed
+from formulations.joint import Joint
+from formulations.mpcc import AllAtOnce
+from formulations.multistart import MultiStart
+from formulations.nested import Nested
+from formulations.remeshed import Remeshed
+from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.models.outer_solvers import NestedSettings
+from rmesh_nlp.mpcc import MPCC, Options, solve
+from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.problem import Motion
+from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.formulation import KEYWORDS, options
 from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.vectorised import AssemblySettings
 from support.formulations import auto, fixed, joint, mpcc, nested
 from support.solved import example, solved
 
@@ -55,11 +73,14 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
     assert record["limits"] == {"iterations": 2}
 
 
-@pytest.mark.parametrize("formulation", [nested, joint, mpcc])
-def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> None:
-    late = formulation.solve(SMALL, limits={"seconds": 1e-6})
+@pytest.mark.parametrize(
+    ("formulation", "problem"), [(nested, SMALL), (joint, SMALL), (mpcc, SMALL), (auto, UNLIMITED)]
+)
+def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, problem: Any) -> None:
+    late = formulation.solve(problem, limits={"seconds": 1e-6})
     assert (late.status, late.valid, late.success) == (Status.TIME_LIMIT, True, True)
     assert late.energy <= late.energy_initial + 1e-9
+    assert late.record().get("error_reduction") is None
     seen: list[Step] = []
 
     def interrupt(step: Step) -> None:
@@ -67,7 +88,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> N
         if len(seen) == 3:
             raise KeyboardInterrupt
 
-    stopped = formulation.solve(SMALL, on_step=interrupt)
+    stopped = formulation.solve(problem, on_step=interrupt)
     assert (stopped.status, stopped.valid) == (Status.INTERRUPTED, True)
     assert len(seen) >= 3
 
@@ -76,8 +97,6 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any) -> N
     ("keyword", "bad", "message"),
     [
         *(("tolerance", bad, f"tolerance must be .*, got {bad!r}") for bad in (-1, float("nan"), "1")),
-        *(("limits", {name: bad}, f"{name} must be .*, got {bad!r}")
-          for name in ("seconds", "iterations") for bad in (-1, float("nan"), "1")),
         ("limits", {"minutes": 1}, "unknown setting 'minutes'"),
         ("limits", 60, "expected settings of kind Limits, or a mapping of its fields, got 60"),
         ("tolerance", 0, "tolerance must be positive and finite, got 0"),
@@ -97,7 +116,7 @@ def test_what_makes_no_sense_is_refused(keyword: str, bad: Any, message: str) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("formulation", [nested, joint])
+@pytest.mark.parametrize("formulation", [nested, joint, mpcc])
 def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
     end = solved(formulation.name, "6.2", (4, 2))
     starts = [(np.asarray(end.mesh.p), "positions"), (end, f"solution of {end.formulation}")]
@@ -110,13 +129,17 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
 @pytest.mark.parametrize(
     ("formulation", "settings"),
     [
-        (nested, {"newton": {"forcing": 0.2}}),
-        (joint, {"tol": 1e-8}),
-        (mpcc, {"options": {"crossover": 1e-3}}),
+        (nested, {"newton": {"first_radius": 1e-3, "max_products": 10}}),
+        (joint, {"tol": 1e-3}),
+        (mpcc, {"options": {"t0": 1e-3}}),
     ],
 )
-def test_settings_that_differ_from_the_defaults_are_in_the_record(formulation: Any, settings: Any) -> None:
-    assert formulation.solve(SMALL, **settings).record()["settings"] == settings
+def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(
+    formulation: Any, settings: Any
+) -> None:
+    solution = formulation.solve(example("6.1", 4, 6), **settings)
+    assert solution.record()["settings"] == settings
+    assert solution.iterations != solved(formulation.name, "6.1", 4, 6).iterations
 
 
 def test_nothing_to_move_is_no_crash() -> None:
@@ -132,3 +155,57 @@ def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
     assert np.isfinite(formulation.solve(EXAMPLES["6.1"](2)).energy)
     unloaded = formulation.solve(replace(SMALL, tractions=()))
     assert (unloaded.status, unloaded.success) == (Status.CONVERGED, True)
+
+
+WRAPPERS = (Confirmed, MultiStart, Remeshed, Schedule)
+FORMS = (AllAtOnce, Auto, Cascade, Descent, Fixed, Joint, Nested, *WRAPPERS)
+KINDS = (NewtonSettings, *FORMS, NestedSettings, AssemblySettings, Options, Limits)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_field_is_documented(kind: type[Settings]) -> None:
+    documented = " ".join(re.findall(r"^ *([\w, ]+) : ", kind.__doc__ or "", re.M)).replace(",", " ").split()
+    known = {field.name for field in fields(kind)}
+    assert documented == [name for name in vars(kind).get("__annotations__", {}) if name in known]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_number_is_checked(kind: Any) -> None:
+    usual = kind(Fixed()) if kind in WRAPPERS else kind()
+    for one in fields(kind):
+        default = getattr(usual, one.name)
+        if isinstance(default, (int, float)) and not isinstance(default, bool):
+            for bad in (-1.0, float("nan"), "1", True):
+                with pytest.raises(BadInputError, match=one.name):
+                    usual.having({one.name: bad})
+
+
+def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
+    with pytest.raises(BadInputError, match=r"unknown setting 'forcin': did you mean forcing\?"):
+        NestedSettings.of({"newton": {"forcin": 0.5}})
+    with pytest.raises(BadInputError, match=r"unknown setting 'cross': did you mean crossover\?"):
+        solve(MPCC(*_pair()), [1.0, 1.0], cross=1.0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given"),
+    [
+        (Joint, {"ipopt": 3}),
+        (Options, {"warm_duals": "yes"}),
+        *((kind, {"distortion": bad}) for kind in (Cascade, Auto) for bad in (1, "oval")),
+    ],
+)
+def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:
+    with pytest.raises(BadInputError, match=next(iter(given))):
+        kind.of(given)
+
+
+def test_a_change_keeps_what_was_chosen_before() -> None:
+    first = NestedSettings.of({"iterations": 7, "newton": {"close": 0.5}})
+    both = first.having({"newton": {"max_products": 5}})
+    assert both.changed() == {"iterations": 7, "newton": {"max_products": 5, "close": 0.5}}
+
+
+def _pair() -> tuple[Any, ...]:
+    x = ca.SX.sym("x", 2)
+    return x, ca.sumsqr(x - 1), None, x[0], x[1]

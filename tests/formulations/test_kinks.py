@@ -1,46 +1,54 @@
-"""Descents that meet a kink go on from there, and what both formulations end at is judged alike."""
+"""Kinks: labels against a search of all branches, descents that go on from there, and how ends are judged."""
 
 from __future__ import annotations
 
+from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
+import branches
 import rmesh_nlp as rm
+from benchmark_branches import seal, slab
 from formulations import kinks
 from formulations import nested as module
 from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
 from formulations.nested import Nested
-from rmesh_nlp.meshes import named
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.residual import OuterResidual
+from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
 from support.solved import example, solved
 
-LEAK = "boundary(seal, 1.2*(y + uy) - y)"
+
+def leak(cost: float) -> str:
+    return f"boundary(seal, {cost}*(y + uy) - y)"
 
 
-def seal() -> ContactProblem:
-    """A block whose lower edge may be cut in the middle; at the best edge it touches there without force."""
-    mesh = named(rm.shapes.rectangle(8, 2, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)})
-    moves = (mesh.p[1] == 0) & (abs(mesh.p[0] - 1) < 0.5)
-    free, pinned = (tuple(int(node) for node in np.flatnonzero(which)) for which in (moves, ~moves))
-    return rm.ContactProblem(
-        mesh=mesh,
-        law=rm.PlaneStrain.from_young(1000.0, 0.3),
-        dirichlet=(rm.Dirichlet("left", (0.0, None)),),
-        obstacle=rm.Obstacle.graph("bottom", 0.0),
-        motion=rm.Motion((1e-6, 0.02), pinned=pinned, free=free),
-        tractions=(rm.Traction("top", (0.0, -10.0)),),
-    )
+def solved_to(problem: ContactProblem, objective: str, formulation: str) -> tuple[rm.Solution, Array]:
+    solution = rm.solve(problem, formulation, objective=objective)
+    return solution, Outer.of(problem).variables(np.asarray(solution.mesh.p))
+
+
+@cache
+def end_of_seal(coulomb: float) -> tuple[ContactProblem, Array]:
+    """A seal, and the edge at which ``mpcc`` ends: every node touches without force."""
+    block = seal(4, coulomb)
+    return block, solved_to(block, leak(2.0), "mpcc")[1]
+
+
+SEAL, LEAK = seal(4, 0.0), leak(1.2)
+"""At the best edge it touches in the middle without force."""
 
 
 def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() -> None:
-    nested, mpcc = (rm.solve(seal(), name, objective=LEAK) for name in ("nested", "mpcc"))
+    nested, mpcc = (rm.solve(SEAL, name, objective=LEAK) for name in ("nested", "mpcc"))
     rows = [solution.record() for solution in (nested, mpcc)]
     for solution, row in zip((nested, mpcc), rows, strict=True):
         assert (solution.status, row["stationarity"]) == (Status.CONVERGED, "S")
@@ -57,79 +65,50 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
     assert iterations == sorted(iterations)
 
 
-def test_a_kink_that_descends_is_not_converged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As it was before: the outer solver stalls, and what is reported then is the descent that is left."""
-    monkeypatch.setattr(module, "ROUNDS", 1)
-    solution = rm.solve(seal(), "nested", objective=LEAK)
+def test_a_finish_that_raises_the_objective_or_fails_is_not_taken_and_the_descent_that_is_left_is_said(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(module, "finished", lambda outer, point, monitor: (None, 7))
+    solution = rm.solve(SEAL, "nested", objective=LEAK)
     row = solution.record()
-    assert solution.status is Status.STALLED
-    assert row["b_stationary"] is False
+    assert (solution.success, solution.status) == (True, Status.STALLED)
+    assert (EXACT_FINISH in row["outer"], row["b_stationary"]) == (False, False)
     if row["biactive"]:
         assert row["descent_rate"] < -1e-6
-    assert row["outer"] == "newton"
-
-
-def test_what_raises_the_objective_or_fails_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "finished", lambda outer, point, monitor: (None, 7))
-    solution = rm.solve(seal(), "nested", objective=LEAK)
-    assert solution.success
-    assert solution.status is not Status.CONVERGED
-    assert EXACT_FINISH not in solution.record()["outer"]
 
 
 def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    said, used = iter([False]), []
-
-    class Noted(kinks.MPCCSolver):  # type: ignore[misc]
-        def __init__(self, mpcc: Any, **options: Any) -> None:
-            used.append(options["ipopt_exact"])
-            super().__init__(mpcc, **options)
-
-    monkeypatch.setattr(kinks, "MPCCSolver", Noted)
-    monkeypatch.setattr(kinks, "is_stationary", lambda *_: next(said, True))
-    solution = rm.solve(seal(), "nested", objective=LEAK)
-    assert used == [kinks.FINISH, kinks.POLISH]
+    monkeypatch.setattr(kinks, "FINISH", {**kinks.FINISH, "max_iter": 1})
+    solution = rm.solve(SEAL, "nested", objective=LEAK)
     assert solution.status is Status.CONVERGED
+    assert solution.record()["outer"] == f"newton, then {EXACT_FINISH}"
 
 
 @pytest.mark.parametrize("formulation", [Nested(iterations=3), Nested(enough=0.1)])
-def test_an_end_that_was_asked_for_is_the_end(formulation: Nested, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*_: object) -> None:
-        raise AssertionError("the exact finish was asked")
-
-    monkeypatch.setattr(module, "finished", forbidden)
-    assert rm.solve(seal(), formulation, objective=LEAK).success
+def test_an_end_that_was_asked_for_is_the_end(formulation: Nested) -> None:
+    solution = rm.solve(SEAL, formulation, objective=LEAK)
+    assert solution.success
+    assert solution.record()["outer"] == "newton"
 
 
-def test_for_the_energy_there_is_no_kink(monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*_: object) -> None:
-        raise AssertionError("a kink was looked for")
-
-    monkeypatch.setattr(module, "finished", forbidden)
-    monkeypatch.setattr(module, "Zigzag", forbidden)
+def test_for_the_energy_there_is_no_kink() -> None:
     row = rm.solve(example("6.3", (4, 2)), "nested").record()
-    assert row["stationarity"] == "KKT"
-    assert "descent_rate" not in row
-    assert "label" not in row
+    assert (row["stationarity"], row["outer"]) == ("KKT", "newton")
+    assert not {"descent_rate", "label"} & row.keys()
 
 
-@pytest.mark.parametrize("claimed", [True, False])
 def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(
-    claimed: bool, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     problem, objective = example("6.1", 3, 6), "error-l2"
-    solution = solved("nested", "6.1", 3, 6, objective=objective)
-    assert solution.status is Status.CONVERGED
     outer = Outer.of(problem, objective)
-    q = outer.variables(np.asarray(solution.mesh.p))
+    q = outer.variables(np.asarray(solved("nested", "6.1", 3, 6, objective=objective).mesh.p))
     monkeypatch.setattr(OuterResidual, "__call__", lambda *_: 1.0)
-    found = ended(outer, q, Status.CONVERGED if claimed else Status.STALLED)
-    assert found.status is (Status.CONVERGED if claimed else Status.STALLED)
-    assert found.first_order.label is not None
-    assert found.first_order.label.b_stationary == claimed
-    if claimed:  # what is claimed is looked at
-        given = ended(outer, np.zeros(outer.n))
-        assert (given.status, given.first_order.stationarity) == (Status.NOT_STATIONARY, "none")
+    for claim in (Status.CONVERGED, Status.STALLED):
+        found = ended(outer, q, claim)
+        assert (found.status, found.first_order.label.b_stationary) == (claim, claim is Status.CONVERGED)
+    given = ended(outer, np.zeros(outer.n))  # what is claimed is looked at
+    assert (given.status, given.first_order.stationarity) == (Status.NOT_STATIONARY, "none")
 
 
 def _point(contact: int) -> SimpleNamespace:
@@ -137,16 +116,15 @@ def _point(contact: int) -> SimpleNamespace:
     return SimpleNamespace(equilibrium=SimpleNamespace(active=active))
 
 
-@pytest.mark.parametrize("changes", [True, False])
-@pytest.mark.parametrize("part", [0.5 * CREEPING, 2 * CREEPING])
+@pytest.mark.parametrize(("changes", "part"), [(True, 0.5), (True, 2.0), (False, 0.5)])
 def test_a_descent_zigzags_if_contact_changes_and_hardly_anything_is_gained(
     changes: bool, part: float
 ) -> None:
-    tell = Zigzag()
+    tell, gain = Zigzag(), part * CREEPING / WINDOW
     said = [tell(_point(0), 0.0, 1.0)]
-    said += [tell(_point(k % 2 if changes else 0), 0.0, -part * k / WINDOW) for k in range(1, 2 * WINDOW)]
+    said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * WINDOW)]
     assert not any(said[: WINDOW + 1])
-    assert any(said) == (changes and part < CREEPING)
+    assert any(said) == (changes and part < 1)
 
 
 @pytest.mark.parametrize("falls", [True, False])
@@ -156,3 +134,76 @@ def test_a_descent_that_does_not_reach_the_constraints_zigzags_too(falls: bool) 
     # the objective falls all the while: that is no progress
     said = [tell(_point(k % 2), violation, -float(k)) for k, violation in enumerate(violations)]
     assert any(said) == (not falls)
+
+
+def labelled(outer: Outer, q: Array) -> BranchLabel:
+    return outer.branches(outer.function(q))
+
+
+@pytest.mark.parametrize("coulomb", [0.0, 0.3])
+def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
+    coulomb: float,
+) -> None:
+    """At the best edge of a seal every node touches without force; it is the best for some costs of a gap."""
+    block, q = end_of_seal(coulomb)
+    rates = []
+    for cost in (2.0, 0.7, 40.0):
+        outer = Outer.of(block, leak(cost))
+        found, every = labelled(outer, q), branches.steepest(outer, q)
+        assert found.pairs.size == 3
+        assert every.branches == 8
+        rates.append(every.rate)
+        stationary = every.rate >= -1e-6
+        assert found.b_stationary == stationary
+        assert (found.label == "S") == stationary
+        if stationary:
+            assert found.rate == 0.0
+            continue
+        point = outer.function(q)
+        for direction, rate in ((found.direction, found.rate), (every.direction, every.rate)):
+            step = 1e-5 * direction
+            change = (outer.function(q + step).value - point.value) / outer.residual.unit
+            assert change / 1e-5 == pytest.approx(rate, rel=1e-3)
+        # a step of at most one in every variable goes further than one of at most one in their sum
+        assert found.rate <= every.rate
+    assert rates[0] >= -1e-6
+    assert min(rates[1:]) < -1e-3
+
+
+def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual() -> None:
+    problem, objective = slab(0.5, (6, 4)), "mean(top, -uy)"
+    solution, q = solved_to(problem, objective, "nested")
+    outer = Outer.of(problem, objective)
+    assert solution.stationarity_residual <= outer.tolerance
+    best, given = labelled(outer, q), labelled(outer, np.zeros(outer.n))
+    assert (best.label, best.b_stationary, best.pairs.size) == ("S", True, 0)
+    assert (given.label, given.b_stationary) == ("none", False)
+    # to first order a step of one in every variable gains the sum of the gradient
+    unit = outer.residual.unit
+    assert given.rate == pytest.approx(-np.sum(np.abs(outer.function(np.zeros(outer.n)).gradient)) / unit)
+
+
+def test_slips_that_are_given_have_no_friction_of_their_own() -> None:
+    """The corner of the block is held sideways: its friction is any force up to the bound."""
+    outer = Outer.of(seal(4, 0.3), leak(2.0))
+    q = np.random.default_rng(2).uniform(-0.2, 0.0, outer.n)
+    here, d = outer.function(q), np.random.default_rng(3).uniform(-1, 1, outer.n)
+    hessian = ObjectiveCurvature(outer.energy, parse_objective(leak(2.0))).at(here)
+    np.testing.assert_allclose(hessian.gradient, here.gradient, atol=1e-8 * np.abs(here.gradient).max())
+    change = (outer.function(q + 1e-4 * d).gradient - outer.function(q - 1e-4 * d).gradient) / 2e-4
+    np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
+
+
+def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two() -> None:
+    """Gap, force and friction vanish together at grazing nodes of a seal, which slide."""
+    block, q = end_of_seal(0.3)
+    outer = Outer.of(block, leak(2.0))
+    point = outer.function(q)
+    program = outer.kkt
+    rows, _ = program.mpcc.derivatives.jac_g(program.point(q, point.equilibrium, point.system), [])
+    members = np.abs(rows.full().ravel()[program.mpcc.n_g :]).reshape(2, -1)
+    vanish = np.flatnonzero(np.max(members, axis=0) < 1e-6)
+    assert vanish.size > 3
+    found = outer.branches(point)
+    assert set(found.pairs) < set(vanish)
+    assert np.all(found.pairs < program.n_contact)

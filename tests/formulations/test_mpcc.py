@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -10,23 +9,17 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from formulations import mpcc as module
-from formulations.joint import Joint
 from formulations.mpcc import OPTIONS, AllAtOnce, build
-from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import least_area_ratio
 from rmesh_nlp.mpcc import RELAXATIONS
-from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Step
-from support.designs import BOW, LOAD, block
+from support.designs import LOAD, block
 from support.formulations import joint, mpcc
 from support.solved import example, solved
 
@@ -62,30 +55,9 @@ def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(object
     assert first.objective == pytest.approx(record["objective_initial"], rel=2e-2)
     np.testing.assert_allclose(seen[0].q, 0.0, atol=1e-5)
     assert [step.iteration for step in seen] == [step.iteration for step in solution.history]
-
-
-@pytest.mark.parametrize("objective", ["energy", "error-l2"])
-def test_no_other_program_is_solved(objective: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    def forbidden(*_: Any, **__: Any) -> None:
-        raise AssertionError("another formulation was asked")
-
-    for kind, name in ((Joint, "run"), (Joint, "minimised"), (Nested, "run"), (module, "Solver")):
-        monkeypatch.setattr(kind, name, forbidden)
-    seen: list[NLP] = []
-    call = Solver.__call__
-    counted = lambda self, *given, **options: seen.append(self.nlp) or call(self, *given, **options)  # noqa: E731
-    monkeypatch.setattr(Solver, "__call__", counted)
-    problem = example("6.1", 3, 6)
-    record = mpcc.solve(problem, objective=objective).record()
     stages = record["stages"]
-    assert len(seen) == len(stages) == record["nlp_solves"]
-    # every program has the unknowns of the MPCC, the relaxed ones come first and have t as a parameter
-    n_x = mpcc.build(problem, objective).n_x
-    assert all(program.n_x >= n_x for program in seen)
-    relaxed = [stage["phase"] == "relaxed" for stage in stages]
-    # beside the weight of the objective
-    assert [int(program.p.shape[0]) - 1 for program in seen] == [int(is_relaxed) for is_relaxed in relaxed]
-    assert relaxed[0]
+    assert (record["start"], stages[0]["phase"]) == ("given", "relaxed")
+    assert record["nlp_solves"] == len(stages)  # no other program was solved
     assert record["iterations"] == sum(stage["iterations"] for stage in stages)
 
 
@@ -107,7 +79,6 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
 
 @pytest.mark.parametrize("start", ["joint", "nested", None])
 def test_what_is_solved_first_is_named(start: str | None) -> None:
-    """Another formulation, or the same program without its complementarity."""
     solution = mpcc.solve(example("6.3", (4, 2)), start=start, without_first=start is None)
     record = solution.record()
     assert record["success"]
@@ -120,17 +91,6 @@ def test_what_is_solved_first_is_named(start: str | None) -> None:
 
 
 @pytest.mark.slow
-def test_a_solution_and_positions_are_starts() -> None:
-    end = solved("joint", "6.1", 4, 6)
-    again = mpcc.solve(coarse("6.1"), start=end)
-    assert again.start == "solution of joint"
-    assert again.energy == pytest.approx(end.energy, rel=1e-6)
-    np.testing.assert_allclose(again.mesh.p, end.mesh.p, atol=1e-4)
-    moved = mpcc.solve(coarse("6.1"), start=np.asarray(end.mesh.p))
-    assert (moved.start, moved.history[0].t) == ("positions", OPTIONS["t0"])
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) -> None:
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
@@ -140,41 +100,6 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
     assert certified.energy == pytest.approx(end.energy, rel=1e-8)
     assert (certified.success, certified.stationarity) == (True, "S")
     assert certified.iterations < 40
-
-
-@pytest.mark.parametrize("start", ["joint", None])
-def test_the_mean_gradient_of_ipopts_objective_is_a_third_at_the_start(
-    start: str | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Its barrier goes on from another formulation's end only with the objective scaled as it was there."""
-    given: dict[str, Any] = {}
-
-    class Noted(module.MPCCSolver):  # type: ignore[misc]
-        def __init__(self, mpcc: Any, **options: Any) -> None:
-            given.update(options)
-            super().__init__(mpcc, **options)
-
-    monkeypatch.setattr(module, "MPCCSolver", Noted)
-    problem = example("6.1", 3, 6)
-    begin = None if start is None else joint.solve(problem)
-    mpcc.solve(problem, start=begin)
-    outer = Outer.of(problem)
-    q = outer.variables(None if begin is None else begin.mesh.p)
-    unit = abs(outer.energy(np.zeros(outer.n)).value)
-    gradient = outer.energy(q).gradient / unit
-    for options in (given["ipopt_relaxed"], given["ipopt_exact"]):
-        mean = options["obj_scaling_factor"] * np.mean(np.abs(gradient))
-        assert mean == pytest.approx(1 / 3, rel=1e-6)
-
-
-def test_starts_that_do_not_fit_are_refused() -> None:
-    problem = coarse("6.1")
-    with pytest.raises(ValueError, match="unknown start 'zero': choose from"):
-        mpcc.solve(problem, start="zero")
-    with pytest.raises(ValueError, match="joint minimises the energy only"):
-        mpcc.solve(problem, start="joint", objective="error-l2")
-    with pytest.raises(ValueError, match="the start has 25 nodes, the problem 49"):
-        mpcc.solve(EXAMPLES["6.1"](6), start=joint.solve(problem))
 
 
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
@@ -204,21 +129,6 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
     assert min(least_area_ratio(problem, positions.values(step.q)) for step in steps) > 0
 
 
-def test_only_on_fine_meshes_the_start_is_given_alternating_displacements(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    outer = Outer.of(coarse("6.1"))
-    given, bound = outer.variables(), outer.discretisation.mesh_map.upper
-    assert module._in_step(outer, given) is given
-    monkeypatch.setattr(module, "FINE", 1)
-    positions = np.full(outer.n, 0.1)
-    assert module._in_step(outer, positions) is positions
-    moved = module._in_step(outer, given)
-    assert set(np.round(np.abs(moved), 12)) <= {0.0, *np.round(0.3 * bound, 12)}
-    # in the one of both directions that goes downhill
-    assert outer.energy(given).gradient @ (moved - given) < 0
-
-
 @pytest.mark.parametrize("friction", [0.0, 10.0])
 def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction: float) -> None:
     problem = replace(EXAMPLES["6.3"]((4, 2)), obstacle=Obstacle("contact", friction=friction))
@@ -232,34 +142,18 @@ def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction
     np.testing.assert_allclose(values[1], values[0], atol=1e-12)
 
 
-Path = Callable[[Outer, Monitor, "int | None"], Outcome]
-
-
-@pytest.fixture
-def along(monkeypatch: pytest.MonkeyPatch) -> Callable[[Path], None]:
-    """Paths end where a function of the problem, the monitor and their limit of iterations says."""
-
-    def ending(path: Path) -> None:
-        def followed(_: AllAtOnce, at: Outer, q: Any, monitor: Monitor, most: int | None = None) -> Outcome:
-            return path(at, monitor, most)
-
-        monkeypatch.setattr(AllAtOnce, "_path", followed)
-
-    return ending
-
-
 @pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])
 def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
-    order: tuple[float, float], kept: int, along: Callable[[Path], None]
+    order: tuple[float, float], kept: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     outer, near = Outer.of(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
-    def path(at: Outer, monitor: Monitor, most: int | None) -> Outcome:
+    def path(_: AllAtOnce, at: Outer, *given: Any) -> Outcome:
         near.append(at.is_near)
         return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
 
-    along(path)
+    monkeypatch.setattr(AllAtOnce, "_path", path)
     assert AllAtOnce().run(outer, np.zeros(outer.n), Monitor()).q is ends[kept]
     assert near == [False, True]
     plain = Outer.of(coarse("6.3"), "mean(top, -uy)")
@@ -267,36 +161,7 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
         near.clear()
         assert formulation.run(problem, np.zeros(problem.n), Monitor()).status is Status.CONVERGED
         assert near == [False]
-
-
-def test_the_second_path_is_left_after_three_times_the_iterations_of_the_first(
-    along: Callable[[Path], None],
-) -> None:
-    outer = Outer.of(block(LOAD), "compliance")
-    start, lower = np.zeros(outer.n), 0.1 * np.ones(outer.n)
-
-    def path(at: Outer, monitor: Monitor, most: int | None) -> Outcome:
-        if most is None:
-            for k in range(1, 6):
-                monitor.note(Step(k, float(-k), 0.0, 0.0, 0.0, 0, 0.0))
-            return Outcome(at, start, Status.CONVERGED)
-        assert most == 3 * 5
-        return Outcome(at, lower, Status.ITERATION_LIMIT)
-
-    along(path)
-    monitor = Monitor()
-    found = AllAtOnce().run(outer, start, monitor)
-    assert found.status is Status.CONVERGED
-    assert found.q is start
-    assert monitor.steps[-1].objective == pytest.approx(outer.function(start).value)
-
-
-def test_a_first_path_that_ends_at_no_mesh_is_returned_as_it_is(along: Callable[[Path], None]) -> None:
-    outer = Outer.of(block(LOAD, BOW), "compliance")
-    flat = np.zeros(outer.n)
-    flat[-1] = 1e3 * outer.discretisation.mesh_map.upper[-1]
-    assert not outer.is_valid(flat)
-    along(lambda at, _, most: Outcome(at, flat, Status.STALLED if most is None else Status.ITERATION_LIMIT))
-    monitor = Monitor()
-    assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).status is Status.STALLED
-    assert not monitor.steps  # no contact solution there
+    # ends at no mesh, where there is no contact solution to report
+    ends, monitor = 2 * [np.full(outer.n, 1e3)], Monitor()
+    assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[0]
+    assert not monitor.steps

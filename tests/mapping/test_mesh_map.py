@@ -1,3 +1,7 @@
+"""Where nodes may move and which elements are valid: by a barrier, by a least area, by a least angle."""
+
+from __future__ import annotations
+
 import itertools
 from dataclasses import replace
 
@@ -10,35 +14,23 @@ from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mapping import MeshMap, Mobility
-from rmesh_nlp.mapping.validity import area_ratios
-from rmesh_nlp.problem import ContactProblem, Motion, signed_areas
+from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping.validity import area_ratios, is_upright, is_valid
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
 
 
-def test_corners_are_pinned_and_sides_slide() -> None:
+def test_nodes_keep_to_their_sides_and_move_limits() -> None:
     problem = EXAMPLES["6.1"]()
     free = MeshMap.of(problem)
     assert free.n == 126  # as the paper counts
     x, y = problem.mesh.p
     on_x, on_y = np.isin(x, (0, 1)), np.isin(y, (0, 1))
-    expected = np.where(on_x & on_y, Mobility.PINNED, np.where(on_x | on_y, Mobility.SLIDING, Mobility.FREE))
-    np.testing.assert_array_equal(free.mobility, expected)
     moved = free.positions.values(np.random.default_rng(0).uniform(-1, 1, free.n))
     np.testing.assert_array_equal(moved[0, on_x], x[on_x])
     np.testing.assert_array_equal(moved[1, on_y], y[on_y])
+    assert discretise(problem).validity.size == 0
     assert np.max(np.abs(moved - problem.mesh.p)) <= 0.0275 * (1 + 1e-12)
-
-
-def test_named_boundaries_and_ends_of_boundary_parts_are_pinned() -> None:
-    whole = EXAMPLES["6.2"]()
-    assert np.all(MeshMap.of(whole).mobility[whole.boundary_nodes(("top",))] == Mobility.PINNED)
-    problem = replace(EXAMPLES["6.2"](), motion=Motion((0.1, 0.05)))
-    x, y = problem.mesh.p
-    mobility = MeshMap.of(problem).mobility
-    start_of_load = np.flatnonzero(np.isclose(x, 2) & np.isclose(y, 1))
-    assert mobility[start_of_load] == Mobility.PINNED
-    others = np.flatnonzero(np.isclose(y, 1) & ~np.isin(np.arange(x.size), start_of_load) & (x > 0) & (x < 4))
-    assert np.all(mobility[others] == Mobility.SLIDING)
 
 
 def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProblem) -> None:
@@ -52,24 +44,8 @@ def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProbl
         assert np.all(shift[0] <= 0.1 + 1e-12)
         assert np.all(shift[1] <= 0.05 + 1e-12)
         assert np.max(shift[0]) == pytest.approx(0.1)
-
-
-def test_the_kink_of_a_slope_is_pinned(sloped: ContactProblem) -> None:
-    kink = np.flatnonzero(np.isclose(sloped.mesh.p[0], 2) & np.isclose(sloped.mesh.p[1], 0.02))
-    assert MeshMap.of(sloped).mobility[kink] == Mobility.PINNED
-
-
-def test_outer_variables_are_recovered_from_positions(sloped: ContactProblem) -> None:
-    free = MeshMap.of(sloped)
     q = np.random.default_rng(5).uniform(-1, 1, free.n)
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
-
-
-def test_small_move_limits_need_no_validity_rows_and_large_ones_do() -> None:
-    small, large = EXAMPLES["6.1"](), EXAMPLES["6.1"](8, 0.2)
-    assert discretise(small).validity.size == 0
-    # limits of 1.6 edges: any element can be turned inside out
-    np.testing.assert_array_equal(discretise(large).validity.elements, np.arange(128))
 
 
 def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
@@ -116,3 +92,52 @@ def test_elements_with_a_validity_row_can_fail() -> None:
             q[mine] = corner
             ratios.append(area_ratios(problem, free.positions.values(q))[element])
         assert min(ratios) < problem.motion.min_area_fraction
+
+
+def problem(motion: Motion) -> ContactProblem:
+    return ContactProblem(mesh=rectangle(2, 2), law=Laplace(-1.0), dirichlet=("left",), motion=motion)
+
+
+def squeezed(to: float) -> np.ndarray:
+    """Nodes with the middle one at the height ``to``: the least element has 2 ``to`` of its area."""
+    nodes = np.array(problem(Motion(delta=None)).mesh.p)
+    middle = np.flatnonzero(np.all(nodes == 0.5, axis=0))
+    assert middle.size == 1
+    nodes[1, middle] = to
+    return nodes
+
+
+@pytest.mark.parametrize(
+    ("height", "upright", "valid"),
+    [
+        (0.5, True, True),
+        (0.0501, True, True),
+        (0.0499, True, False),
+        (1e-9, True, False),
+        (0.0, False, False),
+        (-1e-9, False, False),
+        (-0.1, False, False),
+    ],
+)
+def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: bool, valid: bool) -> None:
+    """With a barrier a positive area is enough."""
+    given, nodes = problem(Motion(delta=None, min_area_fraction=0.1)), squeezed(height)
+    assert is_upright(given, nodes) is upright
+    assert is_valid(given, nodes) is valid
+    assert is_valid(given, nodes, by_barrier=True) is upright
+
+
+@pytest.mark.parametrize("by_barrier", [False, True])
+def test_a_least_angle_holds_with_and_without_a_barrier(by_barrier: bool) -> None:
+    motion = Motion(delta=None, min_area_fraction=0.01, min_angle=20.0)
+    assert is_valid(problem(motion), squeezed(0.5), by_barrier=by_barrier)
+    assert not is_valid(problem(motion), squeezed(0.1), by_barrier=by_barrier)
+    assert is_valid(problem(replace(motion, min_angle=0.0)), squeezed(0.1), by_barrier=by_barrier)
+
+
+def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
+    plain = discretise(problem(Motion(0.01)))
+    assert plain.validity.size == 0  # move limits keep all areas
+    validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
+    moves = np.any(plain.mesh_map.positions.index >= 0, axis=0)
+    assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0

@@ -13,33 +13,21 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
-from rmesh_nlp.meshes.coarsening import Lines, staying
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.levels import coarsened, interpolated, located, prolonged
+from rmesh_nlp.models.levels import coarsened, prolonged
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
 from support.problems import shuffled
-from support.quality import shape_quality
+from support.quality import shape_quality, sizes
 
 
-def sizes(mesh: MeshTri) -> dict[str, float]:
-    """Lengths of named boundaries, areas of named subdomains, and the whole area."""
-    found = {"": float(np.abs(signed_areas(mesh.p, mesh.t)).sum())}
-    for name, facets in mesh.boundaries.items():
-        a, b = mesh.facets[:, facets]
-        found[name] = float(np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0).sum())
-    for name, elements in (mesh.subdomains or {}).items():
-        found[name] = float(np.abs(signed_areas(mesh.p, mesh.t))[elements].sum())
-    return found
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_refinement_is_undone_in_any_order(seed: int) -> None:
     coarse = random_problem(seed).mesh
     fine, _ = shuffled(coarse.refined(1), seed)
@@ -63,7 +51,7 @@ def test_what_is_no_refinement_is_not_taken_for_one() -> None:
     assert unrefined(mesh) is not None
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     problem = refined(refined(random_problem(seed)))
     rng = np.random.default_rng(seed)
@@ -83,27 +71,6 @@ def test_a_decimated_problem_keeps_domain_names_and_corners(seed: int) -> None:
     assert solved.status.value == "converged"
 
 
-@pytest.mark.parametrize("shake", [0.0, 0.2, 0.4])
-def test_every_node_stays_or_is_beside_one_that_does(shake: float) -> None:
-    mesh, rng = rectangle(23, 18), np.random.default_rng(3)
-    p, n, inside = mesh.p.copy(), mesh.p.shape[1], mesh.interior_nodes()
-    p[:, inside] += shake / 23 * rng.uniform(-1, 1, (2, inside.size))
-    t = counter_clockwise(p, mesh.t)
-    kept = np.isin(np.arange(n), [0, 100, 101])
-    lines = Lines(kept, mesh.facets[:, mesh.boundary_facets()])
-    found = staying(Measured.by(p, t), t, lines, rng.permutation(n))
-    assert np.all(found[kept])
-    a, b = np.hstack([mesh.facets, mesh.facets[::-1]])
-    covered = found.copy()
-    covered[a[found[b]]] = True
-    assert np.all(covered)
-    rim = np.zeros(n, dtype=bool)
-    rim[lines.edges] = True
-    # two neighbours stay only on lines, or where they have to
-    assert not np.any(found[a] & found[b] & ~rim[a] & ~kept[a] & ~kept[b])
-    assert found.sum() < n / 2.5
-
-
 def directions(mesh: MeshTri) -> np.ndarray:
     """Directions of the edges inside as angles in [0, pi)."""
     inside = np.setdiff1d(np.arange(mesh.facets.shape[1]), mesh.boundary_facets())
@@ -111,8 +78,7 @@ def directions(mesh: MeshTri) -> np.ndarray:
     return np.asarray(np.round(np.mod(np.arctan2(*(b - a)[::-1]), np.pi), 6) % np.round(np.pi, 6))
 
 
-@pytest.mark.parametrize("diagonal", ["rising", "falling"])
-@pytest.mark.parametrize("size", [(17, 17), (24, 13), (31, 9)])
+@pytest.mark.parametrize(("size", "diagonal"), [((17, 17), "rising"), ((31, 9), "falling")])
 def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
     size: tuple[int, int], diagonal: str
 ) -> None:
@@ -126,23 +92,16 @@ def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
     assert np.mean(kept) > 0.7
 
 
-@pytest.mark.parametrize("stretch", [1, 20])
-def test_coarsening_does_not_depend_on_how_much_a_mesh_is_stretched(stretch: float) -> None:
+def test_coarsening_does_not_depend_on_how_much_a_mesh_is_stretched() -> None:
     """Its metric is its own: layers stay layers."""
-    mesh = rectangle(13, 11)
-    coarse = [
-        coarsened(
-            ContactProblem(
-                replace(mesh, doflocs=mesh.p * [[s], [1]]), Laplace(1.0), "left", motion=Motion(None)
-            ),
-            least=20,
-        )
-        for s in (1, stretch)
-    ]
-    assert coarse[0] is not None
-    assert coarse[1] is not None
-    np.testing.assert_allclose(coarse[1].mesh.p, coarse[0].mesh.p * [[stretch], [1]], rtol=1e-12)
-    one, other = ({frozenset(t) for t in found.mesh.t.T.tolist()} for found in coarse)
+    mesh, stretch = rectangle(13, 11), 20.0
+    found = []
+    for wide in (1, stretch):
+        scaled = replace(mesh, doflocs=mesh.p * [[wide], [1]])
+        problem = ContactProblem(scaled, Laplace(1.0), "left", motion=Motion(None))
+        found.append(coarsened(problem, least=20).mesh)
+    np.testing.assert_allclose(found[1].p, found[0].p * [[stretch], [1]], rtol=1e-12)
+    one, other = ({frozenset(t) for t in coarse.t.T.tolist()} for coarse in found)
     assert len(one & other) > 0.9 * len(one)  # merges between equals are decided by rounding
 
 
@@ -198,30 +157,6 @@ def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
     facets = {tuple(f) for f in np.sort(MeshTri(p, held).facets, axis=0).T}
     assert all(tuple(np.sort(edge)) in facets for edge in fixed.T)
     assert plane.flatness(t).sum() > plane.flatness(held).sum() > plane.flatness(found).sum()
-
-
-def test_a_lattice_is_delaunay_in_its_own_metric_and_no_other() -> None:
-    mesh = rectangle(6, 4, x=(0, 5))
-    p, t = mesh.p, counter_clockwise(mesh.p, mesh.t)
-    own, none = Measured.by(p, t), np.zeros((2, 0), dtype=int)
-    np.testing.assert_allclose(own.flatness(t), 1)
-    ends = p[:, mesh.facets]
-    np.testing.assert_allclose(own.squared_lengths(mesh.facets[0], ends[:, 0] - ends[:, 1]), 1)
-    np.testing.assert_array_equal(delaunay(own, t, none), t)
-    mirrored = Measured(p, own.metric * [[1], [-1], [1]])
-    assert np.any(delaunay(mirrored, t, none) != t)
-
-
-def test_interpolation_is_exact_for_linear_fields_also_just_outside() -> None:
-    mesh, rng = rectangle(5, 3), np.random.default_rng(2)
-    t = counter_clockwise(mesh.p, mesh.t)
-    points = rng.uniform(0, 1, (2, 200))
-    values = np.array([2 * mesh.p[0] - mesh.p[1], 1 + mesh.p[1]])
-    found = interpolated(mesh.p, t, values, points)
-    np.testing.assert_allclose(found, [2 * points[0] - points[1], 1 + points[1]], atol=1e-12)
-    vertices, weights = located(mesh.p, t, np.array([[1.001], [0.5]]))
-    assert np.all(weights >= 0)
-    np.testing.assert_allclose(mesh.p[:, vertices[:, 0]] @ weights[:, 0], [1.0, 0.5], atol=2e-3)
 
 
 def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:

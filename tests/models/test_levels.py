@@ -128,12 +128,10 @@ def test_coarser_meshes_have_about_a_quarter_of_the_nodes_or_are_none() -> None:
     assert coarse.mesh.p.shape[1] == 81
     assert coarsened(EXAMPLES["6.1"](16), least=82) is None
     problem = plate({"hole": HOLE}, h=0.8)
-    n = problem.mesh.p.shape[1]
-    fewer = coarsened(problem, least=20)
+    fewer, n = coarsened(problem, least=20), problem.mesh.p.shape[1]
     assert fewer is not None
-    size = fewer.mesh.p.shape[1]
-    assert n / 5 < size < n / 3
-    assert coarsened(problem, least=size) is not None
+    assert n / 5 < fewer.mesh.p.shape[1] < n / 3
+    assert coarsened(problem, least=fewer.mesh.p.shape[1]) is not None
     assert coarsened(problem, least=round(0.6 * n)) is None
 
 

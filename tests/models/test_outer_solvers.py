@@ -1,18 +1,17 @@
 """Outer solvers of nested: where they end, by which method, and after how many contact solves."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from models.test_reduced_nlp import bumpy
+from models.test_programs import bumpy
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.models import outer_solvers
-from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON, NestedSettings
+from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import TOLERANCE
@@ -39,6 +38,7 @@ def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(n
     assert solution.stationarity_residual <= TOLERANCE
     assert np.any(solution.multipliers.area > 0) == (name == "6.2")
     assert solution.contact_solves <= 2 * solution.iterations < 120
+    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
     assert solution.record()["outer"] == INTERIOR
     # one that went on below the tolerance would spend dozens of solves on rounding
     assert all(step.stationarity > TOLERANCE for step in solution.history[:-1])
@@ -55,47 +55,6 @@ def test_another_objective_of_many_variables_takes_newton_along_areas(
     assert row["outer"].startswith(NEWTON)
     assert row["objective_value"] <= 1.1 * best["objective_value"]
     assert row["min_area_ratio"] >= problem.motion.min_area_fraction * (1 - 1e-9)
-
-
-@pytest.mark.parametrize(
-    ("start", "end", "status"),
-    [
-        (0.5, 0.5, Status.STALLED),
-        (1 - 1e-11, 1 - 1e-11, Status.STALLED),
-        (1 - 2e-13, 1.0, Status.CONVERGED),  # above by no more than the error of a contact solve
-        (1.5, 1.0, Status.CONVERGED),
-    ],
-)
-def test_an_interior_point_never_ends_above_its_start(start, end, status, monkeypatch) -> None:
-    at_one = SimpleNamespace(x=np.ones(1), f=-1.0, converged=True, status=Status.CONVERGED, iterations=3)
-    monkeypatch.setattr(outer_solvers, "Solver", lambda nlp, **_: lambda first: at_one)
-    monkeypatch.setattr(outer_solvers, "with_hessian", lambda problem: problem)
-    problem: Any = SimpleNamespace(
-        nlp=SimpleNamespace(n_x=1, lbx=-2 * np.ones(1), ubx=2 * np.ones(1)),
-        function=lambda q: SimpleNamespace(value=float(q @ q)),
-        **{"warm": False, "tolerance": 1e-6, "scale": 1.0, "residual": SimpleNamespace(unit=1.0)},
-        constraints=None,
-    )
-    found = outer_solvers.interior(problem, np.array([start]), lambda *_: None, NestedSettings())
-    assert (found.q[0], found.status, found.iterations) == (end, status, 3)
-
-
-def test_options_of_ipopt() -> None:
-    problem: Any = SimpleNamespace(warm=True, tolerance=1e-5, scale=6.0, residual=SimpleNamespace(unit=2.0))
-    exact = NestedSettings(iterations=7, ipopt={"mu_init": 0.5}).exact(problem)
-    assert (exact["tol"], exact["acceptable_tol"]) == (pytest.approx(1e-10), 1e-9)
-    assert (exact["obj_scaling_factor"], exact["max_iter"], exact["mu_init"]) == (3.0, 7, 0.5)
-    assert exact["bound_push"] == exact["slack_bound_frac"] == 1e-6
-    problem.warm, problem.tolerance = False, 1e-9
-    cold = NestedSettings().exact(problem)
-    assert (cold["tol"], cold["max_iter"], "mu_init" in cold) == (1e-12, 500, False)
-
-
-def test_what_differs_from_the_defaults_is_in_the_record_and_changes_the_path() -> None:
-    problem, given = EXAMPLES["6.1"](5), {"newton": {"first_radius": 1e-3, "max_products": 10}}
-    usual, other = nested.solve(problem), nested.solve(problem, **given)
-    assert (usual.record()["settings"], other.record()["settings"]) == ({}, given)
-    assert other.iterations > usual.iterations
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""The reduced model: Taylor rates of its gradients, (5.7) and (5.11), and what is counted."""
+"""The reduced model: rates of its first and second derivatives, (5.7) and (5.11), and what is counted."""
 
 from dataclasses import replace
 from itertools import product
@@ -11,25 +11,25 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.models import second_derivatives
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
+from rmesh_nlp.models.second_derivatives import Curvature, ObjectiveCurvature
 from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.solving.outer import Outer
-from support.curved import CURVES, plate, spline_of_the_hole
+from support.curved import CURVES, HOLE, plate, spline_of_the_hole
 from support.orders import QUICK as QUICK_2
 from support.orders import slow_but
-from support.reduced import CONTACTS, QUADRATIC, reduced
-from support.taylor import taylor_order
+from support.reduced import CONTACTS, FREE, QUADRATIC, reduced
+from support.taylor import difference_order, taylor_order
 
 BENT_LOAD = (lambda x, y: x * y, lambda x, y: ca.sin(x))
 
 
 def with_exact(problem: ContactProblem) -> ContactProblem:
-    """The problem with some smooth function in the place of its exact solution.
-
-    Its traction does not vanish at x = 0, the only place where nodes of 6.3 do not touch.
-    """
+    """With some smooth solution, whose traction does not vanish at x = 0, where nodes of 6.3 do not touch."""
     if problem.exact is not None:
         return problem
     value = [lambda x, y: -1e-3 * (x + 1) * y, lambda x, y: -1e-2 * (x * x + y)][: problem.components]
@@ -46,19 +46,10 @@ QUICK = {
     ("curved foundation, stick and slip", "energy"),
     ("curved foundation, stick and slip", "error-l2"),
 }
-"""Each objective and each kind of contact; the other combinations are slow, and most of order 2."""
-WITHOUT_WORK = ("interior obstacle", "bump", "two materials", "graph")
-"""Where the objective ``contact`` is refused, or zero: quadratic displacements meet a parabola exactly."""
+"""Each objective and each kind of contact; the other combinations are slow."""
 COMBINATIONS = [
-    pytest.param(*both, marks=() if both in QUICK else pytest.mark.slow)
-    for both in product(CONTACTS, OBJECTIVES)
-]
-COMBINATIONS += [
-    pytest.param(
-        name, objective, marks=() if "error-energy" in objective and name in QUICK_2 else pytest.mark.slow
-    )
-    for name, objective in product(QUADRATIC, OBJECTIVES)
-    if objective != "contact" or name.split(",")[0] not in WITHOUT_WORK
+    pytest.param(*both, marks=() if both in QUICK or both[0] in QUICK_2 else pytest.mark.slow)
+    for both in (*product(CONTACTS, OBJECTIVES), *product(QUADRATIC, ("error-energy",)))
 ]
 
 
@@ -93,18 +84,6 @@ def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -
     assert np.min(rm.verify_gradient(problem).orders) > 1.99
 
 
-def test_weights_that_do_not_move_would_be_noticed() -> None:
-    """The derivative of omega_i is a visible part of the gradient of 6.3."""
-    problem = EXAMPLES["6.3"]()
-    moving = reduced(problem)
-    given = np.zeros(moving.relocation.n_q)
-    point = moving(given)
-    smooth = reduced(replace(problem, obstacle=replace(problem.obstacle, friction=1e-12)))
-    state = point.equilibrium
-    still = smooth.gradient(moving.point(given, state), state.normal_force, state.tangential_force)
-    assert np.max(np.abs(point.gradient - still)) > 0.1 * np.max(np.abs(point.gradient))
-
-
 @pytest.mark.parametrize("name", [name for name in CONTACTS if "slip" in name])
 def test_the_energy_gradient_is_the_adjoint_gradient_of_the_energy(name: str) -> None:
     energy = reduced(CONTACTS[name]())
@@ -124,44 +103,32 @@ def test_strict_complementarity_fails_where_a_touching_node_has_no_force() -> No
     np.testing.assert_array_equal(replace(point, equilibrium=state).weak, state.active.touching)
 
 
-@pytest.fixture(scope="module")
-def small() -> ContactProblem:
-    return EXAMPLES["6.3"]((4, 2))
+def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_first_asked_for() -> None:
+    def counts(energy: ReducedEnergy) -> tuple[int, int, int]:
+        return energy.contact_solves, energy.cold_solves, energy.factorisations
 
-
-def counts(energy: ReducedEnergy) -> tuple[int, int, int]:
-    return energy.contact_solves, energy.cold_solves, energy.factorisations
-
-
-def test_the_solution_on_the_given_mesh_is_counted_when_it_is_first_asked_for(small: ContactProblem) -> None:
-    outer = Outer.of(small)
-    energy, q, given = outer.energy, np.zeros(outer.n), outer.given
+    outer = Outer.of(EXAMPLES["6.3"]((4, 2)))
+    energy, zero, given = outer.energy, np.zeros(outer.n), outer.given
     assert counts(energy) == (0, 0, 0)
-    for _ in range(2):
-        assert energy(q).equilibrium is given
-        assert counts(energy) == (1, 1, given.iterations)
-        energy._last = None
-    energy(q + 0.1)
-    assert counts(energy)[:2] == (2, 1)
-    later = outer.minimising(outer.objective).energy  # knows it, and is asked for another point before
-    later(q + 0.1)
-    later(q)
-    assert counts(later)[:2] == (2, 2)
-
-
-def test_solves_are_counted_warm_and_the_last_point_is_remembered(small: ContactProblem) -> None:
-    energy = reduced(small)
-    q = np.random.default_rng(0).uniform(-0.3, 0.3, energy.relocation.n_q)
+    assert energy(zero).equilibrium is given
+    assert counts(energy) == (1, 1, given.iterations)
+    q = np.random.default_rng(0).uniform(-0.3, 0.3, outer.n)
     first = energy(q)
     assert energy(q.copy()) is first
-    assert counts(energy) == (1, 1, first.equilibrium.iterations)
     q *= 0.5  # the point that is remembered has positions of its own
     second = energy(q)
-    cold = ContactSolver(small).solve(energy.relocation.nodes(q))
+    cold = ContactSolver(outer.problem).solve(energy.relocation.nodes(q))
     assert second.equilibrium.iterations < cold.iterations
-    assert counts(energy) == (2, 1, first.equilibrium.iterations + second.equilibrium.iterations)
+    iterations = [state.iterations for state in (given, first.equilibrium, second.equilibrium)]
+    assert counts(energy) == (3, 1, sum(iterations))
     assert second.value == pytest.approx(cold.energy, rel=1e-10)
-    np.testing.assert_array_equal(second.weak, np.zeros(small.contact_nodes.size, dtype=bool))
+    assert not np.any(second.weak)
+    assert energy(zero).equilibrium is given
+    assert counts(energy)[:2] == (3, 1)
+    later = outer.minimising(outer.objective).energy  # knows it, and is asked for another point before
+    later(q + 0.1)
+    later(zero)
+    assert counts(later)[:2] == (2, 2)
 
 
 def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inverted() -> None:
@@ -177,3 +144,69 @@ def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inve
     assert [energy.is_defined(at) for energy in (plain, mixed) for at in (q, inverted)] == [True] * 3 + [
         False
     ]
+
+
+PROBLEMS = {
+    **CONTACTS,
+    "along a curve": lambda: plate({"hole": HOLE}, delta=0.4, load=(lambda x, y: x * y, lambda x, y: x)),
+    **QUADRATIC,
+}
+
+
+@pytest.mark.parametrize("name", slow_but(PROBLEMS))
+def test_products_of_the_energy_are_derivatives_of_its_gradient(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(1)
+    q, d, other = rng.uniform(-1, 1, (3, energy.relocation.n_q)) * [[0.3], [1], [1]]
+    hessian = Curvature(energy).at(energy(q))
+    product = hessian(d)
+    assert difference_order(lambda x: energy(x).gradient, product, q, d, 2e-3) > 1.9
+    assert other @ product == pytest.approx(d @ hessian(other), rel=1e-9)
+    assert np.all(hessian.diagonal() > 0)
+    # one by one, in columns, or all at once
+    both = hessian(np.column_stack([d, other]))
+    monkeypatch.setattr(second_derivatives, "DENSE", 0)
+    alone = Curvature(energy).at(energy(q))
+    size = np.max(np.abs(both))
+    np.testing.assert_allclose(both, np.column_stack([alone(d), alone(other)]), atol=1e-10 * size)
+    np.testing.assert_allclose(both[:, 0], product, atol=1e-10 * size)
+    # the same as a Schur complement of a sparse matrix
+    width = rng.uniform(0.5, 2, d.size)
+    sparse, n = hessian.joint(width)
+    matrix = sparse.toarray()
+    schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(matrix[n:, n:], matrix[n:, :n])
+    np.testing.assert_allclose(schur @ d, width * hessian(width * d), atol=1e-9 * np.max(np.abs(schur)))
+    assert np.linalg.eigvalsh(matrix[n:, n:]).min() > 0
+
+
+@pytest.mark.parametrize("distortion", DISTORTIONS)
+def test_distortions_are_part_of_both_derivatives(distortion: str) -> None:
+    plain, energy = (reduced(FREE["6.1"](), text) for text in ("energy", f"energy + 0.1*{distortion}"))
+    q, d = 0.1 * np.random.default_rng(3).uniform(-1, 1, (2, energy.relocation.n_q))
+    product = Curvature(energy).at(energy(q))(d)
+    assert difference_order(lambda x: energy(x).gradient, product, q, d, 4e-2) > 1.9
+    # the part of the distortion is no small one
+    assert np.max(np.abs(product - Curvature(plain).at(plain(q))(d))) > 1e-2 * np.max(np.abs(product))
+
+
+@pytest.mark.parametrize(
+    ("name", "objective"),
+    [
+        ("6.1", "error-l2"),
+        ("6.3", "energy + 0.1*quality"),
+        ("6.3", "energy"),
+        ("6.1, order 2", "error-energy"),
+        ("curved foundation, stick and slip, order 2", "energy"),
+    ],
+)
+def test_products_of_objectives_are_derivatives_of_the_gradient(name: str, objective: str) -> None:
+    energy, wanted, rng = reduced(PROBLEMS[name]()), parse_objective(objective), np.random.default_rng(1)
+    function = ReducedObjective(energy, wanted)
+    q, d = rng.uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.3], [1]]
+    hessian = ObjectiveCurvature(energy, wanted).at(function(q))
+    np.testing.assert_allclose(hessian.gradient, function(q).gradient, atol=1e-12)
+    assert difference_order(lambda x: function(x).gradient, hessian(d), q, d) > 1.9
+    if objective == "energy":
+        known = Curvature(energy).at(energy(q))(d)
+        np.testing.assert_allclose(hessian(d), known, atol=1e-9 * np.max(np.abs(known)))

@@ -43,12 +43,6 @@ def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
     assert OuterResidual(outer.energy, still).unit == pytest.approx(1e-6 * size_of(still))
 
 
-def test_history_and_record_agree_with_active_areas() -> None:
-    solution = nested.solve(EXAMPLES["6.2"]((4, 2), 0.6), tolerance=1e-5)
-    assert np.any(solution.multipliers.area > 0)
-    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
-
-
 @pytest.mark.parametrize("formulation", [joint, mpcc])
 @pytest.mark.parametrize("name", ["6.1", "6.3"])
 def test_history_and_record_agree_where_no_contact_is_solved(formulation: Any, name: str) -> None:

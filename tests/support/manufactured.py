@@ -1,4 +1,4 @@
-"""Problems without contact whose solutions are known, smooth and singular."""
+"""Problems without contact whose smooth solutions are known."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ from functools import partial
 from typing import Any
 
 import casadi as ca
-import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, PlaneStrain, Traction
@@ -61,33 +59,3 @@ def _bent(x: Any, y: Any) -> Any:
 
 def _entry(function: ca.Function, i: int, x: Any, y: Any) -> Any:
     return function(x, y)[i]
-
-
-def corner_mode(x: Any, y: Any) -> Any:
-    """``r^(2/3) sin(2 phi / 3)`` about the re-entrant corner of the L-shape, zero on its two edges."""
-    phi = ca.atan2(-x - y, y - x) + 3 * ca.pi / 4
-    return (x * x + y * y + 1e-30) ** (1 / 3) * ca.sin(2 * phi / 3)
-
-
-def l_shape(n: int, order: int, grading: float = 1.0) -> ContactProblem:
-    """(-1, 1)^2 without its lower right quarter on squares of 1/n, its mode given on the boundary.
-
-    A grading g moves the vertices from x to ``x |x|^(g - 1)``, |x| the larger coordinate: squares about the
-    corner stay squares.
-    """
-    i, j = np.meshgrid(np.arange(-n, n), np.arange(-n, n), indexing="ij")
-    i, j = (index[(i < 0) | (j >= 0)] for index in (i, j))
-    corners = np.array([(i, j), (i + 1, j), (i + 1, j + 1), (i, j + 1)])  # (4, 2, squares)
-    points, number = np.unique(corners.transpose(0, 2, 1).reshape(-1, 2), axis=0, return_inverse=True)
-    a, b, c, d = number.reshape(4, -1)
-    X = points.T / n
-    X = X * np.max(np.abs(X), axis=0) ** (grading - 1)
-    mesh = MeshTri(X, np.hstack([[a, b, c], [a, c, d]])).with_boundaries(
-        {
-            "notch": lambda x: (x[0] > -1e-12) & (x[1] < 1e-12) & (np.abs(x).min(axis=0) < 1e-12),
-            "outer": lambda x: np.max(np.abs(x), axis=0) > 1 - 1e-9,
-        }
-    )
-    given = ("notch", Dirichlet("outer", (corner_mode,)))
-    exact = ExactSolution(corner_mode, float("nan"))
-    return ContactProblem(mesh, Laplace(), given, motion=Motion(None), exact=exact, order=order)

@@ -1,0 +1,214 @@
+"""Programs in all unknowns and in the outer variables alone: Lagrangians, Hessians, element constraints."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models import reduced_nlp as module
+from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.solving.outer import Outer
+from support.contact_geometry import block_between_two_foundations
+from support.curved import disc
+from support.orders import slow_but
+from support.problems import no_move_limits, renumbered, sloped_block
+from support.reduced import membrane_over_a_bump, of_order_2
+
+
+def large_limits() -> ContactProblem:
+    return EXAMPLES["6.2"]((12, 6), (0.3, 0.15))
+
+
+def with_angles() -> ContactProblem:
+    return replace(EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        *(large_limits, sloped_block, with_angles, block_between_two_foundations),
+        *map(of_order_2, (large_limits, sloped_block, disc)),
+    ],
+)
+def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
+    """In whatever order the displacement space numbers its nodes."""
+    energy = ReducedEnergy.of(ContactSolver(renumbered(make())), ENERGY)
+    rel, nlp = energy.relocation, energy.relocation.nlp
+    point = energy(0.2 * np.random.default_rng(0).uniform(-1, 1, rel.n_q))
+    x = energy.point(point.q, point.equilibrium)
+    value, gradient = (part.full().ravel() for part in nlp.derivatives.grad_f(x, []))
+    g, jacobian = (part.full() for part in nlp.derivatives.jac_g(x, []))
+    assert value[0] == pytest.approx(point.equilibrium.energy, rel=1e-10)
+    # minimised over u and s alone; the multipliers of slips share the friction bound
+    lam = np.zeros(rel.n_rows)
+    lam[rel.gap_rows] = point.equilibrium.normal_force
+    if rel.n_s:
+        bound = point.system.slip_bound[rel.friction_rows]
+        tau = point.equilibrium.tangential_force[rel.friction_rows]
+        lam[rel.n_contact : rel.n_contact + rel.n_s] = (bound - tau) / 2
+        lam[rel.slip_rows] = (bound + tau) / 2
+    residual = gradient - jacobian.T @ lam
+    scale = np.max(np.abs(jacobian.T @ lam)) or np.max(np.abs(gradient))
+    np.testing.assert_allclose(residual[rel.n_q :], 0, atol=1e-9 * scale)
+    np.testing.assert_allclose(residual[: rel.n_q], point.gradient, atol=1e-9 * scale)
+    rows = g.ravel()[: rel.n_contact + 2 * rel.n_s]
+    assert rows.min() > -1e-9
+    np.testing.assert_allclose(rows * lam[: rows.size], 0, atol=1e-9 * scale)
+
+
+def test_bounds_are_move_limits_and_least_areas() -> None:
+    rel = relocation(large_limits())
+    nlp, sizes = rel.nlp, [rel.n_q, rel.n_u, rel.n_s]
+    assert [part.shape[0] for part in nlp.parts.values()] == sizes
+    assert [part.size for part in rel.split(np.arange(rel.n_x))] == sizes
+    np.testing.assert_array_equal(nlp.ubx[: rel.n_q], 1)
+    np.testing.assert_array_equal(nlp.lbx, -nlp.ubx)
+    assert np.all(np.isinf(nlp.ubx[rel.n_q :]))
+    np.testing.assert_array_equal(nlp.lbg[: rel.n_contact + 2 * rel.n_s], 0)
+    np.testing.assert_array_equal(nlp.lbg[-rel.n_valid :], rel.problem.motion.min_area_fraction)
+
+
+def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:
+    problem, barrier = no_move_limits(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
+    angles = replace(problem, motion=replace(problem.motion, min_angle=10))
+    n = problem.mesh.t.shape[1]
+    found = [relocation(problem), relocation(problem, barrier), relocation(angles, barrier)]
+    assert [rel.n_valid for rel in found] == [n, 0, 4 * n]
+    with pytest.raises(ValueError, match="error-l2"):  # no term in the positions alone
+        relocation(problem, parse_objective("error-l2 + 0.1*quality"))
+
+
+@pytest.mark.parametrize("make", [large_limits, with_angles])
+def test_element_constraints_have_their_derivatives(make) -> None:
+    rel, rng = relocation(make()), np.random.default_rng(2)
+    rows, (q, d) = ElementConstraints(rel), 0.2 * rng.uniform(-1, 1, (2, rel.n_q))
+    multipliers = rng.random(rel.n_valid)
+    there, here, before = (rows.at(q + t * d) for t in (1.0, 0.0, -1.0))
+    # the rows are quadratic: these differences are exact
+    np.testing.assert_allclose((there.slack - before.slack) / 2, here.jacobian @ d, atol=1e-12)
+    change = (there.jacobian - before.jacobian).T @ multipliers / 2
+    np.testing.assert_allclose(change, rows.hessian(q, multipliers) @ d, atol=1e-12)
+
+
+@pytest.mark.parametrize(("slack", "floor"), [(0.9, 0.009), (5e-3, 1e-9)])
+def test_a_step_leaves_elements_a_part_of_their_slack_unless_they_have_little(slack, floor) -> None:
+    motion = replace(large_limits().motion, min_area_fraction=1 - slack)
+    rel = relocation(replace(large_limits(), motion=motion))
+    rows = ElementConstraints(rel).at(np.zeros(rel.n_q))
+    np.testing.assert_allclose(rows.slack, slack)
+    np.testing.assert_allclose(rows.floor, floor)
+
+
+def test_inverted_elements_come_back_to_their_floor() -> None:
+    outer = Outer.of(large_limits())
+    rows, one, rng = ElementConstraints(outer.relocation), np.ones(outer.n), np.random.default_rng(0)
+    wild = rng.uniform(-1, 1, outer.n)
+    given = rows.at(0 * one)
+    assert not outer.is_valid(0.6 * wild)
+    back = rows.back(0.6 * wild, given, -one, one, one)
+    assert back is not None
+    assert outer.is_valid(back)
+    assert np.max(np.abs(back)) <= 1
+    np.testing.assert_array_equal(rows.back(back, rows.at(back), -one, one, one), back)
+    assert rows.back(wild, given, -one, one, one) is None  # too many elements to bring back
+
+
+def bumpy(friction: float) -> ContactProblem:
+    """A gap along edges depends on the positions of two neighbours, which are of no common element."""
+    foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
+    law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
+    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
+
+
+ENERGIES = {
+    "6.1, areas": lambda: EXAMPLES["6.1"](3, 0.9),
+    "6.2, gaps that move": lambda: EXAMPLES["6.2"]((6, 3), (1.0, 0.5)),
+    "6.3, friction": lambda: EXAMPLES["6.3"]((6, 3), (1.0, 0.5)),
+    "gaps along edges": lambda: bumpy(0.0),
+    "gaps along edges, friction": lambda: bumpy(0.3),
+}
+ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.items()}
+ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
+OBJECTIVES = {name: (make, "energy") for name, make in ENERGIES.items() if "edges" not in name}
+OBJECTIVES["6.1 and its error"] = (lambda: EXAMPLES["6.1"](4), "error-l2")
+OBJECTIVES["6.1 and its error, order 2"] = (lambda: replace(EXAMPLES["6.1"](3), order=2), "error-l2")
+
+
+def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
+    outer = Outer.of(problem, objective)
+    return reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
+
+
+def whole(upper: ca.DM) -> Array:
+    found = upper.full()
+    assert np.all(np.tril(found, -1) == 0)
+    return found + np.triu(found, 1).T
+
+
+@pytest.mark.parametrize("name", slow_but(OBJECTIVES, ("6.3, friction, order 2",)))
+def test_derivatives_are_those_of_the_lagrangian(name: str) -> None:
+    make, objective = OBJECTIVES[name]
+    problem, rng = with_hessian(nlp_of(make(), objective)), np.random.default_rng(4)
+    derivatives, n = problem.nlp.derivatives, problem.nlp.n_x
+    q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
+    lam_f, lam_g = 1.5, rng.uniform(-1, 0, problem.nlp.n_g)
+    # in units of its value on the given mesh
+    assert abs(float(derivatives.grad_f(0 * q, [])[0])) == pytest.approx(1.0)
+    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value / problem.scale)
+
+    def gradient(x: Array) -> Array:
+        slope = derivatives.grad_f(x, [])[1].full().ravel()
+        return lam_f * slope + derivatives.jac_g(x, [])[1].T.full() @ lam_g
+
+    product = whole(derivatives.hess_lag(q, [], lam_f, lam_g)) @ d
+    h = 1e-5
+    difference = (gradient(q + h * d) - gradient(q - h * d)) / (2 * h)
+    np.testing.assert_allclose(product, difference, atol=2e-6 * np.max(np.abs(product)))
+
+
+@pytest.mark.parametrize("factor", [1.5, 0.0])
+@pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
+def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float) -> None:
+    problem = nlp_of(ENERGIES[name]())
+    larger, other, n, rng = lifted(problem), with_hessian(problem), problem.nlp.n_x, np.random.default_rng(7)
+    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.nlp.n_g)
+    matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
+    corner = matrix[n:, n:]
+    schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
+    expected = whole(other.nlp.derivatives.hess_lag(q, [], factor, lam_g))
+    np.testing.assert_allclose(schur, expected, atol=1e-9 * np.max(np.abs(expected)))
+    # definite, and so stiff that a shift of the size of q's block does not change the complement
+    assert np.linalg.eigvalsh(corner)[0] > 0
+    np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
+
+
+def test_other_objectives_and_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(TypeError, match="energy"):
+        lifted(nlp_of(EXAMPLES["6.1"](3), "error-l2"))
+    problem = nlp_of(bumpy(0.0))
+    monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
+    larger = lifted(problem)
+    with pytest.raises(RuntimeError, match="outside its pattern"):
+        larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
+
+
+def test_columns_in_one_block_or_in_many_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    A = np.random.default_rng(0).standard_normal((7, 7))
+    monkeypatch.setattr(module, "COLUMNS", 3)
+    np.testing.assert_allclose(dense(lambda d: A @ d, 7), (A + A.T) / 2, rtol=1e-14)
+
+
+def test_meshes_with_inverted_elements_have_no_energy() -> None:
+    problem = nlp_of(EXAMPLES["6.1"](3, 0.9))
+    q = np.random.default_rng(0).uniform(-1, 1, problem.nlp.n_x)
+    assert np.isnan(float(problem.nlp.derivatives.grad_f(q, [])[0]))
