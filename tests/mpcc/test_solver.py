@@ -4,16 +4,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, Options, outcome, rescues, solve
-from rmesh_nlp.mpcc import solver as solving
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.outcome import _choose, _failure
-from rmesh_nlp.mpcc.phase_one import Feasibility
 from rmesh_nlp.mpcc.stationarity import Stationarity
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import CORNER, ON_H, START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
+from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 from support.switch_detection import switch_detection
 
 KINDS = [ca.SX, ca.MX]
@@ -32,10 +30,16 @@ INEXACT = Path(finish=Finish(HERE, -9.0, Status.INACCURATE))
 UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
 
 
+def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
+    """What is made of the ends of the paths, whose points are exact unless a test says otherwise."""
+    run = ScriptedRun(**{"exact": lambda z: True} | names)
+    run.nearest = nearest
+    return outcome.end_of(run, paths, START, limit, infeasible)
+
+
 @pytest.mark.parametrize(
     ("better", "worse"),
     [
-        (end_of(1.0), end_of(1.1)),
         (end_of(-1.1), end_of(-1.0)),
         (end_of(1.0), UNBOUNDED),  # a minimum is an answer, that there is none further down is not
         (end_of(1.0), end_of(0.0, S.STALLED)),
@@ -47,177 +51,107 @@ UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
 )
 def test_better_end_is_chosen_in_either_order(better, worse):
     for paths in ([better, worse], [worse, better], [Path(), worse, Path(), better]):
-        assert _choose(paths) is better.finish
+        found = chosen(*paths)
+        assert found.status is better.finish.status
+        assert found.f == better.finish.f or better is UNBOUNDED
 
 
 @pytest.mark.parametrize("f", [0.0, 1.0, -1000.0])
 def test_of_ends_that_differ_by_rounding_the_earlier_is_chosen(f):
     first, second, lower = (end_of(f - part * 1e-7 * (1 + abs(f))) for part in (0, 0.5, 2))
-    for paths, best in (([first, second], first), ([first, lower], lower), ([Path(), Path()], Path())):
-        assert _choose(paths) is best.finish
-
-
-class TestEnd:
-    """The point and the status that are returned."""
-
-    def end(self, path, limit=None, run=None, **names):
-        return outcome.end_of(run or ScriptedRun(**names), [path], START, limit)
-
-    @pytest.mark.parametrize(
-        ("path", "limit", "exact", "said"),
-        [
-            (end_of(1.0), S.TIME_LIMIT, True, S.CONVERGED),  # stationary: keeps its status if it is exact
-            (end_of(1.0, S.ACCEPTABLE), None, True, S.ACCEPTABLE),
-            (end_of(1.0), None, False, S.INACCURATE),
-            (end_of(1.0, S.STALLED), None, True, S.STALLED),  # exact: its own status, or that of a limit
-            (end_of(1.0, S.STALLED), S.TIME_LIMIT, True, S.TIME_LIMIT),
-        ],
-    )
-    def test_exact_end_is_returned_with_its_label(self, path, limit, exact, said):
-        found = self.end(path, limit, exact=lambda z: exact)
-        assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
-
-    @pytest.mark.parametrize(
-        ("path", "limit", "nearest", "said"),
-        [
-            (Path(), S.ITERATION_LIMIT, (HERE, 1.0, 5.0), S.ITERATION_LIMIT),
-            (Path(failure=S.INFEASIBLE), None, (HERE, 1.0, 5.0), S.STALLED),
-            (Path(failure=S.STALLED), None, None, S.STALLED),  # before any NLP has ended
-        ],
-    )
-    def test_else_the_point_with_the_smallest_residuals_is_returned(self, path, limit, nearest, said):
-        run = ScriptedRun()
-        run.nearest = nearest
-        found = self.end(path, limit, run)
-        assert found.z is (HERE if nearest else START)
-        assert (found.stationarity, found.status) == (None, said)
-
-    @pytest.mark.parametrize(
-        ("f", "point", "unbounded"),
-        [(x + y, [2e15, 0.0], True), (x + y, [0.0, -2e15], True), (x + y, [1e8, 1e7], False),
-         (x + y, [np.nan, 2e15], False), (-1e10 * x, [1e6, 0.0], True), (-1e10 * x, [1e4, 0.0], False),
-         (1e10 * x, [1e6, 0.0], False)],
-    )  # fmt: skip
-    def test_iterates_or_objectives_beyond_all_measure_are_called_unbounded(self, f, point, unbounded):
-        for path in (Path(relaxed=ended(point), failure=S.ITERATION_LIMIT),
-                     Path(finish=Finish(np.array(point), 0.0, S.ITERATION_LIMIT))):  # fmt: skip
-            found = self.end(path, run=ScriptedRun(mpcc=MPCC(XY, f, None, x, y)))
-            assert (found.status is S.UNBOUNDED) == unbounded == (list(found.z) == point)
+    assert chosen(first, second) is first.finish
+    assert chosen(first, lower) is lower.finish
 
 
 @pytest.mark.parametrize(
-    ("failures", "finishes", "excess_of_nearest", "said"),
+    ("path", "limit", "exact", "said"),
     [
-        ([S.STALLED], [], 1.0, S.STALLED),
-        ([S.INFEASIBLE, S.TIME_LIMIT], [], 1.0, S.TIME_LIMIT),
-        ([S.INFEASIBLE], [], 0.5, S.STALLED),  # what ends at a feasible point is not called infeasible
-        ([], [], 0.5, S.STALLED),
-        ([S.INFEASIBLE, S.FAILED], [], 2.0, S.INFEASIBLE),
-        ([S.STALLED], [S.INACCURATE], 2.0, S.INFEASIBLE),
-        ([S.STALLED], [S.CONVERGED], 2.0, S.INFEASIBLE),
-        ([S.STALLED, S.ITERATION_LIMIT], [S.INACCURATE], 2.0, S.ITERATION_LIMIT),
-        ([S.STALLED], [S.EVALUATION_ERROR], 2.0, S.EVALUATION_ERROR),
-        ([], [], 2.0, S.FAILED),
+        (end_of(1.0), S.TIME_LIMIT, True, S.CONVERGED),  # stationary: keeps its status if it is exact
+        (end_of(1.0, S.ACCEPTABLE), None, True, S.ACCEPTABLE),
+        (end_of(1.0), None, False, S.INACCURATE),
+        (end_of(1.0, S.STALLED), None, True, S.STALLED),  # exact: its own status, or that of a limit
+        (end_of(1.0, S.STALLED), S.TIME_LIMIT, True, S.TIME_LIMIT),
     ],
 )
-def test_why_no_exact_point_was_found(failures, finishes, excess_of_nearest, said):
-    paths = [Path(failure=status) for status in failures]
-    paths += [Path(finish=Finish(HERE, 0.0, status)) for status in finishes]
-    assert _failure(paths, excess_of_nearest, said is S.INFEASIBLE) is said
+def test_exact_end_is_returned_with_its_label(path, limit, exact, said):
+    found = chosen(path, limit=limit, exact=lambda z: exact)
+    assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
 
 
 @pytest.mark.parametrize(
-    ("failures", "said"),
-    [([S.INFEASIBLE], S.STALLED), ([S.INFEASIBLE, S.FAILED], S.FAILED), ([S.STALLED], S.STALLED)],
+    ("f", "point", "unbounded"),
+    [(x + y, [2e15, 0.0], True), (x + y, [0.0, -2e15], True), (x + y, [1e8, 1e7], False),
+     (x + y, [np.nan, 2e15], False), (-1e10 * x, [1e6, 0.0], True), (-1e10 * x, [1e4, 0.0], False)],
+)  # fmt: skip
+def test_iterates_or_objectives_beyond_all_measure_are_called_unbounded(f, point, unbounded):
+    for path in (Path(relaxed=ended(point), failure=S.ITERATION_LIMIT),
+                 Path(finish=Finish(np.array(point), 0.0, S.ITERATION_LIMIT))):  # fmt: skip
+        found = chosen(path, mpcc=MPCC(XY, f, None, x, y))
+        assert (found.status is S.UNBOUNDED) == unbounded == (list(found.z) == point)
+
+
+@pytest.mark.parametrize(
+    ("failures", "excess", "infeasible", "said"),
+    [
+        ([S.STALLED], 1.0, True, S.STALLED),
+        ([S.INFEASIBLE, S.EVALUATION_ERROR], 1.0, True, S.EVALUATION_ERROR),
+        ([S.INFEASIBLE], 0.5, True, S.STALLED),  # what ends at a feasible point is not called infeasible
+        ([S.INFEASIBLE, S.FAILED], 2.0, True, S.INFEASIBLE),
+        ([S.INFEASIBLE], 2.0, False, S.STALLED),  # nor what has no certificate
+        ([S.INFEASIBLE, S.FAILED], 2.0, False, S.FAILED),
+        ([S.STALLED, S.ITERATION_LIMIT], 2.0, False, S.ITERATION_LIMIT),
+        ([], 2.0, False, S.FAILED),
+    ],
 )
-def test_without_a_certificate_nothing_is_called_infeasible(failures, said):
-    assert _failure([Path(failure=status) for status in failures], 2.0, False) is said
+def test_without_an_exact_end_the_nearest_point_is_returned_with_the_reason(
+    failures, excess, infeasible, said
+):
+    paths = [Path(failure=status) for status in failures]
+    for limit in (None, S.TIME_LIMIT):
+        found = chosen(*paths, limit=limit, infeasible=infeasible, nearest=(HERE, 1.0, excess))
+        assert (found.z is HERE, found.stationarity, found.status) == (True, None, limit or said)
+    assert chosen(Path(failure=S.STALLED)).z is START  # before any NLP has ended
 
 
-class TestAttempts:
-    """Homotopies until one ends; an attempt is (name, t0, dependent, patience)."""
+HELPLESS = {"ipopt_relaxed": {"max_iter": 1}, "ipopt_exact": {"max_iter": 0}, "second_path": False}
+"""Options with which no NLP ends at a solution."""
 
-    @pytest.fixture
-    def attempts(self, monkeypatch):
-        calls, self.ends, self.looks, self.starts = [], {}, 0, []
-        self.near = Feasibility(np.zeros(2), CORNER, S.STALLED)
 
-        def follow(run, path, name, z0, t0, first=None, *, patience=3, former=(), dependent=False):
-            calls.append((name, t0, dependent, patience))
-            self.starts.append(z0)
-            known = self.ends.get(name, Path(failure=S.STALLED))
-            path.finish, path.failure = known.finish, known.failure
+def relaxed_ts(result):
+    return [step.t for step in result.history if step.phase == "relaxed"]
 
-        def look(run, path, x0, first):
-            self.looks += 1
 
-        for module in (solving, rescues):
-            monkeypatch.setattr(module, "follow", follow)
-        monkeypatch.setattr(rescues, "phase_one", lambda run, z: self.near)
-        monkeypatch.setattr(solving, "second_path", look)
-        return calls
+def test_other_relaxations_then_phase_one_and_then_moved_starts_are_tried_once():
+    others = (("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3))
+    result = solve(two_minima(), [0.5, 0.6], rescues=others, moves=2, **HELPLESS)
+    assert not result.success
+    assert relaxed_ts(result) == [1.0, 1.0, 1e-3, 1.0, 1.0]  # scholtes from 1 is the asked one
+    assert result.counts["rescues"] == 2 + 1 + 2
 
-    def solved(self, **options):
-        return solve(two_minima(), [0.5, 0.6], **options)
 
-    @pytest.mark.parametrize(
-        ("failure", "rescues", "expected"),
-        [
-            (S.STALLED, [("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3)],
-             [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 3), ("scholtes", 1e-3, True, 3)]),
-            # a relaxation that was empty is not tried from a smaller t
-            (S.INFEASIBLE, [("scholtes", 1e-3), ("l1-penalty", 1.0)],
-             [("scholtes", 1.0, False, 3), ("l1-penalty", 1.0, True, 0)]),
-        ],
-    )  # fmt: skip
-    def test_each_is_tried_once_and_rescues_reckon_with_dependent_equations(
-        self, failure, rescues, expected, attempts
-    ):
-        self.ends["scholtes"] = Path(failure=failure)
-        looks = failure is S.STALLED
-        result = self.solved(rescues=tuple(rescues), second_path=looks, moves=0)
-        assert (attempts, self.looks) == (expected, looks)  # a look after the first path alone
-        assert result.counts["rescues"] == len(expected)  # the last one is phase I
+def test_what_was_empty_is_not_tried_from_a_smaller_t():
+    empty = MPCC(XY, x + y, x**2 + y**2, x, y, ubg=-1)
+    result = solve(empty, 1.0, rescues=(("scholtes", 1e-3), ("l1-penalty", 1.0)), moves=2)
+    assert (result.status, set(relaxed_ts(result))) == (S.INFEASIBLE, {1.0})
+    assert result.counts["rescues"] == 1 + 1 + 2
 
-    def test_phase_one_and_then_moved_starts_come_last(self, attempts):
-        result = self.solved(rescues=(), moves=3)
-        assert attempts == [("scholtes", 1.0, False, 3)] * 4
-        assert len({tuple(z) for z in self.starts}) == 4
-        assert result.counts["rescues"] == 4
-        self.near = Feasibility(np.array([2.0, 0.0]), ON_H, S.CONVERGED)
-        result = self.solved(rescues=(), moves=3)
-        assert (len(attempts), result.counts["rescues"]) == (5, 1)
-        assert (result.status, result.f) == (S.CONVERGED, pytest.approx(1.0))
 
-    @pytest.mark.parametrize(
-        ("end", "status", "looks"), [(end_of(1.0), S.CONVERGED, 1), (UNBOUNDED, S.UNBOUNDED, 0)]
-    )
-    def test_stationary_end_or_one_without_a_bound_needs_no_rescue(self, end, status, looks, attempts):
-        self.ends["scholtes"] = end
-        result = self.solved()
-        assert (len(attempts), result.counts["rescues"], self.looks) == (1, 0, looks)
-        assert result.status is status
-        self.solved(second_path=False)
-        assert self.looks == looks
+def test_stationary_end_needs_no_rescue_and_a_second_path_as_much_time_as_is_spent(monkeypatch):
+    result = solve(two_minima(), [0.5, 0.6])
+    assert (result.success, result.counts["rescues"]) == (True, 0)
+    assert "second" in result.columns()["phase"]
+    monkeypatch.setattr(Budget, "remaining", property(lambda _: 1e-6))
+    assert "second" not in solve(two_minima(), [0.5, 0.6]).columns()["phase"]
 
-    def test_second_path_needs_as_much_time_as_is_spent_and_expressions(self, attempts, monkeypatch):
-        self.ends["scholtes"] = end_of(1.0)
-        own = automatic_derivatives(XY, ca.SX(0, 1), x + y, XY)
-        solve(MPCC(XY, x + y, None, x, y, derivatives=own), [0.5, 0.6])
-        monkeypatch.setattr(solving.Budget, "remaining", property(lambda _: 1e-6))
-        self.solved()
-        assert self.looks == 0
 
-    def test_known_multipliers_are_tried_at_once_and_an_end_is_the_answer(self, attempts, monkeypatch):
-        known, solver = (
-            Duals(*map(np.zeros, (2, 0, 1, 1))),
-            MPCCSolver(two_minima(), Options(rescues=(), moves=0)),
-        )
-        for end, tried in ((end_of(1.0).finish, []), (None, ["scholtes"])):
-            monkeypatch.setattr(solving, "polished", lambda *_, end=end: end)
-            result = solver([2.0, 0.0], start=known)
-            assert [name for name, *_ in attempts] == tried
-            assert (result.status is S.CONVERGED) == (end is not None)
+def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
+    solver = MPCCSolver(two_minima())
+    known = solver([0.5, 0.6])
+    again = solver(known.x, start=known)
+    assert (again.columns()["phase"], again.f) == (["polished"], pytest.approx(known.f))
+    far = solver([0.2, 0.1], start=Duals(*map(np.zeros, (2, 0, 1, 1))))
+    assert far.success
+    assert "relaxed" in far.columns()["phase"]
 
 
 @pytest.mark.parametrize("size", [1.0, 1e-4])
