@@ -4,10 +4,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, solve
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, Watch
 from rmesh_nlp.mpcc.result import excess, residuals
-from rmesh_nlp.optimize.status import Status
 from support.scripted_run import CORNER, ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
 
 p = ca.SX.sym("p")
@@ -29,7 +28,6 @@ THREE = MPCC(XY, x, x + y, ca.vertcat(x, y), ca.vertcat(y, x), lbx=-1, ubx=4, lb
         ((5, 1), 0.5, (1, 1), (1, 1), 1),
         ((1, 1), 1.25, (1, 1), (1, 1), 0.25),
         ((1, 1), -0.25, (1, 1), (1, 1), 0.25),
-        ((1, 1), 0.5, (1, -2), (1, 1), 2),
         ((1, 1), 0.5, (1, -2), (1, -3), 3),
         ((1, 1), np.nan, (1, 1), (1, 1), INF),
     ],
@@ -104,31 +102,6 @@ def test_branch_fixes_one_member_of_each_pair():
     assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
-def test_nothing_is_compiled_twice(monkeypatch):
-    made = []
-
-    class Counted(nlps.Solver):
-        def __init__(self, nlp, **names):
-            made.append(names["options"])
-            super().__init__(nlp, **names)
-
-    monkeypatch.setattr(nlps, "Solver", Counted)
-    own = compiled()
-    result = None
-    for t in (1.0, 0.1, 0.01):
-        result = own.relaxed("scholtes", START, ONE, t, first=True)
-        own.unlifted(START, ONE, t)
-        own.branch(START, ONE, ON_G)
-    assert len(made) == 3
-    own.relaxed("scholtes", result.x, ONE, 1e-3)  # not the first: another barrier
-    own.relaxed("scholtes", result.x, ONE, 1e-3, result)
-    assert len(made) == 5
-    assert [options.get("mu_strategy") for options in made] == ["monotone", None, *["adaptive"] * 3]
-    assert ["warm_start_init_point" in options for options in made] == [False] * 4 + [True]
-    own.relaxed("scholtes", result.x, ONE, 1e-3, dependent=True)
-    assert [options.get("perturb_always_cd") for options in made] == [None] * 5 + ["yes"]
-
-
 @pytest.mark.parametrize("relaxation", RELAXATIONS)
 def test_multipliers_without_the_relaxation_make_the_lifted_lagrangian_stationary(relaxation):
     own = compiled(MPCC(XYW, (x - 1) ** 2 + (y - 2) ** 2 + w**2, x + w, x, y + w, lbg=0.25))
@@ -165,17 +138,9 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success
 
 
-def test_clock_of_small_problems_is_looked_at_now_and_then(monkeypatch):
-    made = []
-    monkeypatch.setattr(nlps, "_AnySize", lambda nlp, options, every: made.append(every) or solved)
+def test_clock_of_small_problems_is_looked_at_now_and_then():
+    def never(*_):
+        return False
 
-    def solved(z, monitor, **_):
-        return ended(z, Status.CONVERGED)
-
-    for n, only_clock, watched, every in ((2, False, True, 1), (2, True, True, 20), (300, True, True, 6),
-                                          (3000, True, True, 1), (2, False, False, 0)):  # fmt: skip
-        v = ca.SX.sym("v", n)
-        own = compiled(MPCC(v, ca.sumsqr(v), None, None, None))
-        watch = nlps.Watch((lambda *_: False) if watched else None, only_clock)
-        own.branch(np.zeros(n), ONE, np.zeros((2, 0), bool), watch=watch)
-        assert made[-1] == every
+    assert [Watch(never, only_clock=True).every(n) for n in (2, 300, 3000)] == [20, 6, 1]
+    assert (Watch(never).every(2), Watch().every(2)) == (1, 0)

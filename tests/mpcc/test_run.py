@@ -2,7 +2,6 @@
 
 import signal
 import time
-from contextlib import nullcontext
 from dataclasses import replace
 
 import casadi as ca
@@ -11,7 +10,6 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
 from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.optimize.budget import StoppedError
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
@@ -112,57 +110,22 @@ def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
     assert kept == [3, 5, 5, 2, 1, 1, 1]
 
 
-@pytest.mark.parametrize(
-    ("limits", "iterations", "status"),
-    [({"max_iterations": 5}, 5, Status.ITERATION_LIMIT), ({"max_iterations": 6}, 4, None),
-     ({"time_limit_s": 1e-9}, 0, Status.TIME_LIMIT), ({"time_limit_s": 100.0}, 0, None)],
-)  # fmt: skip
-def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations, status):
-    run, stops = run_of(two_minima(), **limits), []
-    run.budget.iterations = iterations
-
-    def nlp(watch):
-        assert watch.only_clock == ("time_limit_s" in limits)
-        stops.extend(watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
-        return replace(ended([0.5, 0.5]), iterations=0)
-
-    if status is None:
-        run.solve("relaxed", 1.0, nlp)
-        assert stops == [False, False]
-        run.budget.iterations = 5
-        with pytest.raises(StoppedError) if "max_iterations" in limits else nullcontext():
-            run.solve("relaxed", 1.0, nlp)
-        assert stops == [False, False, False, "max_iterations" in limits]
-    else:
-        with pytest.raises(StoppedError) as error:
-            run.solve("relaxed", 1.0, nlp)
-        assert (error.value.status, stops) == (status, [])
-
-
-def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
-    run = run_of(two_minima(), max_iterations=3)
-    with pytest.raises(StoppedError):
-        run.solve("relaxed", 1.0, lambda watch: ended([0.5, 0.25]))
-    assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
-
-
-def test_without_limits_and_observers_nothing_is_watched():
-    run, watches = run_of(two_minima()), []
-    run.solve("relaxed", 1.0, lambda watch: watches.append(watch) or ended([0.5, 0.5]))
-    assert (watches[0].monitor, run.budget.remaining) == (None, np.inf)
-
-
-@pytest.mark.slow
-def test_iteration_limit_holds_and_gives_the_best_point():
-    total = solve(obstacle(), 0.1).counts["ipopt_iterations"]
+@pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
+def test_iteration_limit_holds_and_gives_the_best_point(mpcc):
+    total = solve(mpcc, 0.1).counts["ipopt_iterations"]
     for limit in (1, total // 2, total - 1):
-        result = solve(obstacle(), 0.1, max_iterations=limit)
+        result = solve(mpcc, 0.1, max_iterations=limit)
         assert result.counts["ipopt_iterations"] <= limit
         if not result.success:
             assert result.status is Status.ITERATION_LIMIT
             ends = [max(s.constraint_violation, s.complementarity) for s in result.history]
             assert max(result.constraint_violation, result.complementarity) <= min(ends) + 1e-12
-    assert solve(obstacle(), 0.1, max_iterations=total + 10).success
+    assert solve(mpcc, 0.1, max_iterations=total + 10).success
+
+
+def test_time_limit_is_looked_at_before_the_first_nlp():
+    result = solve(two_minima(), 0.5, time_limit_s=1e-9)
+    assert (result.status, result.history) == (Status.TIME_LIMIT, ())
 
 
 @pytest.mark.slow
