@@ -16,6 +16,14 @@ from mpcc_library.labels import (
 from rmesh_nlp.mpcc import classify
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_blocks():
+    """Of each kind some: most of the time goes into the search for blocks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mpcc_library.labels._BLOCKS", 100)
+        yield
+
+
 @pytest.mark.parametrize(
     ("c", "label", "descends"),
     [
@@ -40,7 +48,7 @@ def test_search_knows_a_point_that_is_b_but_not_s():
 
 
 @pytest.mark.parametrize("make", [regular, dependent, tangled])
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(5))
 def test_labels_are_those_that_are_known(make, seed):
     point = make(seed, 1, 7)
     found = classify(point.mpcc, point.x)
