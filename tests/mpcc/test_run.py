@@ -55,6 +55,7 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
     assert len(lines) == 1 + len(result.history) == 1 + result.counts["nlp_solves"]
     assert result.table() == "\n".join(lines)
     assert result.columns()["iterations"] == [step.iterations for step in result.history]
+    assert result.lower_level is None  # and no word of it
     assert str(result) == (
         f"converged: f = 1, violation {result.constraint_violation:.1e}, complementarity "
         f"{result.complementarity:.1e}, stationarity S (no biactive pair: a KKT point)"
