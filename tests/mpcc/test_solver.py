@@ -194,16 +194,13 @@ def test_seconds_are_those_of_the_steps_by_phase():
     assert 0 < result.seconds["build"] < result.seconds["total"]
     kept = MPCCSolver(two_minima())
     kept([0.5, 0.6])
-    again = kept([0.5, 0.6])
-    assert again.seconds["build"] < 1e-6  # nothing is built twice
-    assert 0 < again.seconds["total"] < 60
+    assert kept([0.5, 0.6]).seconds["build"] < 1e-6  # nothing is built twice
 
 
 def bilevel(kind, form):
-    """``min (x - 3)^2 + (y - 2)^2`` with y the solution of ``min (y - x)^2 / 2, 0 <= y <= 1``.
+    """``min (x - 3)^2 + (y - 2)^2`` with y the nearest point of [0, 1] to x: x = 3, y = 1, f = 1.
 
-    The lower level clips x to [0, 1]: y = 1 for x >= 1, so x = 3, y = 1, f = 1. Unknowns are one symbol or
-    several; derivatives CasADi's own, or assembled.
+    Unknowns are several symbols, or one with assembled derivatives.
     """
     v = kind.sym("v", 4) if form != "symbols" else ca.vertcat(*map(kind.sym, ("x", "y", "low", "high")))
     x, y, low, high = ca.vertsplit(v)
@@ -214,9 +211,13 @@ def bilevel(kind, form):
     return MPCC(v, f, g, G, H, **EQUATION, derivatives=own)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("form", ["symbols", "assembled"])
-@pytest.mark.parametrize("relaxation", RELAXATIONS)
+@pytest.mark.parametrize(
+    ("kind", "form", "relaxation"),
+    [
+        *((kind, form, "scholtes") for kind in KINDS for form in ("symbols", "assembled")),
+        *((ca.SX, "symbols", relaxation) for relaxation in RELAXATIONS if relaxation != "scholtes"),
+    ],
+)
 def test_every_relaxation_solves_the_bilevel_problem(kind, form, relaxation):
     result = solve(bilevel(kind, form), [0.2, 0.5, 0.1, 0.1], relaxation=relaxation)
     assert (result.success, result.status, result.stationarity) == (True, S.CONVERGED, "S")
@@ -228,7 +229,7 @@ def test_every_relaxation_solves_the_bilevel_problem(kind, form, relaxation):
     assert result.history[-1].phase != "relaxed"
 
 
-@pytest.mark.parametrize("start", [(0, 0), (1, 1), (5, -3), (0, 1)])
+@pytest.mark.parametrize("start", [(0, 0), (5, -3)])
 def test_biactive_corner_and_the_two_arms(start):
     corner = solve(MPCC(XY, (x + 1) ** 2 + (y + 1) ** 2, None, x, y), start)
     assert (corner.x, list(corner.biactive)) == (pytest.approx([0, 0], abs=1e-9), [0])
@@ -303,7 +304,7 @@ def test_parameters_are_values_of_one_compiled_problem(kind):
         assert solver([1, 1], p=value).x == pytest.approx([value, 0], abs=1e-8)
 
 
-@pytest.mark.parametrize("weight", [1.0, 1e-6, 1e-12, 1e8])
+@pytest.mark.parametrize("weight", [1e-12, 1e8])
 def test_size_of_the_objective_does_not_matter(weight):
     """Local minima: (0, 2) with f = weight, and (1, 0) with f = 4 weight."""
     result = solve(MPCC(XY, weight * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), [0.3, 0.3])
@@ -314,7 +315,7 @@ def test_size_of_the_objective_does_not_matter(weight):
     assert multiplier / weight == pytest.approx(2 if on_x else 4, rel=1e-6)
 
 
-@pytest.mark.parametrize("size", [1.0, 1e3, 1e6])
+@pytest.mark.parametrize("size", [1.0, 1e6])
 def test_size_of_a_row_does_not_hide_that_it_is_active(size):
     """Minimum at x + w = 1, y = 0, where the multiplier of the row is of size 1 / size."""
     f = 1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2)
