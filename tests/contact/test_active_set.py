@@ -72,7 +72,7 @@ SYSTEMS = {
     "slope, stick and slip": of(sloped_block),
     "circle, stick and slip": of(block_sliding_on_a_circle),
     "corner of two foundations": of(block_between_two_foundations),
-    **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(8)},
+    **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(3)},
 }
 
 
@@ -81,17 +81,13 @@ def system(request: pytest.FixtureRequest) -> ContactSystem:
     return SYSTEMS[request.param]()
 
 
-def test_ipopt_finds_the_same_minimum(system: ContactSystem) -> None:
-    ours, (u, energy) = solve(system), by_ipopt(system)
-    assert ours.status is Status.CONVERGED
+def test_ipopt_finds_the_same_minimum_and_the_laws_hold_at_every_node(system: ContactSystem) -> None:
+    state, (u, energy) = solve(system), by_ipopt(system)
+    assert state.status is Status.CONVERGED
     # an interior point stays a distance of about tol / force off each touching bound
-    assert ours.energy == pytest.approx(energy, rel=1e-7)
-    assert np.max(np.abs(ours.u - u)) <= 1e-4 * np.max(np.abs(u))
-    assert ours.energy == pytest.approx(system.energy(ours.u), rel=1e-14)
-
-
-def test_the_laws_of_contact_and_friction_hold_at_every_node(system: ContactSystem) -> None:
-    state = solve(system)
+    assert state.energy == pytest.approx(energy, rel=1e-7)
+    assert np.max(np.abs(state.u - u)) <= 1e-4 * np.max(np.abs(u))
+    assert state.energy == pytest.approx(system.energy(state.u), rel=1e-14)
     gap, slip = system.normals @ state.u + system.offset, system.tangents @ state.u
     unit, length = system.force_scale, np.max(np.abs(state.u))
     out_of_balance = system.stiffness @ state.u - system.load - system.normals.T @ state.normal_force

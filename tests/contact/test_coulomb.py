@@ -11,7 +11,7 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
-from rmesh_nlp.contact.active_set import _by_bounds, first_set, solve
+from rmesh_nlp.contact.active_set import first_set, solve
 from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
@@ -54,7 +54,7 @@ class TestSolver:
         assert np.all(found.active.sliding == 1)
 
     @pytest.mark.parametrize("order", [1, 2])
-    @pytest.mark.parametrize("coulomb", [0.0, 0.1, 0.5, 1.0, 3.0, lambda x, y: 0.2 + 0.3 * x])
+    @pytest.mark.parametrize("coulomb", [0.0, 0.5, 3.0, lambda x, y: 0.2 + 0.3 * x])
     def test_laws_hold_whatever_the_coefficient(self, coulomb, order: int) -> None:
         problem = slab(coulomb, order=order)
         model = ContactSolver(problem)
@@ -75,16 +75,20 @@ class TestSolver:
             np.testing.assert_allclose(u, model.given.u, atol=1e-12)
 
     @pytest.mark.parametrize("coulomb", [0.3, 1.0])
-    def test_bounds_that_follow_the_forces_lead_to_the_same_solution(self, coulomb: float) -> None:
+    def test_where_newton_fails_bounds_that_follow_the_forces_lead_to_the_same_solution(
+        self, coulomb: float, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         problem = slab(coulomb)
         system = ContactSolver(problem).system(problem.mesh.p)
-        newton = solve(system)
-        slow = _by_bounds(system, system.equilibrium(first_set(system)), 100)
-        assert slow.status is Status.CONVERGED
-        np.testing.assert_allclose(slow.u, newton.u, atol=1e-12)
+        by_newton = solve(system)
         # it is the solution for the bound of Tresca that is reached
-        bounded = replace(system, slip_bound=system.bound(newton.normal_force), coulomb=None)
-        np.testing.assert_allclose(solve(bounded).u, newton.u, atol=1e-12)
+        bounded = replace(system, slip_bound=system.bound(by_newton.normal_force), coulomb=None)
+        np.testing.assert_allclose(solve(bounded).u, by_newton.u, atol=1e-12)
+        at_once = replace(system.equilibrium(first_set(system)), status=Status.STALLED)
+        monkeypatch.setattr("rmesh_nlp.contact.active_set.newton", lambda *_: at_once)
+        slow = solve(system)
+        assert slow.status is Status.CONVERGED
+        np.testing.assert_allclose(slow.u, by_newton.u, atol=1e-12)
 
     def test_bounds_of_tresca_and_of_coulomb_add_up(self) -> None:
         problem = slab(0.3)
@@ -112,7 +116,7 @@ class TestSolver:
                 assert np.all(proposal.touching)
                 np.testing.assert_array_equal(proposal.sliding, way)
 
-    @pytest.mark.parametrize(("seed", "order", "coulomb"), [(18, 1, 3.0), (19, 2, 10.0), (10, 2, 10.0)])
+    @pytest.mark.parametrize(("seed", "order", "coulomb"), [(18, 1, 3.0), (19, 2, 10.0)])
     def test_newton_is_damped_where_full_steps_cycle(self, seed: int, order: int, coulomb: float) -> None:
         rough = random_problem(seed, kind="rough", order=order)
         problem = refined(
@@ -166,7 +170,7 @@ class TestSolver:
         monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
         assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
 
-    @pytest.mark.parametrize(("seed", "draw"), [(21, 9), (21, 41), (27, 7), (38, 7), (23, 41)])
+    @pytest.mark.parametrize(("seed", "draw"), [(27, 7), (38, 7), (23, 41)])
     def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(
         self, seed: int, draw: int
     ) -> None:
@@ -188,7 +192,7 @@ class TestSolver:
 
 class TestFormulations:
     def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:
-        ends = {name: rm.solve(slab(0.5, (8, 4)), name, objective=SAG) for name in ("nested", "mpcc")}
+        ends = {name: rm.solve(slab(0.5, (4, 2)), name, objective=SAG) for name in ("nested", "mpcc")}
         for solution in ends.values():
             row = solution.record()
             assert solution.success
@@ -197,29 +201,24 @@ class TestFormulations:
             assert solution.stationarity_residual < 1e-5
         assert ends["mpcc"].stationarity == "S"
 
-    def test_fixed_solves_the_contact_problem(self) -> None:
+    def test_fixed_solves_the_contact_problem_without_a_certificate(self) -> None:
         problem = slab(1.0)
-        solution = rm.solve(problem, "fixed")
+        solution = rm.solve(problem, "fixed", certify=True)
         assert solution.status is Status.CONVERGED
         row, state = solution.record(), ContactSolver(problem).given
         touching = state.active.touching
         assert row["sticking_nodes"] == np.count_nonzero(state.active.sliding == 0) > 0
         assert row["sliding_nodes"] == np.count_nonzero(state.active.sliding != 0)
         assert 0 < np.count_nonzero(touching) < touching.size
+        assert "Coulomb" in solution.certificate_remark
 
     @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "auto", "cascade"])
     def test_there_is_no_energy_to_minimise(self, name: str) -> None:
         with pytest.raises(BadInputError, match="with Coulomb friction"):
             rm.solve(slab(), name)
-
-    def test_joint_says_why_it_refuses(self) -> None:
-        with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
-            rm.solve(slab(), "joint", objective=SAG)
-
-    def test_there_is_no_certificate(self) -> None:
-        remark = rm.solve(slab(), "fixed", certify=True).certificate_remark
-        assert remark is not None
-        assert "Coulomb" in remark
+        if name == "joint":
+            with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
+                rm.solve(slab(), name, objective=SAG)
 
     def test_a_strong_coefficient_is_warned_of(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("rmesh_nlp.solving.assess.contraction", lambda *_: 1.25)
