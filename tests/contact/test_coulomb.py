@@ -170,7 +170,7 @@ class TestSolver:
         monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
         assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
 
-    @pytest.mark.parametrize(("seed", "draw"), [(27, 7), (38, 7), (23, 41)])
+    @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
     def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(
         self, seed: int, draw: int
     ) -> None:
