@@ -99,11 +99,6 @@ def test_end_says_why_it_is_none(result, ceiling, status):
     assert (end.stationarity is None) == (not end.solved)
 
 
-def test_rank_of_a_point_without_a_label_or_a_value():
-    assert Finish(np.zeros(2), np.nan, S.STALLED).rank == (False, False, -np.inf)
-    assert Finish(np.zeros(2), 2.0, S.STALLED, Stationarity("W")).rank == (False, True, -2.0)
-
-
 class TestPivot:
     """A descent over branches; at the corner of `two_minima` f falls either way, (2, 0) is stationary."""
 

@@ -91,6 +91,8 @@ def never(z):
         (STALLED_FAR, {"exact": never}, retreats(range(1, 9), True), None),
         # a failure below the crossover is finished from the point before it
         (LONG, {}, TENTHS[:4], S.ITERATION_LIMIT),
+        (lambda call: settled(0.9)(call) if call.t > 0.5e-2 else LONG(call), {}, TENTHS[:4],
+         S.ITERATION_LIMIT),
         (LONG, {"patience": 1, "exact": never, "newton_finish": False}, [*TENTHS[:4], HALVES[5]],
          S.ITERATION_LIMIT),
         # products ten times t from t = 0.01 on that do not fall by a tenth: the third in turn is the last
@@ -113,15 +115,10 @@ def test_path_without_a_point_has_no_end():
 
 
 def test_each_step_starts_at_the_one_before():
-    run, _ = followed(restless)
-    assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
-    assert [call.first for call in run.calls] == [True] + [False] * 8
-    assert not any(call.warm for call in run.calls)
-    assert {call.name for call in run.calls} == {"scholtes"}
     run, _ = followed(restless, warm_duals=True)
+    assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
     assert [call.warm is not None for call in run.calls] == [False] + [True] * 8
     run, _ = followed(STALLED_FAR)
-    assert [call.first for call in run.calls[1:4]] == [False, True, False]
     assert [list(call.z) for call in run.calls[1:4]] == [[1.0, 0.5], [0.5, 0.5], [0.5, 1.0]]
 
 
@@ -156,25 +153,11 @@ def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps()
     assert path.failure is None
 
 
-def test_minimum_above_what_the_path_foretells_will_do_if_the_path_fails():
-    run, path = followed(
-        lambda call: settled(0.9)(call) if call.t > 0.5e-2 else Answer(status=S.ITERATION_LIMIT)
-    )
-    assert (run.ts, path.finish.f) == (pytest.approx(TENTHS[:4]), pytest.approx(1.0))
+def exact(f):
+    return Finish(np.zeros(2), f, S.STALLED, Stationarity("W"))
 
 
-def test_known_multipliers_start_the_first_step_with_zeros_for_the_relaxation_s_own_rows():
-    known = ended([0.5, 0.5], lam_x=np.array([1.0, 2.0]), lam_g=np.zeros(0))
-    first, second = followed(restless, first=known)[0].calls[:2]
-    assert (list(first.warm.lam_x), list(first.warm.lam_g)) == ([1.0, 2.0], [0.0])
-    assert (first.first, second.warm) == (True, None)
-
-
-def exact(f, status=S.STALLED):
-    return Finish(np.zeros(2), f, status, Stationarity("W"))
-
-
-INEXACT, UNBOUNDED = (Finish(np.zeros(2), *end) for end in ((-9.0, S.STALLED), (-1e20, S.UNBOUNDED)))
+INEXACT = Finish(np.zeros(2), -9.0, S.STALLED)
 
 
 @pytest.mark.parametrize(
@@ -188,11 +171,6 @@ def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_kept(better, wo
         assert path.finish is better
     path.keep(replace(better))
     assert path.finish is better  # of equals the first
-
-
-def test_path_ends_with_a_stationary_point_or_without_a_bound():
-    ends = (SOLVED, UNBOUNDED, exact(1.0), None)
-    assert [Path(finish=end).ended for end in ends] == [True, True, False, False]
 
 
 def test_t_of_a_solve_is_that_of_its_options():

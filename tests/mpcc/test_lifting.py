@@ -32,23 +32,15 @@ def test_only_members_that_are_no_unknowns_get_slacks():
     assert lifted.smaller(np.ones(5)).tolist() == [[True, True], [False, False]]  # of equals the first
 
 
-@pytest.mark.parametrize(
-    ("member", "keeps"),
-    [(x, True), (1.0 * x, True), (x * (1 + 1e-9), False), (x + 1e-9, False), (0 * x, False),
-     (ca.SX(0), False), (x + y, False), (x**2, False), (-x, False)],
-)  # fmt: skip
-def test_member_keeps_its_place_only_if_it_is_the_unknown(member, keeps):
-    lifted = lift(MPCC(XYW, x, None, member, w))
-    assert lifted.pairs.tolist() == [[0 if keeps else 3], [2]]
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper", "keeps"), [(0, 0, True), (-1, 1, True), (1, 2, False), (-2, -1, False)]
-)
-def test_member_whose_bounds_exclude_zero_gets_a_slack(lower, upper, keeps):
-    lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
-    assert (lifted.pairs[0, 0] == 0) == keeps
-    assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
+def test_member_keeps_its_place_only_if_it_is_the_unknown_and_may_be_zero():
+    members = ca.vertcat(x, 1.0 * x, x * (1 + 1e-9), x + 1e-9, 0 * x, ca.SX(0), x + y, x**2, -x)
+    ones = ca.SX.ones(9) * w
+    lifted = lift(MPCC(XYW, x, None, members, ones))
+    assert lifted.pairs[0].tolist() == [0, 0, *range(3, 10)]
+    for lower, upper, keeps in ((0, 0, True), (-1, 1, True), (1, 2, False), (-2, -1, False)):
+        lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
+        assert (lifted.pairs[0, 0] == 0) == keeps
+        assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
 
 
 def test_start_extends_by_slacks_that_meet_their_rows_as_far_as_signs_allow():

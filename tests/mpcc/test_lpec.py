@@ -8,9 +8,9 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
-from rmesh_nlp.mpcc.lpec import descent, nearest_branch, steepness
+from rmesh_nlp.mpcc.lpec import descent, nearest_branch
 from rmesh_nlp.optimize.budget import Budget, Limits
-from support.scripted_run import XY, XYW, linearised, w, x, y
+from support.scripted_run import XY, linearised, x, y
 
 ONE = np.ones(1)
 
@@ -33,12 +33,6 @@ def test_what_is_active_by_hand():
     assert list(lin.row_lower) == [False, False, False, True]  # the equation is 9e-5 off; the slack's row
     assert list(lin.row_upper) == [False, True, False, True]  # 1e-2 of 1e3 x is 1e-5 of x
     assert lin.scale == pytest.approx(2 * (9 + 9e-5))
-
-
-def test_steepness_is_the_largest_entry_of_a_row_and_at_least_one():
-    _, lin = linearised(MPCC(XYW, x, ca.vertcat(3 * x - 7 * y, 0.5 * x, 0 * x), None, None), [1, 1, 1])
-    assert list(steepness(lin.jacobian)) == [7, 1, 1]
-    assert lin.scale == 1.0
 
 
 CASES = [
@@ -105,10 +99,3 @@ def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():
     z, zero = nearest_branch(lifted, np.array([5.0, 1e-3, 2e-3, 0.0]), ONE, 1e-2)
     assert zero.tolist() == [[False, False], [True, True]]
     assert z[:2] == pytest.approx([5.01, 0], abs=1e-12)
-
-
-@pytest.mark.parametrize(("sign", "end"), [(-1, 2e-3), (1, -3e-3)])
-def test_nearest_branch_stops_at_the_bounds_of_unknowns_beside_the_pairs(sign, end):
-    lifted = lift(MPCC(XYW, sign * w + x + y, None, x, y, lbx=[-9, -9, -3e-3], ubx=[9, 9, 2e-3]))
-    z, _ = nearest_branch(lifted, np.array([1e-3, 0.0, 1e-3]), ONE, 1e-2)
-    assert z == pytest.approx([0, 0, end], abs=1e-12)
