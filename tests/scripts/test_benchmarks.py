@@ -109,7 +109,7 @@ def test_a_case_of_kinks_that_raises_is_a_row():
     assert "nowhere" not in benchmark_branches.table([row])
 
 
-@pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
+@pytest.mark.parametrize("seed", [0, 6, 19])
 def test_stated_design_obeys_all_constraints(seed):
     found = random_design(seed)
     outer = Outer.of(found.problem, found.objective)

@@ -49,10 +49,8 @@ def test_point_is_measured_by_the_problem(tmp_path):
     path = tmp_path / "collection.py"
     path.write_text(COLLECTION)
     (_, problem), _ = benchmark.problems([path], (), 1, 1)
-    assert benchmark.measured(problem, np.array([2.0, 3.0])) == (
-        25.0,
-        6.0,
-    )  # (x + 1)^2 + (y + 1)^2; the product
+    # (x + 1)^2 + (y + 1)^2; the product
+    assert benchmark.measured(problem, np.array([2.0, 3.0])) == (25.0, 6.0)
     assert benchmark.measured(problem, np.array([0.0, -1.0])) == (1.0, 1.0)
 
 
@@ -109,7 +107,7 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
 
 
 def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
-    same = ["--families", "membrane", "--sizes", "1", "--seeds", "1", "--out", str(tmp_path)]
+    same = ["--families", "markets", "--sizes", "1", "--seeds", "1", "--out", str(tmp_path)]
     rows = tmp_path / "rows.jsonl"
     assert benchmark.main([*same, "--solvers", "rmesh_nlp.mpcc"]) == 0
     (first,) = rows.read_text(encoding="utf-8").splitlines()
@@ -118,4 +116,4 @@ def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
     again, added = rows.read_text(encoding="utf-8").splitlines()
     assert again == first
     assert "plain" in added
-    assert "| membrane | 400 |" in (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| markets, 1 |" in (tmp_path / "table.md").read_text(encoding="utf-8")
