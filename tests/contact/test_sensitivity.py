@@ -52,17 +52,6 @@ def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
     np.testing.assert_allclose(tangential, change, atol=tolerance)
 
 
-def test_a_slip_that_is_imposed_appears_at_sticking_nodes_alone() -> None:
-    model, nodes = ContactSolver(sloped_block()), sloped_block().mesh.p
-    system, state = model.system(nodes), model.solve(nodes)
-    sticking = system.rotated.slips & (state.active.sliding == 0)
-    assert np.any(sticking)
-    slip = np.random.default_rng(1).normal(size=sticking.size)
-    u, _, _ = TangentResponse(system, state.active)(np.zeros(state.u.size), 0 * slip, slip)
-    np.testing.assert_allclose((system.tangents @ u)[sticking], -slip[sticking], rtol=1e-9)
-    np.testing.assert_allclose((system.normals @ u)[state.active.touching], 0, atol=1e-12)
-
-
 def test_the_adjoint_gives_the_response_of_any_linear_functional(
     solved: tuple[ContactSystem, Equilibrium],
 ) -> None:

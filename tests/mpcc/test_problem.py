@@ -73,16 +73,6 @@ def test_bad_parameters_and_options_are_refused():
         with pytest.raises(ValueError, match=words):
             Options(**{name: value})
     assert Options(t_final=1.0, t0=1.0).t_final == 1.0
-    own = Options()
-    assert (own.t0, own.factor, own.t_final, own.crossover, own.max_pivots) == (1.0, 0.1, 1e-8, 1e-2, 30)
-    assert (own.feasibility, own.complementarity, own.stationarity) == (1e-8, 1e-8, 1e-6)
-    assert own.rescues == (("steffensen-ulbrich", 1.0), ("scholtes", 1e-3), ("l1-penalty", 1.0))
-
-
-def test_one_nlp_has_a_limit_that_does_not_grow_with_the_problem():
-    for options in (Options().relaxed, Options().exact):
-        assert [options(n, warm=False)["max_iter"] for n in (10, 1000, 100_000)] == [302, 500, 600]
-    assert Options().unlifted(10)["max_iter"] == 302
 
 
 def test_lists_scalars_rows_and_omitted_parts_are_accepted():

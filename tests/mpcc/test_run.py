@@ -10,7 +10,6 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
 from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
 
@@ -167,16 +166,13 @@ def _ctrl_c_raises():
 
 @pytest.mark.usefixtures("_ctrl_c_raises")
 def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
-    def press(iteration, *_):
+    def press(iteration):
         if iteration == 2:
             signal.raise_signal(signal.SIGINT)
 
-    nlp = run_of(two_minima()).lifted.nlp
-    with pytest.raises(KeyboardInterrupt):
-        Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     with pytest.raises(KeyboardInterrupt):
         solve(two_minima(), 0.5, on_iteration=lambda iterate: press(iterate.iteration))
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 @pytest.mark.slow

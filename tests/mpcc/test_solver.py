@@ -154,25 +154,6 @@ def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
     assert "relaxed" in far.columns()["phase"]
 
 
-@pytest.mark.parametrize("size", [1.0, 1e-4])
-def test_multipliers_of_rows_pairs_and_bounds_are_in_their_places_and_units(size):
-    """min (x-2)^2 + (y-1)^2 + (w+1)^2 + 3 (w+2), x + w <= 1, w >= -1/2 and <= 9, 0 <= x _|_ 2 y >= 0.
-
-    At x = 3/2, y = 0, w = -1/2: 2 (x - 2) + lam = 0, so lam = 1 of the row; 2 (y - 1) + 2 nu = 0, so nu = 1
-    of 2 y; 2 (w + 1) + 3 + lam + lam_w = 0, so lam_w = -5. A weight of the objective must not be seen.
-    """
-    f = size * ((x - 2) ** 2 + (y - 1) ** 2 + (w + 1) ** 2 + 3 * (w + 2))
-    rows = ca.vertcat(x + w, w - x)
-    mpcc = MPCC(XYW, f, rows, x, 2 * y, ubg=[1, 9], lbg=[-9, -9], lbx=[-9, -9, -0.5], ubx=9)
-    result = solve(mpcc, [1.4, 0.1, -0.4])
-    assert result.success
-    assert result.x == pytest.approx([1.5, 0, -0.5], abs=1e-6)
-    assert result.lam_x / size == pytest.approx([0, 0, -5], abs=1e-4)
-    assert result.lam_g / size == pytest.approx([1, 0], abs=1e-4)
-    assert [*result.lam_G, *result.lam_H] == pytest.approx([0, size], abs=1e-4 * size)
-    assert (result.G[0], result.H[0], result.g[0]) == pytest.approx((1.5, 0, 1), abs=1e-6)
-
-
 def test_without_a_label_there_are_no_multipliers():
     mpcc = MPCC(XY, x + y, XY, x, y, lbg=0.5)
     result = solve(mpcc, [1.0, 1.0], t0=1e-4, rescues=())

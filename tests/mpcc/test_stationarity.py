@@ -253,16 +253,35 @@ def scheel_like(n):
         (MPCC(XYW, (x - w) ** 2 + w**2, w - 1, x + w, y - w, lbg=0.0, ubx=[4, 4, 4]), "S"),
         (MPCC(y, (y - 1) ** 2, None, y, y), "M"),  # y _|_ y forces y = 0 with the sign that S forbids
         (scheel_like(2), "M"),
+        # each with an active row, bound and pair; the weight of the objective is not seen
+        *(
+            (
+                MPCC(
+                    XYW,
+                    size * ((x - 2) ** 2 + (y - 1) ** 2 + (w + 1) ** 2 + 3 * w),
+                    ca.vertcat(x + w, w - x),
+                    x,
+                    2 * y,
+                    ubg=[1, 9],
+                    lbg=-9,
+                    lbx=[-9, -9, -0.5],
+                    ubx=9,
+                ),
+                "S",
+            )
+            for size in (1.0, 1e-4)
+        ),
     ],
 )
 def test_multipliers_given_back_prove_the_label(mpcc, label):
     result = solve(mpcc, 1.0)
     assert (result.success, result.stationarity, result.b_stationary) == (True, label, True)
     column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
-    derivatives = [ca.gradient(mpcc.f, mpcc.x), ca.jacobian(column, mpcc.x)]
-    gradient, jacobian = (part.full() for part in ca.Function("F", [mpcc.x], derivatives)(result.x))
+    parts = [ca.gradient(mpcc.f, mpcc.x), ca.jacobian(column, mpcc.x), column]
+    gradient, jacobian, values = (part.full() for part in ca.Function("F", [mpcc.x], parts)(result.x))
+    assert np.concatenate([result.g, result.G, result.H]) == pytest.approx(values.ravel(), abs=1e-12)
     lam = np.concatenate([result.lam_g, result.lam_G, result.lam_H])
-    assert np.max(np.abs(gradient.ravel() + jacobian.T @ lam + result.lam_x)) < 1e-5
+    assert np.max(np.abs(gradient.ravel() + jacobian.T @ lam + result.lam_x)) < 1e-5 * min(1, np.max(abs(gradient)))
     for lam, member in ((result.lam_G, result.G), (result.lam_H, result.H)):
         assert label != "S" or np.all(lam[result.biactive] <= 1e-6)
         assert np.max(np.abs(lam[member > 1e-4]), initial=0.0) < 1e-6

@@ -141,11 +141,6 @@ class TestRadius:
         points = self.points(1.0, NewtonSettings(first_radius=0.02, grow=2.0), local=local)
         np.testing.assert_allclose(np.diff(points[:3], axis=0), np.outer([0.02, 0.04], widths), rtol=1e-9)
 
-    def test_a_poor_model_shrinks_it_until_a_step_is_sufficient(self) -> None:
-        # a model that underestimates the curvature eight times promises too much of long steps
-        long = self.points(0.125, NewtonSettings(first_radius=1.0, forcing=1e-6))
-        assert np.all(np.diff([self.true(x).value for x in long]) < 0)
-
     def test_a_step_beyond_the_domain_is_cut_and_its_own_decrease_counts(self) -> None:
         lengths: list[float] = []
 

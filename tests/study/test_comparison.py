@@ -79,19 +79,12 @@ def test_size_delta_and_rule_reach_the_example():
     }
 
 
-FOR_FILES = "for the examples: write them into the files"
-
-
 @pytest.mark.parametrize(
     ("names", "settings", "said"),
     [
-        (["own.toml"], {"n": 4}, FOR_FILES),
-        (["own.toml"], {"delta": 0.01}, FOR_FILES),
-        (["own.toml"], {"quadrature": 4}, FOR_FILES),
+        (["own.toml"], {"delta": 0.01}, "for the examples: write them into the files"),
+        (["own.toml"], {"quadrature": 4}, "for the examples: write them into the files"),
         (["own.toml", "other.toml"], {}, "two problem files are both called 'block'"),
-        (["6.9"], {"n": 4}, "unknown example '6.9'"),
-        (["6.1"], {"n": -1}, "-1"),
-        (["6.1"], {"options": {"objective": "nonsense"}}, "nonsense"),
         (["6.1"], {"options": {"objective": ["energy", "nonsense"]}}, "nonsense"),
         (["6.1"], {"options": {"relaxation": "scholtes"}}, "--relaxation scholtes: not an option of fixed"),
     ],
