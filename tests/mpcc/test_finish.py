@@ -9,7 +9,7 @@ from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lpec import Direction
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ON_G, ON_H, XY, ScriptedRun, ended, run_of, two_minima, x, y
+from support.scripted_run import ON_H, XY, ScriptedRun, ended, run_of, two_minima, x, y
 
 S = Status
 DOWN = Direction(-1.0, np.zeros(2), ON_H)
@@ -72,18 +72,6 @@ def test_newton_s_point_must_not_be_worse_by_a_hundredth_than_the_relaxed_one(sl
 
 
 @pytest.mark.parametrize(
-    ("results", "warm", "warms"),
-    [([BEST], BEST, [BEST]), ([INEXACT, BEST], BEST, [BEST, None]), ([INEXACT], None, [None])],
-)
-def test_without_newton_the_branch_begins_with_the_multipliers(results, warm, warms):
-    run = scripted(*results, newton_finish=False)
-    end = finish(run, NEAR, search=False, warm=warm)
-    assert [call.options.get("warm") for call in run.branch_calls] == warms
-    assert end.solved == (results[-1] is BEST)
-    assert all(call.zero is not None and list(call.zero[:, 0]) == [True, False] for call in run.branch_calls)
-
-
-@pytest.mark.parametrize(
     ("result", "ceiling", "status"),
     [
         (at([2.0, 0.0], S.UNBOUNDED, -1e20), np.inf, S.UNBOUNDED),
@@ -134,15 +122,6 @@ class TestPivot:
             np.testing.assert_allclose(radii[1:], [[0.4, 0.1], [4e-3, 1e-3]])  # relative to 1 + |z|
             assert all(call.zero is ON_H for call in run.branch_calls)
 
-    @pytest.mark.parametrize(("fall", "accepted"), [(5e-8, False), (2e-7, True)])
-    def test_fall_by_rounding_is_none(self, fall, accepted):
-        """A part of 1e-9 of 1 + |f|."""
-        _, end = self.descended(at([2.0, 0.0], f=-99.0 - fall), f=-99.0)
-        assert end.solved == accepted
-
-    def test_inexact_point_is_left_as_it_is(self):
-        assert pivot(ScriptedRun(), Finish(np.zeros(2), 1.0, S.STALLED)).status is S.STALLED
-
     def test_wrong_branch_is_left_by_the_descent(self):
         """The finish started on the arm x = 0 of a problem whose corner is not B-stationary crosses it."""
         run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y))
@@ -166,27 +145,27 @@ def test_feasible_point_is_kept_if_its_branch_is_not_solved():
     assert np.min(end.z) == pytest.approx(0, abs=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("ends", "on_G", "end"),
-    [
-        # a pair with a negative member changes sides
-        ([[0.0, -0.5], [0.4, 0.0]], [True, False], [0.4, 0.0]),
-        ([[0.0, -0.5], [-0.4, 0.0], [0.0, 0.3]], [True, False, True], [0.0, 0.3]),
-        ([[0.0, -0.5], [-0.6, 0.0]], [True, False], None),  # signs become worse
-        ([None], [True], None),  # a branch fails
-        ([[0.0, -0.9e-8]], [True], [0.0, -0.9e-8]),  # signs within the tolerance are right
-        ([[0.0, -1.1e-8], [0.5, 0.0]], [True, False], [0.5, 0.0]),
-    ],
-)
-def test_pairs_follow_the_signs_of_their_free_members(ends, on_G, end):
-    results = [at([0, -0.5], S.STALLED) if z is None else at(z) for z in ends]
-    run = scripted(INEXACT, *results, at([0.3, 0.3] if end is None else end))
-    found = finish(run, np.array([0.1, 0.2]), search=True)
-    signs = [call for call in run.branch_calls if call.options.get("phase") == "signs"]
-    assert [call.zero.ravel().tolist() for call in signs] == [[side, not side] for side in on_G]
-    assert all(call.options["free_signs"] for call in signs)
-    for before, call in zip(ends, signs[1:], strict=False):
-        assert list(call.z) == before  # each starts at the solution of the one before
-    if end is not None:
-        assert list(found.z) == end
-        np.testing.assert_array_equal(run.branch_calls[1 + len(signs)].zero, ON_G if on_G[-1] else ON_H)
+def test_pairs_with_a_wrong_sign_change_sides_until_all_signs_are_right():
+    """The contact boundary of an obstacle problem moves node by node, each time from the one before."""
+    n = 9
+    u, force = ca.SX.sym("u", n), ca.SX.sym("force", n)
+    padded = ca.vertcat(0, u, 0)
+    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) * (n + 1) ** 2 + 1 - force
+    run = run_of(MPCC(ca.vertcat(u, force), 0, balance, force, u + 0.05, lbg=0, ubg=0))
+    z = run.lifted.start(np.concatenate([np.zeros(n), np.ones(n)]), np.zeros(0))
+    end = finish(run, z, search=True)
+    assert end.solved
+    assert {step.phase for step in run.steps} == {"branch", "signs"}  # phase I is not needed
+    signs = [step for step in run.steps if step.phase == "signs"]
+    assert 1 < len(signs) < n
+    touching = end.z[n : 2 * n] > 1e-6
+    assert 0 < np.count_nonzero(touching) < n
+    assert np.all(end.z[n : 2 * n] > -1e-8)
+    assert np.all(end.z[:n] > -0.05 - 1e-8)
+
+
+@pytest.mark.parametrize(("negative", "signs"), [(0.9e-8, 1), (1.1e-8, 2)])
+def test_signs_within_the_tolerance_are_right(negative, signs):
+    run = scripted(INEXACT, at([0.0, -negative]), at([0.5, 0.0]))
+    assert finish(run, np.array([0.1, 0.2]), search=True).z[1] <= 0
+    assert len([call for call in run.branch_calls if call.options.get("phase") == "signs"]) == signs

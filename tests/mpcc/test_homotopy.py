@@ -138,21 +138,6 @@ def test_branches_are_descended_over_early_only_from_a_good_point_at_small_t(exp
     assert (len(run.ts), path.finish.pivots, path.finish.f) == (steps, 1, pytest.approx(1.0))
 
 
-def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps():
-    """From 1 to 0.1 and from 0.316 to 0.1: the factor becomes its square root."""
-    failed = []
-
-    def once(call):
-        if call.t < 0.5 and len(failed) < 2:  # from the last solution, and from the start
-            failed.append(call.t)
-            return Answer(status=S.STALLED)
-        return Answer((1.0, 0.5) if len(failed) % 2 else (0.5, 1.0), product=call.t)
-
-    run, path = followed(once, crossover=1e-12)
-    assert run.ts == pytest.approx([1.0, 0.1, *HALVES[2:3], *HALVES[1:]])
-    assert path.failure is None
-
-
 def exact(f):
     return Finish(np.zeros(2), f, S.STALLED, Stationarity("W"))
 

@@ -112,17 +112,6 @@ def test_mixed_pair_has_the_feasible_points_of_its_definition(of_G, of_H, satisf
         assert inside == satisfied(*point), point
 
 
-@pytest.mark.parametrize(("slope", "expected"), [(1.0, (-1, 1)), (-1.0, (2, -1)), (0.0, (0.5, 0))])
-def test_mixed_pair_is_at_either_bound_or_between(slope, expected):
-    """``-1 <= y <= 2 _|_ x``, f pulls x to the slope and y to 1/2: the sign of x decides where y is."""
-    program = MPCC.mixed(XY, 10 * (x - slope) ** 2 + (y - 0.5) ** 2, x + y, x, y, lbH=-1, ubH=2)
-    assert (program.n_own, program.n_x) == (2, 4)
-    result = solve(program, [slope, 0.5])
-    assert result.success
-    assert result.x[[1, 0]] == pytest.approx(expected, abs=1e-6)
-    np.testing.assert_allclose(solve(program, program.start([slope, 0.5])).x, result.x)
-
-
 def test_bounds_that_make_no_pair_are_refused():
     for bounds, words in (
         ({"lbG": 0}, "pair 0 has the bounds"),

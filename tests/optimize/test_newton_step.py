@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.constraints import Linearised
-from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, Shifted, positive_definite, scaled
+from rmesh_nlp.optimize.newton_step import BoxStep, ConstrainedStep, Shifted, positive_definite
 from support.quadratics import Matrix, convex
 
 
@@ -32,13 +32,6 @@ def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(
     assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
     assert predicted > 0
     assert np.all(np.abs(s) <= upper)
-
-
-def test_a_model_in_widths_is_the_model_of_the_scaled_function() -> None:
-    A, width = convex(np.random.default_rng(0), 4), np.array([1.0, 0.1, 3.0, 2.0])
-    model, d = scaled(Matrix(A), width), np.array([1.0, -1.0, 2.0, 0.5])
-    np.testing.assert_allclose(model(d), np.diag(width) @ A @ np.diag(width) @ d)
-    np.testing.assert_allclose(model.diagonal(), width**2 * Matrix(A).diagonal())
 
 
 def test_a_limit_of_products_is_kept() -> None:
@@ -69,12 +62,6 @@ def test_a_constrained_step_ends_on_the_rows_with_their_multipliers() -> None:
     np.testing.assert_allclose(step.multipliers(s), [1.0], atol=1e-3)
     np.testing.assert_array_equal(step.multipliers(np.zeros(2)), [0.0])
     assert [step.rows_active(at) for at in (s, np.zeros(2))] == [1, 0]
-
-
-def test_a_positive_definite_matrix_is_factorised_as_it_is() -> None:
-    found, r = factorised(stiff(12), 12), np.arange(12.0)
-    assert (found.shift, found.factorisations) == (0, 1)
-    np.testing.assert_allclose(found(r), np.linalg.solve(stiff(12), r), rtol=1e-8)
 
 
 @pytest.mark.parametrize("seed", range(3))

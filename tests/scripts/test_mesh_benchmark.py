@@ -94,14 +94,6 @@ def test_refinement_gives_the_rate_of_order_2_to_singular_solutions(name: str, r
     assert np.log(errors[2] / errors[-1]) > rate * np.log(nodes[-1] / nodes[2])
 
 
-def test_free_boundary_is_refined_outside_of_contact() -> None:
-    case = cases.CASES["free boundary"]
-    mesh = MeshTri(case.problem(8).mesh.p, case.problem(8).mesh.t)
-    found = list(plain.adaptive(case.equations, mesh, 1, 600))[-1]
-    inside = np.hypot(*found.mesh.p) < 0.8
-    assert np.sum(inside) < 0.1 * found.mesh.p.shape[1]  # of the area it is a fifth
-
-
 @pytest.mark.slow
 def test_a_reference_extrapolates_the_energy_and_bounds_the_error_of_as_many_triangles() -> None:
     case = cases.CASES["L-shape"]

@@ -20,9 +20,6 @@ from truth.reference import reference, refined
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
-LOWER = "200*sin(2*pi*x)*(4*pi**2*y*(0.5-y)**4+8*(0.5-y)**3-12*y*(0.5-y)**2)"
-UPPER = "100*sin(pi*x/2)*(pi**2/4*(1-y)*(0.5-y)**4-8*(0.5-y)**3-12*(1-y)*(0.5-y)**2)"
-
 
 def pressed_block(**more: Any) -> Any:
     """A block of plane stress on a flat foundation, under a pressure of 3."""
@@ -59,16 +56,6 @@ def test_obstacle_below_a_string(order: int) -> None:
     exact = -0.1 * (1 - 4 * np.sqrt(0.05) / 3)
     assert found.converged
     assert abs(found.energy - exact) <= found.bar < 3e-3 * abs(exact)
-
-
-@ORDERS
-def test_example_61(order: int) -> None:
-    flat = Foundation("right", "offset", 0.0)
-    held = dict.fromkeys(("left", "bottom", "top"), (0.0,))
-    load = f"(y <= 0.5)*({LOWER})+(y > 0.5)*({UPPER})"
-    data = replace(membrane(load, flat, held, 8), order=order)
-    found = reference(data, 600)
-    assert abs(found.energy + 1.9456096613) <= found.bar < 0.02 / 10 ** (order - 1)
 
 
 def test_friction_with_a_bound_that_varies_within_elements() -> None:

@@ -95,13 +95,6 @@ def test_settings_that_do_not_fit_are_named(file, names, settings, said):
         plan_comparison(names, ["fixed"], **settings)
 
 
-def test_limits_go_to_those_that_heed_them_and_are_no_error_for_others():
-    limits = {"limits": {"seconds": 5.0}, "tolerance": 1e-3}
-    nested, fixed = plan_comparison(["6.1"], ["nested", "fixed"], n=4, options=limits)
-    assert (nested.options, fixed.options) == (limits, {})
-    assert nested.time_s == 5.0 < fixed.time_s
-
-
 def test_objectives_and_seeds_are_multiplied():
     options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
     plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
