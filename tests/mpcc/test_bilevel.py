@@ -73,7 +73,7 @@ def test_multipliers_are_those_of_nlpsol(kind, variables):
 
 @pytest.mark.parametrize(
     "name",
-    ["bard-1984-a", "toll-setting-5", "bard-1991-1", "de-silva-1978", "henderson-quandt-1958", "sinha-tp6"],
+    ["bard-1984-a", "toll-setting-5", "bard-1991-1", "henderson-quandt-1958", "sinha-tp6"],
 )
 def test_known_optimum_from_the_given_start(name):
     problem = PROBLEMS[name]

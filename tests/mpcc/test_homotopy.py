@@ -138,6 +138,20 @@ def test_branches_are_descended_over_early_only_from_a_good_point_at_small_t(exp
     assert (len(run.ts), path.finish.pivots, path.finish.f) == (steps, 1, pytest.approx(1.0))
 
 
+def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps():
+    """From 1 to 0.1 and from 0.316 to 0.1: the factor becomes its square root."""
+    failed = []
+
+    def once(call):
+        if call.t > 0.5 or failed:
+            return restless(call)
+        failed.append(call.t)
+        return Answer(status=S.ITERATION_LIMIT)
+
+    run, _ = followed(once, crossover=1e-12, exact=never)
+    assert run.ts == pytest.approx([1.0, 0.1, *HALVES[1:]])
+
+
 def exact(f):
     return Finish(np.zeros(2), f, S.STALLED, Stationarity("W"))
 
