@@ -114,31 +114,23 @@ class TestRadius:
     def true(self, x: Array) -> Evaluation:
         return quadratic(np.eye(4), self.B, x)
 
-    def points(self, curvature: float, settings: NewtonSettings, **options: Any) -> list[Array]:
-        """The points of a descent whose model has another curvature than the function."""
+    def points(self, settings: NewtonSettings, **options: Any) -> list[Array]:
+        """The points of a descent of which every model is right."""
         found: list[Array] = []
-        model = Matrix(curvature * np.eye(4))
-        descent(
-            lambda x: Evaluation(self.true(x).value, self.true(x).gradient, lambda: model),
-            np.zeros(4),
-            100.0,
-            settings=settings,
-            on_step=lambda iteration, x, here: found.append(x),
-            max_iterations=3,
-            **options,
-        )
+        options |= {"on_step": lambda iteration, x, here: found.append(x), "max_iterations": 3}
+        descent(self.true, np.zeros(4), 100.0, settings=settings, **options)
         return found
 
     def test_first_step_is_a_part_of_the_scaled_gradient_step(self) -> None:
-        points = self.points(1.0, NewtonSettings(first_radius=0.01))
+        points = self.points(NewtonSettings(first_radius=0.01))
         lengths = np.max(np.abs(np.diff(points[:3], axis=0)), axis=1)
-        # every model is right: the radius grows by its factor
+        # the radius grows by its factor
         np.testing.assert_allclose(lengths, np.array([1, 4]) * 0.01 * 4 / 1.001, rtol=1e-9)
 
     def test_first_step_with_local_radii_is_in_widths(self) -> None:
         widths = np.array([1.0, 1.0, 1.0, 0.1])
         local = LocalRadii(lambda x: widths, lambda x, step: 1.0)
-        points = self.points(1.0, NewtonSettings(first_radius=0.02, grow=2.0), local=local)
+        points = self.points(NewtonSettings(first_radius=0.02, grow=2.0), local=local)
         np.testing.assert_allclose(np.diff(points[:3], axis=0), np.outer([0.02, 0.04], widths), rtol=1e-9)
 
     def test_a_step_beyond_the_domain_is_cut_and_its_own_decrease_counts(self) -> None:
@@ -149,7 +141,7 @@ class TestRadius:
             return min(1.0, 0.25 / lengths[-1])
 
         local, settings = LocalRadii(np.ones_like, longest), NewtonSettings(first_radius=2.0, grow=2.0)
-        points = self.points(1.0, settings, local=local)
+        points = self.points(settings, local=local)
         # cut to the radius that was left, which is right and grows, and is cut again
         np.testing.assert_allclose(lengths, [2.0, 0.25, 0.5], rtol=1e-9)
         np.testing.assert_allclose(np.max(np.abs(np.diff(points, axis=0)), axis=1), 0.25, rtol=1e-9)
