@@ -64,16 +64,6 @@ def test_weight_looks_beside_a_start_where_the_slope_vanishes():
     assert np.isfinite(bad.weight(np.full(3, -1.0), NONE))
 
 
-def test_curvature_is_the_whole_hessian_of_the_weighted_lagrangian():
-    f, g, G = x**2 * y * p, x * w, x * y * w
-    lifted = lift(MPCC(XYW, f, g, G, w, p=p, lbg=0))
-    lagrangian = 3.0 * f + 0.5 * g - 2.0 * G
-    expected = ca.Function("h", [XYW, p], [ca.hessian(lagrangian, XYW)[0]])([1.0, 2.0, 4.0], 5.0).full()
-    found = lifted.curvature(np.array([1.0, 2.0, 4.0, 9.0]), np.array([5.0, 3.0]), np.array([0.5, -2.0]))
-    np.testing.assert_allclose(found.toarray()[:3, :3], expected)
-    assert not np.any(found.toarray()[3])
-
-
 def test_known_multipliers_are_put_on_rows_bounds_and_members():
     """Pair (x, 2 y): that of x joins its bound, that of 2 y its slack and its row; NaN counts as zero."""
     lifted = lift(MPCC(XYW, x, w, x, 2 * y))
@@ -88,21 +78,11 @@ def test_known_multipliers_are_put_on_rows_bounds_and_members():
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-@pytest.mark.parametrize("parameter", [False, True])
-def test_constant_derivatives_are_numbers_and_the_same(kind, parameter):
-    random = np.random.default_rng(0)
-    Q, A = random.normal(size=(12, 12)), random.normal(size=(5, 12))
-    v, q = kind.sym("v", 12), kind.sym("q", 1) if parameter else kind(0, 1)
-    f, g = ca.bilin(ca.DM(Q), v, v) + v[0], ca.mtimes(ca.DM(A), v) - 1
-    derivatives = automatic_derivatives(v, q, f, g)
-    point, values = random.normal(size=12), np.ones((1, 1)) if parameter else np.zeros((0, 1))
-    upper = derivatives.hess_lag(point, values, 2.0, np.ones(5))
+def test_constant_derivatives_are_numbers(kind):
+    Q, v = np.random.default_rng(0).normal(size=(12, 12)), kind.sym("v", 12)
+    f = ca.bilin(ca.DM(Q), v, v) + v[0]
+    derivatives = automatic_derivatives(v, kind(0, 1), f, ca.mtimes(ca.DM(Q[:5]), v) - 1)
+    upper = derivatives.hess_lag(np.ones(12), np.zeros((0, 1)), 2.0, np.ones(5))
     np.testing.assert_allclose(np.array(upper), np.triu(2 * (Q + Q.T)), rtol=1e-12)
-    rows, jacobian = derivatives.jac_g(point, values)
-    np.testing.assert_allclose(rows.full().ravel(), A @ point - 1)
-    np.testing.assert_allclose(np.array(jacobian), A, rtol=1e-14)
-    value, gradient = derivatives.grad_f(point, values)
-    assert float(value) == pytest.approx(point @ Q @ point + point[0])
-    np.testing.assert_allclose(gradient.full().ravel(), (Q + Q.T) @ point + np.eye(12)[0])
-    if not parameter:
-        assert derivatives.hess_lag.n_instructions() < 500
+    np.testing.assert_allclose(np.array(derivatives.jac_g(np.ones(12), np.zeros((0, 1)))[1]), Q[:5])
+    assert derivatives.hess_lag.n_instructions() < 500

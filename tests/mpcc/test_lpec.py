@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, lpec
-from rmesh_nlp.mpcc.lifting import lift
-from rmesh_nlp.mpcc.lpec import descent, nearest_branch
+from rmesh_nlp.mpcc.lpec import descent
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
@@ -80,29 +79,6 @@ def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status,
     assert ("time_limit" in options[0]) == (pairs > 3)
 
 
-@pytest.mark.parametrize(
-    ("mpcc", "radius", "end"),
-    [(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0), 2e-3, 1e-3),
-     (MPCC(XY, -x - 2 * y, None, x, y), 4e-3, 5e-3)],
-)  # fmt: skip
-def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective(mpcc, radius, end):
-    """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
-    z, zero = nearest_branch(lift(mpcc), np.array([2e-3, 1e-3]), ONE, radius)
-    assert (z, zero.tolist()) == (pytest.approx([0, end], abs=1e-12), [[True], [False]])
-
-
-def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():
-    """Pair (x, y) is at (1e-3, 5): x goes to zero whatever the objective says; w stays below its bound."""
-    v = ca.SX.sym("v", 4)
-    lifted = lift(MPCC(v, -v[0] - v[1] - v[2] - v[3], None, v[[0, 2]], v[[1, 3]], ubx=[9, 9, 9, 2e-3]))
-    z, zero = nearest_branch(lifted, np.array([1e-3, 5.0, 2e-3, 1e-3]), ONE, 1e-2)
-    assert zero.tolist() == [[True, False], [False, True]]
-    assert z == pytest.approx([0, 5.01, 1.2e-2, 0], abs=1e-12)
-    z, zero = nearest_branch(lifted, np.array([5.0, 1e-3, 2e-3, 0.0]), ONE, 1e-2)
-    assert zero.tolist() == [[False, False], [True, True]]
-    assert z[:2] == pytest.approx([5.01, 0], abs=1e-12)
-
-
 v = ca.SX.sym("v", 3)
 SUM = MPCC(v, ca.sum1(v), ca.dot(ca.DM([3, 5, 9]), v), v, 1 - v, lbg=14, ubg=14)
 """Each v is 0 or 1: only (0, 1, 1) is feasible."""
@@ -140,13 +116,6 @@ def test_region_shrinks_where_the_linearisation_is_poor():
 def test_of_feasible_branches_the_one_with_the_lower_objective_is_taken():
     mpcc = MPCC(XY, x + 3 * y, x + y, x, y, lbg=1)
     assert end_of(mpcc, [0.4, 0.5])[1].z == pytest.approx([1, 0], abs=1e-6)
-
-
-@pytest.mark.parametrize("only_violation", [True, False])
-def test_local_minimum_of_the_violation_is_certified(only_violation):
-    run, end = end_of(MPCC(XY, x, XY, x, y, lbg=0.5), [0.3, 0.4], only_violation=only_violation)
-    assert end.status is Status.INFEASIBLE
-    assert np.min(end.z[run.lifted.pairs]) == 0
 
 
 def test_point_outside_its_bounds_is_put_into_them():

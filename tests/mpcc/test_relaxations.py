@@ -90,27 +90,3 @@ def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
     else:
         nlp = unlifted_nlp(lifted.source, lifted.base) if name == "unlifted" else relaxed_nlp(lifted, name)[0]
     assert_derivatives_are_casadis(nlp, 3)
-
-
-def test_unlifted_rows_are_bounded_as_one_writes_them():
-    mpcc = nonlinear(ca.SX)
-    nlp = unlifted_nlp(mpcc, lift(mpcc).base)
-    assert list(nlp.lbg) == [0, 0, 0, 0, 0, -np.inf, -np.inf]
-    assert list(nlp.ubg) == [0, *[np.inf] * 4, 0, 0]
-    assert (list(nlp.lbx), list(nlp.ubx)) == ([-5, -5, -5], [4, 5, 6])
-
-
-@pytest.mark.parametrize("name", RELAXATIONS)
-def test_relaxed_nlp_has_the_rows_and_signs_of_its_relaxation(name):
-    lifted = lift(nonlinear(ca.SX))
-    nlp, _ = relaxed_nlp(lifted, name)
-    z, t = np.linspace(0.3, 0.9, nlp.n_x), 0.05
-    f, g = ca.Function("v", [nlp.x, nlp.p], [nlp.f, nlp.g])(z, [0.25, 1.0, t])
-    rows, penalty = at(name, *z[lifted.pairs], t)
-    f0, _, g0, _ = lifted.linearise(z, np.array([0.25, 1.0]))
-    assert float(f) == pytest.approx(f0 + penalty)
-    assert g.full().ravel() == pytest.approx([*g0, *rows])
-    assert np.all(nlp.ubg[g0.size :] == 0)
-    assert np.all(nlp.lbg[g0.size :] == -np.inf)
-    own = [-5, -5, -5, -np.inf, -np.inf, -np.inf]
-    assert list(nlp.lbx) == (own if name == "lin-fukushima" else [-5, -5, 0, 0, 0, 0])

@@ -19,6 +19,7 @@ S = Status
 HERE = np.array([2.0, 0.0])
 LABELLED = Stationarity("W")
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
+TRAP = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
 EQUATION = {"lbg": 0, "ubg": 0}
 
 
@@ -210,15 +211,6 @@ def test_every_relaxation_solves_the_bilevel_problem(kind, form, relaxation):
     assert result.history[-1].phase != "relaxed"
 
 
-@pytest.mark.parametrize("start", [(0, 0), (5, -3)])
-def test_biactive_corner_and_the_two_arms(start):
-    corner = solve(MPCC(XY, (x + 1) ** 2 + (y + 1) ** 2, None, x, y), start)
-    assert (corner.x, list(corner.biactive)) == (pytest.approx([0, 0], abs=1e-9), [0])
-    arms = solve(ARMS, start)
-    assert sorted(arms.x) == pytest.approx([0, 1], abs=1e-8)
-    assert (corner.stationarity, arms.stationarity) == ("S", "S")
-
-
 LCP = y - 2 * x + 1
 
 
@@ -233,6 +225,25 @@ LCP = y - 2 * x + 1
         (MPCC(XY, (x - 1) ** 2 + y**2, x + y, None, None, ubg=0.5), [0, 1], [0.75, -0.25]),
         (MPCC(XY, (x - 1) ** 2 + y**2, None, ca.SX(0), ca.SX(1)), [0, 0], [1, 0]),
         (MPCC(XY, x + 2 * (y - 1) ** 2, y, x, y, lbg=1), [2, 2], [0, 1]),  # a weakly active row
+        (MPCC(XY, (x + 1) ** 2 + (y + 1) ** 2, None, x, y), [5, -3], [0, 0]),
+        # neither the size of the objective nor that of an active row matters
+        *((MPCC(XY, size * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), 0.3, [0, 2]) for size in (1e-12, 1e8)),
+        *(
+            (
+                MPCC(
+                    XYW,
+                    1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2),
+                    ca.vertcat(size * (x + w), x - w),
+                    x,
+                    y,
+                    lbg=[-size, 0],
+                    ubg=[size, 0],
+                ),
+                0.3,
+                [0.5, 0, 0.5],
+            )
+            for size in (1.0, 1e6)
+        ),
         (MPCC(x, (x - 1) ** 2, None, None, None), [0], [1]),
         (MPCC(x, (x - 1) ** 2, x, None, None, ubg=0.5), [0], [0.5]),
         (MPCC(ca.SX(0, 1), 0, None, ca.SX(0), ca.SX(1)), [], []),
@@ -277,34 +288,6 @@ def test_success_is_never_said_of_a_point_without_multipliers():
     assert solve(MPCC(XY, x, None, x, y, lbx=[1, 0], ubx=[1, 0]), [1, 0]).success  # all unknowns are fixed
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_parameters_are_values_of_one_compiled_problem(kind):
-    v, p = kind.sym("v", 2), kind.sym("p")
-    solver = MPCCSolver(MPCC(v, (v[0] - p) ** 2 + (v[1] - 1) ** 2, None, v[0], v[1], p=p))
-    for value in (3.0, 2.0):
-        assert solver([1, 1], p=value).x == pytest.approx([value, 0], abs=1e-8)
-
-
-@pytest.mark.parametrize("weight", [1e-12, 1e8])
-def test_size_of_the_objective_does_not_matter(weight):
-    """Local minima: (0, 2) with f = weight, and (1, 0) with f = 4 weight."""
-    result = solve(MPCC(XY, weight * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), [0.3, 0.3])
-    assert result.success
-    on_x = result.x[0] < 0.5
-    assert result.f / weight == pytest.approx(1 if on_x else 4, rel=1e-8)
-    multiplier = result.lam_G[0] if on_x else result.lam_H[0]
-    assert multiplier / weight == pytest.approx(2 if on_x else 4, rel=1e-6)
-
-
-@pytest.mark.parametrize("size", [1.0, 1e6])
-def test_size_of_a_row_does_not_hide_that_it_is_active(size):
-    """Minimum at x + w = 1, y = 0, where the multiplier of the row is of size 1 / size."""
-    f = 1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2)
-    result = solve(MPCC(XYW, f, ca.vertcat(size * (x + w), x - w), x, y, lbg=[-size, 0], ubg=[size, 0]), 0.3)
-    assert result.success
-    assert result.x == pytest.approx([0.5, 0, 0.5], abs=1e-6)
-
-
 def test_equations_that_follow_from_each_other_do_not_hide_that_a_point_is_not_stationary():
     """The same equation twice above quartics: Ipopt's multipliers grow without bound, it stops far away."""
     v = ca.SX.sym("v", 6)
@@ -322,41 +305,20 @@ def test_kink_of_the_objective_is_not_infeasibility():
     assert (result.constraint_violation, result.f) == (pytest.approx(0, abs=1e-8), pytest.approx(0, abs=1e-6))
 
 
-@pytest.mark.parametrize("seed", range(3))
+def test_the_exact_finish_alone_descends_over_the_branches_without_any_relaxation():
+    """From a feasible point of one branch to its minimum, or over the corner to that of the other."""
+    for mpcc, end, pivots in ((ARMS, [1.0, 0.0], 0), (TRAP, [0.0, 1.0], 1)):
+        result = MPCCSolver(mpcc).finish([0.5, 0.0])
+        assert (result.success, result.stationarity, result.counts["pivots"]) == (True, "S", pivots)
+        assert set(result.columns()["phase"]) == {"branch"}
+        assert result.x == pytest.approx(end, abs=1e-7)
+    assert MPCCSolver(TRAP, max_iterations=1).finish([0.5, 0.0]).status is S.ITERATION_LIMIT
+
+
+@pytest.mark.parametrize("seed", range(2))
 def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
     """Cross complementarity: a share that is on closes several multipliers with one equation."""
     instance = switch_detection(3, seed)
     result = solve(instance.mpcc, instance.x0)
     assert result.success
     assert result.constraint_violation <= 1e-8
-
-
-@pytest.mark.slow
-def test_sparse_square_problem_of_a_thousand_pairs():
-    """Obstacle problem u'' + load, u >= -0.05, on 1000 nodes; the contact force is the other member."""
-    n, h = 1000, 1 / 1001
-    v = ca.MX.sym("v", 2 * n)
-    u, force = ca.vertsplit(v, [0, n, 2 * n])
-    padded = ca.vertcat(0, u, 0)
-    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + 1 - force
-    result = solve(MPCC(v, 0.5 * h * ca.sumsqr(u), balance, force, u + 0.05, lbg=0, ubg=0), 0.0)
-    assert result.success
-    # u'' = 1 off the contact, u = u' = 0 relative to the obstacle at its ends: width sqrt(2 * 0.05)
-    assert np.sum(result.G > 0.5) * h == pytest.approx(1 - 2 * np.sqrt(0.1), abs=3 * h)
-
-
-def test_the_exact_finish_alone_leaves_a_branch_that_is_not_the_best() -> None:
-    """From a feasible point of one branch over the corner to the other, without any relaxation."""
-    program = MPCC(XY, (x - 1) ** 2 + (y - 2) ** 2, None, x, y)
-    result = MPCCSolver(program).finish([0.5, 0.0])
-    assert result.success
-    assert {step.phase for step in result.history} == {"branch"}
-    assert result.stationarity == "S"
-    # the minimum of the branch it began on, which is one of the program
-    np.testing.assert_allclose(result.x, [1.0, 0.0], atol=1e-7)
-    trap = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
-    result = MPCCSolver(trap).finish([0.5, 0.0])
-    np.testing.assert_allclose(result.x, [0.0, 1.0], atol=1e-7)
-    assert result.counts["pivots"] == 1
-    limited = MPCCSolver(trap, max_iterations=1).finish([0.5, 0.0])
-    assert limited.status is Status.ITERATION_LIMIT

@@ -141,20 +141,14 @@ def test_rows_that_are_zero_by_structure_are_no_obstacle():
     assert solve(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, None, zero, ca.vertcat(y, w)), 0.5).success
 
 
-@pytest.mark.parametrize("order", [(y, w), (w, y)])
 @pytest.mark.parametrize("swap", [False, True])
-def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_free(order, swap):
-    """x is paired with y and w; at x = y = 0, w = 1 only the pair with y is biactive.
-
-    The slope -1 in x needs a multiplier +1 of x, which S forbids in the biactive pair.
-    """
-    ones, others = ca.vertcat(x, x), ca.vertcat(*order)
-    G, H = (others, ones) if swap else (ones, others)
+def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_free(swap):
+    """At x = y = 0, w = 1 the slope -1 in x needs a multiplier +1, which S forbids in the biactive pair."""
+    G, H = (ca.vertcat(y, w), ca.vertcat(x, x))[:: -1 if swap else 1]
     lifted, lin = at(MPCC(XYW, -x + y + (w - 1) ** 2, None, G, H), [0, 0, 1])
     proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
-    free = 0 if order[0] is w else 1
-    of_x, of_y = proved.pairs[::-1] if swap else proved.pairs
-    assert (of_x[free], of_x[1 - free], of_y[1 - free]) == (1.0, 0.0, -1.0)
+    of_y, of_x = proved.pairs[:: -1 if swap else 1]
+    assert (of_x[1], of_x[0], of_y[0]) == (1.0, 0.0, -1.0)
     assert_admissible(lifted, lin, proved, "S")
 
 
