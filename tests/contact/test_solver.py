@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from skfem import Basis, BilinearForm, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.helpers import dot, grad
 from skfem.models.elasticity import linear_elasticity
@@ -12,7 +13,7 @@ from skfem.models.elasticity import linear_elasticity
 from rmesh_nlp.contact import solver as of_solver
 from rmesh_nlp.contact.sensitivity import adjoint
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import LEAF, Equilibrium, dissected, elimination_order
+from rmesh_nlp.contact.system import LEAF, ContactSystem, Equilibrium, dissected, elimination_order
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -88,6 +89,21 @@ def test_turned_problem_has_the_same_energy_and_forces() -> None:
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)
     assert np.any(one.active.touching)
     assert np.any(one.tangential_force != 0)
+
+
+def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
+    """The slip along one wall is the gap of the other, up to a sign; the last node has one component."""
+    N = np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, np.sqrt(0.5)]])
+    T = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, np.sqrt(0.5)]])
+    system = ContactSystem(
+        sp.csc_array(np.eye(3)), np.ones(3), 0.0, sp.csr_array(N), sp.csr_array(T), np.zeros(3), np.ones(3)
+    )
+    rotated = system.rotated
+    w = np.array([1.0, 2.0, 3.0])
+    u = rotated.back(w)
+    np.testing.assert_allclose(N @ u, w[rotated.normal])
+    np.testing.assert_array_equal(rotated.slips, [False, True, False])
+    np.testing.assert_allclose((T @ u)[1], w[rotated.tangent[1]])
 
 
 def test_every_unknown_is_eliminated_once_and_a_separator_after_what_it_separates() -> None:

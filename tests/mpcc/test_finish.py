@@ -164,6 +164,16 @@ def test_pairs_with_a_wrong_sign_change_sides_until_all_signs_are_right():
     assert np.all(end.z[:n] > -0.05 - 1e-8)
 
 
+def test_multipliers_that_lead_nowhere_are_left_and_so_is_a_place_without_a_feasible_point():
+    run = scripted(INEXACT, BEST, newton_finish=False)
+    assert finish(run, NEAR, search=False, warm=BEST).solved
+    assert [call.options.get("warm") for call in run.branch_calls] == [BEST, None]
+    nowhere = run_of(MPCC(XY, x, x**2 + y**2, x, y, ubg=-1))
+    end = finish(nowhere, np.array([0.1, 0.2]), search=True)
+    assert not end.solved
+    assert {step.phase for step in nowhere.steps} == {"branch", "signs"}
+
+
 @pytest.mark.parametrize(("negative", "signs"), [(0.9e-8, 1), (1.1e-8, 2)])
 def test_signs_within_the_tolerance_are_right(negative, signs):
     run = scripted(INEXACT, at([0.0, -negative]), at([0.5, 0.0]))

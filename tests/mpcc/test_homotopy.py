@@ -10,7 +10,6 @@ from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path, follow, second_path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import START, XY, Answer, ScriptedRun, ended, run_of, two_minima, x, y
 
@@ -150,26 +149,6 @@ def test_step_that_fails_retreats_half_of_the_way_and_goes_on_by_smaller_steps()
 
     run, _ = followed(once, crossover=1e-12, exact=never)
     assert run.ts == pytest.approx([1.0, 0.1, *HALVES[1:]])
-
-
-def exact(f):
-    return Finish(np.zeros(2), f, S.STALLED, Stationarity("W"))
-
-
-INEXACT = Finish(np.zeros(2), -9.0, S.STALLED)
-
-
-@pytest.mark.parametrize(
-    ("better", "worse"),
-    [(SOLVED, exact(0.0)), (exact(5.0), INEXACT), (exact(1.0), exact(2.0)), (exact(1.0), exact(np.nan))],
-)
-def test_of_two_ends_the_solved_then_the_exact_then_the_lower_is_kept(better, worse):
-    for one, other in ((worse, better), (better, worse)):
-        path = Path(one)
-        assert path.keep(other) == other.solved
-        assert path.finish is better
-    path.keep(replace(better))
-    assert path.finish is better  # of equals the first
 
 
 def test_t_of_a_solve_is_that_of_its_options():

@@ -98,18 +98,6 @@ def test_label_in_words(pairs, stationarity, b, words, solved):
     assert known.label == words
 
 
-def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
-    run = run_of(two_minima())
-    points = [([1, 0.1], 3.0), ([1, 1e-3], 5.0), ([1, 1e-2], 0.0), ([1, 0], 2.0), ([1, 9e-9], 1.0),
-              ([1, 0], 1.5), ([np.inf, 1], -9.0)]  # fmt: skip
-    kept = []
-    for z, f in points:
-        with np.errstate(invalid="ignore"):
-            run.keep(np.array(z, float), f)
-        kept.append(run.nearest[1])
-    assert kept == [3, 5, 5, 2, 1, 1, 1]
-
-
 @pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
 def test_iteration_limit_holds_and_gives_the_best_point(mpcc):
     total = solve(mpcc, 0.1).counts["ipopt_iterations"]

@@ -16,24 +16,17 @@ from support.scripted_run import XY, x, y
 p = ca.SX.sym("p")
 
 
-def end(success, f=0.0, violation=0.0, complementarity=0.0):
-    residuals = {"constraint_violation": violation, "complementarity": complementarity}
-    return SimpleNamespace(success=success, f=f, **residuals)
-
-
-@pytest.mark.parametrize(
-    ("ends", "best", "spread"),
-    [
-        ([end(True, 2.0), end(True, 1.0), end(False, -9.0)], 1, (1.0, 2.0)),
-        # the most nearly feasible one
-        ([end(False, 0, 0, 1), end(False, 0, 0.1), end(False, -9, 0.2)], 1, (np.nan, np.nan)),
-    ],
-)
-def test_best_is_the_lowest_success_else_the_most_feasible(ends, best, spread):
-    many = MultiStart(tuple(ends), (), 0)
-    assert many.best is ends[best]
-    assert many.spread == pytest.approx(spread, nan_ok=True)
-    assert f"{sum(e.success for e in ends)} of 3 starts succeeded" in str(many)
+def test_best_is_the_lowest_success_else_the_most_feasible():
+    names = ("success", "f", "constraint_violation", "complementarity")
+    for rows, spread in (
+        ([(False, -9, 0, 0), (True, 1.0, 0, 0), (True, 2.0, 0, 0)], (1.0, 2.0)),
+        ([(False, 0, 0, 1), (False, 0, 0.1, 0), (False, -9, 0.2, 0)], (np.nan, np.nan)),
+    ):
+        ends = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+        many = MultiStart(tuple(ends), (), 0)
+        assert many.best is ends[1]
+        assert many.spread == pytest.approx(spread, nan_ok=True)
+        assert f"{sum(end.success for end in ends)} of 3 starts succeeded" in str(many)
 
 
 def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_origin():
