@@ -1,7 +1,5 @@
 """What large problems rest on: dense rows, multipliers by least squares, limits."""
 
-from __future__ import annotations
-
 import threading
 import time
 

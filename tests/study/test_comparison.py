@@ -1,7 +1,5 @@
 """Comparisons: what is planned, which rows of an earlier run are used again, and what a run leaves of it."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -124,9 +122,7 @@ def test_a_formulation_may_have_options_of_its_own():
     [
         ("mpcc:start", "NAME=VALUE"),
         ("mpcc:speed=9", "takes no option 'speed'"),
-        ("mpc:start=joint", "mpc"),
         ("mpcc:relaxation=x", "unknown relaxation 'x'"),
-        ("nested:outer=x", "nested takes no option 'outer'"),
         ("mpcc:t0=x", "t0 must be positive and finite, got 'x'"),
         ("joint:limits.seconds=-1", "seconds must be .*, got -1"),
     ],

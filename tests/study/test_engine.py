@@ -1,7 +1,5 @@
 """Every planned solve becomes one row, whatever happens to it, its worker or its client."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import itertools

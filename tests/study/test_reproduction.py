@@ -1,7 +1,5 @@
 """Statements about the paper, each compared with its printed value."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

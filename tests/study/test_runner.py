@@ -1,7 +1,5 @@
 """A planned solve becomes one row: its own, or that of its failure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
