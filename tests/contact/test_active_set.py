@@ -120,9 +120,7 @@ def test_any_start_ends_at_the_same_solution(system: ContactSystem) -> None:
 
 @pytest.mark.parametrize("dense", [np.inf, 0.0], ids=["Hessian formed", "by back-substitutions"])
 @pytest.mark.parametrize("ordered", [False, True])
-def test_the_dual_problem_predicts_most_of_the_active_set(
-    system: ContactSystem, ordered: bool, dense: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_dual_problem_predicts_most_of_the_active_set(system, ordered, dense, monkeypatch) -> None:
     if system.rigid is not None:
         pytest.skip("contact alone holds the body")
     monkeypatch.setattr(active_set, "DENSE", dense)

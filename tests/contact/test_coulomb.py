@@ -144,9 +144,7 @@ class TestSolver:
         assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
 
     @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
-    def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(
-        self, seed: int, draw: int
-    ) -> None:
+    def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(self, seed, draw) -> None:
         """All branches of three contact nodes under random loads there."""
         rough, rng = random_problem(seed, kind="rough"), np.random.default_rng(draw)
         problem = replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=8.0))

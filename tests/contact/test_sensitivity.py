@@ -32,9 +32,7 @@ def solved(request: pytest.FixtureRequest) -> tuple[ContactSystem, Equilibrium]:
     return model.system(problem.mesh.p), model.solve(problem.mesh.p)
 
 
-def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
-    solved: tuple[ContactSystem, Equilibrium],
-) -> None:
+def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(solved) -> None:
     """A quadratic program with a held active set is linear: one difference is exact."""
     (system, state), random = solved, np.random.default_rng(0)
     size = system.force_scale
@@ -52,9 +50,7 @@ def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(
     np.testing.assert_allclose(tangential, change, atol=tolerance)
 
 
-def test_the_adjoint_gives_the_response_of_any_linear_functional(
-    solved: tuple[ContactSystem, Equilibrium],
-) -> None:
+def test_the_adjoint_gives_the_response_of_any_linear_functional(solved) -> None:
     """``right . du`` is ``-p . force - reaction . gap - friction . slip``."""
     (system, state), random = solved, np.random.default_rng(2)
     right = random.normal(size=state.u.size)

@@ -1,12 +1,17 @@
 """Newton's method on a branch and the projection onto it, by hand and against Ipopt."""
 
+import threading
+
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from rmesh_nlp.mpcc import MPCC
+from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.scripted_run import CORNER, ON_G, XY, XYW, run_of, two_minima, w, x, y
 
@@ -98,3 +103,22 @@ def test_pair_at_its_corner_changes_sides_where_the_objective_falls(release, end
     found = polish(run, np.array([0.0, 0.1]), ON_G, np.zeros(0), np.zeros(2), release=release)
     assert found.z == pytest.approx(end, abs=1e-7)
     assert np.max(found.lam_z) == pytest.approx(0.0 if release else 4.0, abs=1e-6)
+
+
+def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
+    random, n = np.random.default_rng(0), 2500
+    border = sp.csc_matrix(random.normal(size=(n, 2)))
+    line = sp.diags([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], [-1, 0, 1])
+    system = sp.bmat([[line, border], [border.T, None]], format="csc")
+    right = random.normal(size=n + 2)
+    assert np.max(np.abs(system @ factorised(system, lambda solve: solve(right)) - right)) <= 1e-10
+
+
+def test_factors_stay_in_the_thread_that_made_them():
+    """SuperLU does not give back memory in another one."""
+    eye = sp.identity(3, format="csc")
+    solved, at = factorised(
+        eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), Budget(Limits(60.0))
+    )
+    assert list(solved) == [1, 1, 1]
+    assert at != threading.get_ident()

@@ -3,11 +3,13 @@
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
+from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
@@ -104,9 +106,7 @@ def test_iterates_or_objectives_beyond_all_measure_are_called_unbounded(f, point
         ([], 2.0, False, S.FAILED),
     ],
 )
-def test_without_an_exact_end_the_nearest_point_is_returned_with_the_reason(
-    failures, excess, infeasible, said
-):
+def test_without_an_exact_end_the_nearest_point_has_the_reason(failures, excess, infeasible, said):
     paths = [Path(failure=status) for status in failures]
     for limit in (None, S.TIME_LIMIT):
         found = chosen(*paths, limit=limit, infeasible=infeasible, nearest=(HERE, 1.0, excess))
@@ -323,3 +323,22 @@ def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
     result = solve(instance.mpcc, instance.x0)
     assert result.success
     assert result.constraint_violation <= 1e-8
+
+
+@pytest.mark.slow
+def test_large_obstacle_control_is_exact_and_labelled_from_one_trajectory():
+    m = 34
+    n, h = m * m, 1 / (m + 1)
+    line = sp.diags([-np.ones(m - 1), np.full(m, 2.0), -np.ones(m - 1)], [-1, 0, 1])
+    laplace = ca.DM(sp.csc_matrix(sp.kronsum(line, line)) / h**2)
+    s = np.arange(1, m + 1) * h
+    wanted = 0.5 * np.outer(np.sin(2 * np.pi * s), np.sin(2 * np.pi * s)).ravel() - 0.02
+    x = ca.SX.sym("x", 3 * n)
+    u, f, force = x[:n], x[n : 2 * n], x[2 * n :]
+    cost = h**2 * (ca.sumsqr(u - wanted) + 1e-3 * ca.sumsqr(f))
+    result = solve(MPCC(x, cost, ca.mtimes(laplace, u) - f - force, force, u, lbg=0, ubg=0), 0.0)
+    assert n >= LARGE
+    assert (result.status, result.stationarity) == (S.CONVERGED, "S")
+    assert result.complementarity == 0.0
+    assert result.n_biactive > 100
+    assert "second" not in result.columns()["phase"]

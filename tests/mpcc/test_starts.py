@@ -55,8 +55,12 @@ ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3
 """Minima (1, 0) with f = 1 and (0, 1.05) with f = 0.8975; from t0 = 1e-4 each start keeps its arm."""
 
 
-def test_best_of_several_starts_says_what_they_reached():
-    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+@pytest.fixture(scope="module")
+def many():
+    return multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+
+
+def test_best_of_several_starts_says_what_they_reached(many):
     best = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
     assert best.x == pytest.approx([0, 1.05], abs=1e-7)
     assert many.spread == pytest.approx((0.8975, 1.0), abs=1e-6)
@@ -67,8 +71,7 @@ def test_best_of_several_starts_says_what_they_reached():
     assert not solve(ARMS, [1.5, 0], t0=1e-4).reached
 
 
-def test_trajectory_that_comes_upon_a_former_one_has_its_result():
-    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+def test_trajectory_that_comes_upon_a_former_one_has_its_result(many):
     followed = [k for k, former in enumerate(many.joined) if former is None]
     assert many.joined[0] is None
     assert 2 <= len(followed) < 8

@@ -7,6 +7,7 @@ import pytest
 from mpcc_library.labels import descends_by_search, label_by_search, random_block
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
+from rmesh_nlp.mpcc.multipliers import by_least_squares
 from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proof_of_s, stationarity, strongest
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
@@ -293,3 +294,38 @@ def test_b_without_s_needs_the_exact_finish(n):
     assert abs(result.f) < 1e-6
     relaxed = [step for step in result.history if step.phase == "relaxed"][-1]
     assert relaxed.objective == pytest.approx(-n * np.sqrt(relaxed.t), rel=1e-2)
+
+
+def corners(slopes_G, slopes_H, g=None):
+    """Pairs x_i _|_ y_i that are biactive at 0; their multipliers are minus the slopes."""
+    n = len(slopes_G)
+    v = ca.SX.sym("v", 2 * n)
+    f = ca.dot(ca.DM([*slopes_G, *slopes_H]), v)
+    return at(MPCC(v, f, None if g is None else g(v), v[:n], v[n:], ubg=0), np.zeros(2 * n))
+
+
+@pytest.mark.parametrize(
+    ("slopes_G", "slopes_H", "label"),
+    [
+        ([1, 2, 0], [1, 0, 3], "S"),
+        ([1, -2, 0], [1, 0, 3], "M"),
+        ([1, -2, 0], [1, -1, 3], "C"),
+        ([1, -2, 0], [1, 1, 3], "W"),
+    ],
+)
+def test_unique_multipliers_decide_the_label_and_name_a_branch_that_descends(slopes_G, slopes_H, label):
+    lifted, lin = corners(slopes_G, slopes_H)
+    found = stationarity(lifted, lin, 1e-6, by_signs=True)
+    assert (found.label, found.b_stationary) == (label, label == "S")
+    if label != "S":
+        free = lifted.pairs[~found.direction.zero]
+        assert np.min(lin.gradient[free]) < 0
+
+
+def test_multipliers_that_are_not_unique_prove_s_by_least_squares_with_signs():
+    """x1 + x2 <= 0 holds with its multiplier what the corner's own may not: least squares alone share it."""
+    lifted, lin = corners([-1, -1], [1, 1], lambda v: v[0] + v[1])
+    found = by_least_squares(lifted, lin, 1e-6)
+    assert (found.s_stationary, found.unique) == (True, False)
+    assert np.all(found.multipliers.pairs <= 1e-6)
+    assert found.multipliers.rows[0] >= 1

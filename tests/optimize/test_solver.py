@@ -1,7 +1,6 @@
 """The one call of CasADi's solvers: wrong options are named, Ctrl-C stops them, units do not matter."""
 
 import signal
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -20,9 +19,7 @@ from rmesh_nlp.optimize.units import Units
         ({"mu_strategy": "adaptiv"}, "Ipopt refuses mu_strategy = 'adaptiv'"),
     ],
 )
-def test_a_wrong_option_of_ipopt_is_named(
-    option: dict[str, Any], message: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_option_of_ipopt_is_named(option, message, capfd) -> None:
     x, none = ca.MX.sym("x"), np.zeros(0)
     nlp = NLP(x, ca.MX(0, 1), x**2, ca.MX(0, 1), np.array([-1.0]), np.array([1.0]), none, none)
     with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared as a whole

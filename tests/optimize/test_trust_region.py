@@ -202,9 +202,7 @@ class Halves:
 
 
 @pytest.mark.parametrize(("side", "reach", "start"), [(1.0, 0.2, (-1.5, 0.2)), (-1.0, 2.0, (-0.7, 0.2))])
-def test_a_curved_constraint_is_followed_to_the_minimiser_on_it(
-    side: float, reach: float, start: Any
-) -> None:
+def test_a_curved_constraint_is_followed_to_the_minimiser_on_it(side, reach, start) -> None:
     # the nearest point of the circle to one inside it, or outside
     nearest, slacks = np.array([np.cos(1), np.sin(1)]), []
     result = descent(
