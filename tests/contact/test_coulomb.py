@@ -1,7 +1,5 @@
 """Coulomb friction: closed forms, all branches of a small problem, derivatives, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product

@@ -1,7 +1,5 @@
 """How contact solutions change, against difference quotients of solutions with the same active set."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -229,19 +229,3 @@ class TestSecondPath:
     def test_it_is_an_option_and_needs_pairs_and_expressions(self, mpcc, options, looks):
         history = solve(mpcc, START, **options).history
         assert any(step.phase == "second" for step in history) == looks
-
-
-@pytest.mark.slow
-def test_penalty_that_ends_at_a_violation_is_not_followed_to_the_end():
-    """Both members at least 0.2: empty for every t below 0.04, not for t = 1."""
-    empty = MPCC(XY, (x - 1) ** 2 + y**2, XY, x, y, lbg=0.2)
-    run, path = run_of(empty), Path()
-    follow(run, path, "l1-penalty", START, 1.0)
-    assert path.failure is S.INFEASIBLE
-    assert min(step.t for step in run.steps if step.phase == "relaxed") > 1e-8
-    result = solve(empty, START)
-    assert (result.status, result.success) == (S.INFEASIBLE, False)
-    assert result.counts["nlp_solves"] <= 25
-    assert result.counts["rescues"] > 0  # another relaxation was asked all the same
-    follow(run_of(two_minima()), path := Path(), "l1-penalty", START, 1.0)
-    assert path.finish.solved

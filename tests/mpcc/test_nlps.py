@@ -52,13 +52,6 @@ def test_start_extends_by_slacks_that_meet_their_rows_as_far_as_signs_allow():
     assert list(lifted.start(np.array([1.0, -2.0, 0.0]), np.array([5.0]))) == [1, -2, 0, 0, 0, 5, 0]
 
 
-@pytest.mark.parametrize(
-    ("f", "weight"), [(1e-4 * x, 1e4), (3 * x, 1.0), (ca.SX(7), 1.0), (0.5 * x - 0.25 * w, 2.0)]
-)
-def test_weight_brings_small_slopes_up_to_one(f, weight):
-    assert lift(MPCC(XYW, f, None, x, w)).weight(np.zeros(3), NONE) == pytest.approx(weight)
-
-
 def test_weight_looks_beside_a_start_where_the_slope_vanishes():
     lifted = lift(MPCC(XYW, 1e-3 * ca.sumsqr(XYW), None, x, w))
     weight = lifted.weight(np.zeros(3), NONE)

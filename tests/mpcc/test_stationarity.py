@@ -227,7 +227,6 @@ SOME = Multipliers(*np.zeros((3, 1)))
         (Stationarity("W", SOME, False), Status.STALLED),
         (Stationarity("none", None, None), Status.STALLED),
         (Stationarity("", None, True), Status.STALLED),
-        (Stationarity("", SOME, None), Status.STALLED),
     ],
 )
 def test_status_needs_a_label_and_b_stationarity(known, status):

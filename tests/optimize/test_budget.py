@@ -1,7 +1,5 @@
 """Phases of a solve, and what they add up to."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from typing import Any

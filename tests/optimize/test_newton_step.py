@@ -1,7 +1,5 @@
 """One step in a box or polyhedron: projections, multipliers, factorisations as preconditioners."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -45,15 +43,6 @@ def test_a_limit_of_products_is_kept() -> None:
     for step in (free, short):
         step.within(-wide, wide, 1e-8)
     assert short.products <= 6 < free.products  # one more for the search that ends a round
-
-
-def test_negative_curvature_is_followed_for_two_widths_of_the_box_and_projected() -> None:
-    # two widths along (1, 0.4) end at (2, 0.8): only the first variable meets its bound. Two products are one
-    # round: the Cauchy point and the direction
-    g = -1e-6 * np.array([1.0, 0.4])
-    s, predicted = BoxStep(Matrix(-np.eye(2)), g, max_products=2).within(-np.ones(2), np.ones(2), 1e-8)
-    np.testing.assert_allclose(s, [1.0, 0.8], atol=1e-5)
-    assert predicted == pytest.approx((1 + 0.8**2) / 2, rel=1e-4)
 
 
 def test_a_constrained_step_ends_on_the_rows_with_their_multipliers() -> None:

@@ -1,7 +1,5 @@
 """What ``scripts/corpus.py`` reports of a version that is worse than its baseline."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import cast
 

@@ -1,7 +1,5 @@
 """What the benchmark of meshes measures with: the plain loop of scikit-fem, references, the tables."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

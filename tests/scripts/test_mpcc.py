@@ -139,26 +139,21 @@ def few_blocks():
 
 
 @pytest.mark.parametrize(
-    ("c", "label", "descends"),
+    ("c", "label", "descends", "rows"),
     [
-        ([1.0, 1.0], "S", False),
-        ([-1.0, 0.0], "M", True),
-        ([-1.0, -1.0], "C", True),
-        ([1.0, -1.0], "W", True),
-        ([1.0, 1.0, 1.0], "none", True),  # a free unknown with slope
+        ([1.0, 1.0], "S", False, []),
+        ([-1.0, 0.0], "M", True, []),
+        ([-1.0, -1.0], "C", True, []),
+        ([1.0, -1.0], "W", True, []),
+        ([1.0, 1.0, 1.0], "none", True, []),  # a free unknown with slope
+        # min x + y - z, z <= 4 x, z <= 4 y of Scheel and Scholtes: B, but the multipliers of S are missing
+        ([1.0, 1.0, -1.0], "M", False, [[-4.0, 0, 1], [0, -4.0, 1]]),
     ],
 )
-def test_search_finds_the_label_of_a_corner(c, label, descends):
-    n = len(c)
-    data = Active(np.array(c), np.zeros((0, n)), np.zeros(0), np.eye(n)[:1], np.eye(n)[1:2])
+def test_search_finds_the_label_of_a_corner(c, label, descends, rows):
+    n, A = len(c), np.reshape(rows, (len(rows), len(c)))
+    data = Active(np.array(c), A, np.ones(len(rows)), np.eye(n)[:1], np.eye(n)[1:2])
     assert (label_by_search(data), descends_by_search(data)) == (label, descends)
-
-
-def test_search_knows_a_point_that_is_b_but_not_s():
-    """min x + y - z, z <= 4 x, z <= 4 y of Scheel and Scholtes: the multipliers of S are missing."""
-    A = np.array([[-4.0, 0, 1], [0, -4.0, 1]])
-    data = Active(np.array([1.0, 1, -1]), A, np.array([1, 1]), np.eye(3)[:1], np.eye(3)[1:2])
-    assert (label_by_search(data), descends_by_search(data)) == ("M", False)
 
 
 @pytest.mark.parametrize("make", [regular, dependent, tangled])
@@ -185,7 +180,6 @@ def test_labels_with_many_biactive_pairs_are_never_wrong(seed):
         (("M", True), ("M", None), "undecided"),
         (("M", True), ("at least C", True), "undecided"),
         (("W", False), ("at least C", False), "wrong"),
-        (("M", True), ("C", True), "wrong"),
         (("C", False), ("M", False), "wrong"),
         (("M", True), ("M", False), "wrong"),
         (("M", True), ("", None), "wrong"),

@@ -1,7 +1,5 @@
 """The solver of ``scripts/soak_truth.py`` against closed forms, and that it notices what is wrong."""
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from pathlib import Path

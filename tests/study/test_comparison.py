@@ -93,14 +93,6 @@ def test_settings_that_do_not_fit_are_named(file, names, settings, said):
         plan_comparison(names, ["fixed"], **settings)
 
 
-def test_objectives_and_seeds_are_multiplied():
-    options = {"objective": ["energy", "error-l2"], "seed": [1, 2]}
-    plan = plan_comparison(["6.1"], ["fixed", "joint"], n=4, options=options)
-    joint = [(o["objective"], o["seed"]) for o in (one.options for one in plan if one.formulation == "joint")]
-    assert joint == [("energy", 1), ("energy", 2), ("error-l2", 1), ("error-l2", 2)]
-    assert len(plan) == len({one.key for one in plan}) == 6  # fixed takes no seed
-
-
 def test_errors_need_a_solution_that_is_known(file):
     options = {"objective": ["energy", "error-l2"]}
     plan = plan_comparison(["6.2"], ["fixed"], n=(4, 2), options=options)

@@ -1,7 +1,5 @@
 """Study files, and the plans that they become."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
