@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from skfem import Basis, BilinearForm, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
-from skfem.helpers import dot, grad
+from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp.contact import solver as of_solver
@@ -21,24 +19,6 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
 from support.contact_geometry import block_on_a_circle, block_sliding_on_a_circle
 from support.problems import sloped_block
-
-
-def test_scalar_system_is_that_of_scikit_fem() -> None:
-    problem = replace(EXAMPLES["6.1"](), quadrature=8)
-    solver = ContactSolver(problem)
-    system = solver.system(problem.mesh.p)
-    basis = Basis(problem.mesh, ElementTriP1(), intorder=8)
-    source = ca.Function("f", [x := ca.SX.sym("x"), y := ca.SX.sym("y")], [problem.law.source(x, y)])
-
-    def f(x: np.ndarray) -> np.ndarray:
-        return source(x[0].ravel(), x[1].ravel()).full().reshape(x[0].shape)
-
-    K = asm(BilinearForm(lambda u, v, w: dot(grad(u), grad(v))), basis)
-    F = asm(LinearForm(lambda v, w: f(w.x) * v), basis)
-    index = solver.displacement.index[0]
-    nodes = np.flatnonzero(index >= 0)[np.argsort(index[index >= 0])]
-    np.testing.assert_allclose(system.stiffness.toarray(), K[nodes][:, nodes].toarray(), atol=1e-13)
-    np.testing.assert_allclose(system.load, F[nodes], atol=1e-13)
 
 
 def test_forces_are_measured_by_the_load_or_by_what_an_overlap_would_take() -> None:

@@ -83,15 +83,6 @@ def test_more_equations_than_unknowns_are_met_by_projection_and_by_newton():
     assert project(far, np.ones(2), ON_G) is None  # the branch is far away: no projection
 
 
-def test_projection_is_the_nearest_point_of_the_branch():
-    """Onto x = 0, y + w = 1, w <= 1/4."""
-    run = run_of(MPCC(XYW, 9 * y, y + w, x, y, lbg=1, ubg=1, ubx=[INF, INF, 0.25]))
-    assert project(run, np.array([0.1, 0.8, 0.1]), ON_G) == pytest.approx([0, 0.85, 0.15], abs=1e-8)
-    assert project(run, np.array([0.1, 0.8, 0.4]), ON_G) == pytest.approx([0, 0.75, 0.25], abs=1e-8)
-    circle = run_of(MPCC(XYW, 0, y**2 + w**2, x, y, lbg=1, ubg=1))
-    assert project(circle, np.array([0.1, 0.66, 0.88]), ON_G) == pytest.approx([0, 0.6, 0.8], abs=1e-6)
-
-
 def towards_x():
     """Minimum (2, 0): on the branch x = 0 the member y is driven to zero, and f falls along x from there."""
     return MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y)

@@ -170,10 +170,3 @@ def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
     far = solver(known.x, p=0.2, start=known)  # too far for Newton's method: the homotopy goes on
     assert far.success
     assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"warm_duals": True}, {"newton_finish": False}])
-def test_warm_starts_lead_to_the_same_solution(changes):
-    plain = solve(obstacle(), 0.1)
-    assert solve(obstacle(), 0.1, **changes).f == pytest.approx(plain.f, rel=1e-7)

@@ -121,13 +121,9 @@ class TestRadius:
         descent(self.true, np.zeros(4), 100.0, settings=settings, **options)
         return found
 
-    def test_first_step_is_a_part_of_the_scaled_gradient_step(self) -> None:
-        points = self.points(NewtonSettings(first_radius=0.01))
-        lengths = np.max(np.abs(np.diff(points[:3], axis=0)), axis=1)
-        # the radius grows by its factor
-        np.testing.assert_allclose(lengths, np.array([1, 4]) * 0.01 * 4 / 1.001, rtol=1e-9)
-
-    def test_first_step_with_local_radii_is_in_widths(self) -> None:
+    def test_first_steps_are_a_part_of_the_scaled_gradient_step_or_of_the_widths_and_grow(self) -> None:
+        lengths = np.max(np.abs(np.diff(self.points(NewtonSettings(first_radius=0.01)), axis=0)), axis=1)
+        np.testing.assert_allclose(lengths[:2], np.array([1, 4]) * 0.01 * 4 / 1.001, rtol=1e-9)
         widths = np.array([1.0, 1.0, 1.0, 0.1])
         local = LocalRadii(lambda x: widths, lambda x, step: 1.0)
         points = self.points(NewtonSettings(first_radius=0.02, grow=2.0), local=local)

@@ -97,13 +97,6 @@ def test_as_many_cases_may_be_worse_as_one_run_has_against_the_others() -> None:
     assert best == "group: 4 to 5 -> 2 of 5 cases at the best known value"
 
 
-def test_many_cases_at_the_worse_of_several_ends_are_a_fault() -> None:
-    baseline = [runs_of(-1, -1, -2, -2), runs_of(-2, -1, -1, -2), runs_of(-1, -2, -2, -1)]
-    assert compare(baseline, runs_of(-1, -1, -1, -2)).faults == []
-    worst = compare([runs_of(*[-2] * 9), runs_of(-1, *[-2] * 8)], runs_of(*[-1] * 9))
-    assert worst.faults[-1] == "group: 8 to 9 -> 0 of 9 cases at the best known value"
-
-
 def test_slower_by_more_than_a_tenth_is_a_fault() -> None:
     result, olds = Comparison(), [{"joint": 1.0, "mpcc": 5.0}, {"joint": 2.0, "mpcc": 4.0}]
     compare_seconds(result, olds, {"joint": 2.3, "mpcc": 4.0})

@@ -1,14 +1,11 @@
 """Statements about the paper, each compared with its printed value."""
 
-import casadi as ca
-import numpy as np
 import pytest
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.examples import EXAMPLES, PAPER
-from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.examples import PAPER
 from rmesh_nlp.study import reproduction
-from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, _difference, reproduce
+from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +54,3 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
     page = (tmp_path / "r" / "reproduction.html").read_text()
     assert "initial &lt;energy&gt;" in page
     assert "://" not in page
-
-
-def test_frozen_weights_differ_from_moving_ones_by_the_work_of_friction():
-    outer = Outer.of(problem := EXAMPLES["6.3"]((4, 2)))
-    q = 0.5 * outer.variables(seed=1)
-    state = outer.energy(q).equilibrium
-    difference = ca.Function("d", [outer.relocation.x], [_difference(problem, outer.relocation)])
-    weights = [outer.contact.system(x).slip_bound for x in (problem.mesh.p, outer.nodes(q))]
-    slip = np.abs(outer.contact.slips(outer.nodes(q), state.u))
-    value = float(difference(outer.energy.point(q, state)))
-    assert value == pytest.approx((weights[0] - weights[1]) @ slip, rel=1e-9)
-    assert abs(value) > 1e-6
