@@ -147,12 +147,16 @@ def _ctrl_c_raises():
 
 @pytest.mark.usefixtures("_ctrl_c_raises")
 def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
-    def press(iteration):
-        if iteration == 2:
+    seen = []
+
+    def press(iterate):
+        seen.append(iterate.iteration)
+        if iterate.iteration == 2:
             signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        solve(two_minima(), 0.5, on_iteration=lambda iterate: press(iterate.iteration))
+        solve(two_minima(), 0.5, on_iteration=press)
+    assert seen == [0, 1, 2]  # at once
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 

@@ -93,12 +93,6 @@ X = ca.vertcat(gap, force, speed)
 NONE = np.zeros(0)
 
 
-def as_mx():
-    """The same names as MX symbols, two of them in one."""
-    pair, speed = ca.MX.sym("contact", 2), ca.MX.sym("speed")
-    return ca.vertcat(pair, speed), pair[0], pair[1], speed
-
-
 @pytest.mark.parametrize(
     ("f", "g", "words"),
     [
@@ -141,7 +135,8 @@ def test_largest_residual_is_named(x, words):
 
 
 def test_message_of_a_failed_solve_names_the_unknown():
-    x, gap, force, speed = as_mx()
+    contact, speed = ca.MX.sym("contact", 2), ca.MX.sym("speed")
+    x, gap, force = ca.vertcat(contact, speed), contact[0], contact[1]
     start = solve(MPCC(x, ca.log(speed - 2), None, gap, force), 0.0, moves=0)
     assert start.status is Status.EVALUATION_ERROR
     assert "f is nan at x[2] (speed) = 0." in start.message

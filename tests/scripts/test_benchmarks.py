@@ -137,9 +137,8 @@ def test_seed_determines_the_design_problem():
 def test_kinds_of_design_problems():
     problems = [random_design(seed).problem for seed in range(20)]
     obstacles = [problem.contact_sets[0].obstacle for problem in problems]
-    assert any(obstacle.has_coulomb for obstacle in obstacles)
-    assert any(obstacle.has_bound for obstacle in obstacles)
-    assert any(not obstacle.frictional for obstacle in obstacles)
+    for name in ("has_coulomb", "has_bound", "frictional"):
+        assert {getattr(obstacle, name) for obstacle in obstacles} == {True, False}
     assert any(obstacle.level is not None for obstacle in obstacles)
     assert {problem.components for problem in problems} == {1, 2}
     assert {problem.motion.is_fixed for problem in problems} == {True, False}

@@ -75,10 +75,7 @@ def test_friction_with_a_bound_that_varies_within_elements() -> None:
 @ORDERS
 def test_domain_of_the_true_curves(order: int) -> None:
     """Areas, and energies of linear and quadratic displacements, are those of the round body on any mesh."""
-    steel, lid = (
-        (Material("plane-strain", (0.0, 0.0), 7.0, 0.2),),
-        Foundation("arc", "level", "5-y"),
-    )
+    steel, lid = (Material("plane-strain", (0.0, 0.0), 7.0, 0.2),), Foundation("arc", "level", "5-y")
     circles = {"arc": (0.0, 0.0, 5.0), "hole": (0.0, 0.0, 3.0)}
     half = Data("disc", disc(3, 2.0, False), steel, lid, {}, {}, {"arc": (0.0, 2.0, 2.0)})
     round_ring = Data("ring", ring(8, 2, 3.0), steel, lid, {}, {}, circles)

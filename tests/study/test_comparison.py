@@ -59,14 +59,11 @@ def test_a_file_is_compared_by_its_own_objective(file):
         plan_comparison([file], ["nested"])
 
 
-def test_keys_are_file_names():
+def test_keys_are_file_names_and_settings_reach_the_example():
     options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
     (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
     assert one.identity["key"] == one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
     assert replace(one, options={}).key == "6.1-4-nested"
-
-
-def test_size_delta_and_rule_reach_the_example():
     (one,) = plan_comparison(["6.1"], ["fixed"], n=5, order=2)
     assert (one.key, one.built.order, one.identity["order"]) == ("6.1-5-order2-fixed", 2, 2)
     (one,) = plan_comparison(["6.1"], ["fixed"], n=5, delta=0.02, quadrature=6)
