@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, lpec
-from rmesh_nlp.mpcc.lpec import descent
+from rmesh_nlp.mpcc.lifting import lift
+from rmesh_nlp.mpcc.lpec import descent, nearest_branch
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
@@ -77,6 +78,17 @@ def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status,
     found = descent(*linearised(mpcc, np.zeros(2 * pairs)), budget=Budget(Limits(2.5)))
     assert (found is not None) == decided
     assert ("time_limit" in options[0]) == (pairs > 3)
+
+
+@pytest.mark.parametrize(
+    ("mpcc", "radius", "end"),
+    [(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0), 2e-3, 1e-3),
+     (MPCC(XY, -x - 2 * y, None, x, y), 4e-3, 5e-3)],
+)  # fmt: skip
+def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective(mpcc, radius, end):
+    """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
+    z, zero = nearest_branch(lift(mpcc), np.array([2e-3, 1e-3]), np.ones(1), radius)
+    assert (z, zero.tolist()) == (pytest.approx([0, end], abs=1e-12), [[True], [False]])
 
 
 v = ca.SX.sym("v", 3)

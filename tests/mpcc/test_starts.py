@@ -89,7 +89,7 @@ def test_limits_hold_for_all_starts_together():
     assert 2 <= len(many.results) == len(many.starts) < 50
     assert many.best.success
     late = multistart(ARMS, [1.5, 0], n=50, time_limit_s=1e-9)
-    assert [r.status for r in late.results] == [Status.TIME_LIMIT]
+    assert [(r.status, r.history) for r in late.results] == [(Status.TIME_LIMIT, ())]
 
 
 @pytest.mark.parametrize("options", [{"starts": 0}, {"starts": 2.5}, {"seed": -1}, {"moves": -1}])

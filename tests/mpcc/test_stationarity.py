@@ -64,8 +64,6 @@ def test_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary, of
     slack = 3 * TOLERANCE * lin.scale
     assert found.multipliers.pairs[:, 0] == pytest.approx([-c, -d], abs=slack)
     assert (found.direction is None) == b_stationary
-    weighted = classify(MPCC(XY, 1e-3 * (c * x + d * y), None, x, y), [0, 0])
-    assert list(weighted.biactive) == [0]
 
 
 CLOSED = [  # objective, rows (<= 0, >= 0 or = 0 by sign), point, label, B

@@ -10,7 +10,6 @@ import pytest
 import ablation
 import benchmark_branches
 import benchmark_cost
-import benchmark_coulomb
 import benchmark_designs
 import benchmark_peers
 import compare_formulations
@@ -113,7 +112,7 @@ def test_a_case_of_kinks_that_raises_is_a_row():
     assert "nowhere" not in benchmark_branches.table([row])
 
 
-@pytest.mark.parametrize("seed", [0, 6, 19])
+@pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
 def test_stated_design_obeys_all_constraints(seed):
     found = random_design(seed)
     outer = Outer.of(found.problem, found.objective)
@@ -242,14 +241,3 @@ def test_a_fixed_point_of_the_bounds_takes_more_active_sets() -> None:
     assert solve(system).iterations < sets
     still = replace(system, coulomb=np.zeros(system.offset.size))
     assert fixed_point(still)[0] <= 2
-
-
-@pytest.mark.slow
-def test_tables_are_printed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(
-        benchmark_coulomb.TABLES, "partial", lambda: benchmark_coulomb.partial_slip(8, (0.5,))
-    )
-    assert benchmark_coulomb.main(["partial"]) == 0
-    rows = capsys.readouterr().out.split("\n\n")[0].splitlines()
-    assert len(rows) == 3
-    assert float(rows[2].split("|")[1]) == pytest.approx(0.5, abs=0.01)

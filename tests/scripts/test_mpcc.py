@@ -165,13 +165,6 @@ def test_labels_are_those_that_are_known(make, seed):
     assert verdict(point, found.stationarity, found.b_stationary) == "right"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_labels_with_many_biactive_pairs_are_never_wrong(seed):
-    point = dependent(seed, 8, 12)
-    found = classify(point.mpcc, point.x)
-    assert verdict(point, found.stationarity, found.b_stationary) != "wrong"
-
-
 @pytest.mark.parametrize(
     ("known", "said", "word"),
     [
@@ -191,5 +184,5 @@ def test_verdict_tells_wrong_from_undecided(known, said, word):
 
 
 def test_script_prints_a_table_and_finds_nothing_wrong(capsys):
-    assert main(["--few", "3", "--many", "0"]) == 0
+    assert main(["--few", "3", "--many", "2"]) == 0
     assert "0 wrong" in capsys.readouterr().out
