@@ -1,11 +1,23 @@
 """Statements about the paper, each compared with its printed value."""
 
+from dataclasses import replace
+
 import pytest
+from scipy.optimize import minimize
 
 from rmesh_nlp.cli import app as cli
-from rmesh_nlp.examples import PAPER
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.examples import EXAMPLES, PAPER
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.study import reproduction
-from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, Statement, reproduce
+from rmesh_nlp.study.reproduction import (
+    MET,
+    NOT_MET,
+    PASSED,
+    Statement,
+    least_energy_with_frozen_friction,
+    reproduce,
+)
 
 
 @pytest.fixture(scope="module")
@@ -54,3 +66,16 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
     page = (tmp_path / "r" / "reproduction.html").read_text()
     assert "initial &lt;energy&gt;" in page
     assert "://" not in page
+
+
+def test_frozen_weights_are_those_of_the_given_mesh_in_every_contact_problem():
+    """By a search over meshes whose contact problems have the bounds of friction of the given one."""
+    outer = Outer.of(problem := EXAMPLES["6.3"]((4, 2)))
+    bound, limits = outer.contact.system(problem.mesh.p).slip_bound, outer.relocation.mesh_map
+
+    def energy(q):
+        return solve(replace(outer.contact.system(outer.nodes(q)), slip_bound=bound)).energy
+
+    box = list(zip(limits.lower, limits.upper, strict=True))
+    found = minimize(energy, outer.variables(), bounds=box, method="L-BFGS-B")
+    assert least_energy_with_frozen_friction(problem) == pytest.approx(found.fun, rel=1e-4)
