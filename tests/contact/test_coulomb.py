@@ -73,9 +73,7 @@ class TestSolver:
             np.testing.assert_allclose(u, model.given.u, atol=1e-12)
 
     @pytest.mark.parametrize("coulomb", [0.3, 1.0])
-    def test_where_newton_fails_bounds_that_follow_the_forces_lead_to_the_same_solution(
-        self, coulomb: float, monkeypatch: pytest.MonkeyPatch
-    ) -> None:
+    def test_where_newton_fails_bounds_follow_the_forces_to_the_same_solution(self, coulomb, monkeypatch):
         problem = slab(coulomb)
         system = ContactSolver(problem).system(problem.mesh.p)
         by_newton = solve(system)

@@ -70,7 +70,6 @@ def never(z):
         (lambda call: Answer(product=0.05 * call.t, objective=1.0), {}, [1.0, 0.01], None),
         # settled sides are finished early from the crossover on; two steps are needed to see that they are
         (settled(), {}, TENTHS[:3], None),
-        (settled(), {"crossover": 1e-3}, TENTHS[:4], None),
         (settled(), {"crossover": 1.0}, TENTHS[:2], None),
         (settled(), {"newton_finish": False}, TENTHS[:3], None),
         (settled(z=(0.2, 0.1)), {}, TENTHS, None),  # too far from the minimum for Newton's method

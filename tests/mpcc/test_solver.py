@@ -47,7 +47,6 @@ def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
         (end_of(1.0), UNBOUNDED),  # a minimum is an answer, that there is none further down is not
         (end_of(1.0), end_of(0.0, S.STALLED)),
         (UNBOUNDED, end_of(0.0, S.STALLED)),
-        (UNBOUNDED, INEXACT),
         (end_of(5.0, S.STALLED), INEXACT),
         (end_of(0.0, S.STALLED), end_of(1.0, S.STALLED)),
     ],

@@ -133,18 +133,6 @@ def test_seed_determines_the_design_problem():
 
 
 @pytest.mark.slow
-def test_kinds_of_design_problems():
-    problems = [random_design(seed).problem for seed in range(20)]
-    obstacles = [problem.contact_sets[0].obstacle for problem in problems]
-    for name in ("has_coulomb", "has_bound", "frictional"):
-        assert {getattr(obstacle, name) for obstacle in obstacles} == {True, False}
-    assert any(obstacle.level is not None for obstacle in obstacles)
-    assert {problem.components for problem in problems} == {1, 2}
-    assert {problem.motion.is_fixed for problem in problems} == {True, False}
-    assert {bool(problem.constraints) for problem in problems} == {True, False}
-
-
-@pytest.mark.slow
 def test_one_design_problem_by_both_from_both_starts(tmp_path, capsys):
     out = tmp_path / "rows.jsonl"
     for _ in range(2):  # the second time nothing is left to solve
