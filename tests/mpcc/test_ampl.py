@@ -105,7 +105,7 @@ def test_model_in_the_layout_of_jump(stub):
 
 
 @pytest.mark.parametrize("text", [ACTIVE, MAXIMUM])
-def test_duals_of_rows_and_bounds_make_up_the_gradient(stub, text):
+def test_duals_make_up_the_gradient_and_are_changes_with_the_right_hand_side(stub, text):
     """The signs of AMPL: gradient of f = sum of dual times gradient of row + zL + zU, minimum or maximum."""
     path = stub(text)
     sol, rows = called(path), read_rows(path.with_suffix(".nl"))
@@ -117,6 +117,9 @@ def test_duals_of_rows_and_bounds_make_up_the_gradient(stub, text):
             sums[j] += value
     assert sums == pytest.approx(gradient.ravel(), abs=1e-6)
     assert set(sol.suffixes) == {"ipopt_zL_out", "ipopt_zU_out"}
+    wider, value = called(stub(text.replace("1 2.5", "1 2.501"))), ca.Function("f", [rows.x], [rows.f])
+    assert sol.duals[2] == pytest.approx(float(value(wider.x) - value(sol.x)) / 1e-3, abs=0.01)
+    assert abs(sol.duals[2]) > 0.1
 
 
 def test_options_of_the_first_line_come_back(stub):
