@@ -312,6 +312,8 @@ def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, m
     monkeypatch.setattr(engine, "distributed_rows", rows_of)
     more = [plan_comparison(["6.2"], [name], n=(4, 2))[0] for name in ("auto", "joint")]
     *_, auto, lost = run([*plan, *more], Results(ran), resume=True, jobs=2)
+    contained.solve(replace(more[0], fields=False), ran / "bare")
+    assert not (ran / "bare" / "solutions").exists()
     contained.close()
     assert got == [one.key for one in more]
     (alone,) = run(more[:1], Results(ran / "alone"))

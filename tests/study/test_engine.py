@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import pytest
 
@@ -144,16 +143,6 @@ def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, 
     path = study_file(tmp_path, SMALL.replace("3", "2"))
     assert cli.run(["study", path, "--out", str(tmp_path / "out"), "--quiet"]) == code
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
-
-
-def test_a_solve_runs_in_a_process_of_its_own_and_fields_are_kept_if_they_are_wanted(tmp_path):
-    contained = Contained()
-    for solve in (replace(PLAN[0], fields=False), PLAN[0]):
-        row = contained.solve(solve, tmp_path)
-        assert (tmp_path / "solutions" / f"{row['key']}.vtu").exists() == solve.fields
-        assert row["task_time_s"] > 0
-        assert (row["variant"], row["repeat"]) == ("fixed", 0)
-    contained.close()
 
 
 def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
