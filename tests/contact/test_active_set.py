@@ -72,7 +72,7 @@ SYSTEMS = {
     "slope, stick and slip": of(sloped_block),
     "circle, stick and slip": of(block_sliding_on_a_circle),
     "corner of two foundations": of(block_between_two_foundations),
-    **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(8)},
+    **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(3)},
 }
 
 
@@ -81,17 +81,13 @@ def system(request: pytest.FixtureRequest) -> ContactSystem:
     return SYSTEMS[request.param]()
 
 
-def test_ipopt_finds_the_same_minimum(system: ContactSystem) -> None:
-    ours, (u, energy) = solve(system), by_ipopt(system)
-    assert ours.status is Status.CONVERGED
+def test_ipopt_finds_the_same_minimum_and_the_laws_hold_at_every_node(system: ContactSystem) -> None:
+    state, (u, energy) = solve(system), by_ipopt(system)
+    assert state.status is Status.CONVERGED
     # an interior point stays a distance of about tol / force off each touching bound
-    assert ours.energy == pytest.approx(energy, rel=1e-7)
-    assert np.max(np.abs(ours.u - u)) <= 1e-4 * np.max(np.abs(u))
-    assert ours.energy == pytest.approx(system.energy(ours.u), rel=1e-14)
-
-
-def test_the_laws_of_contact_and_friction_hold_at_every_node(system: ContactSystem) -> None:
-    state = solve(system)
+    assert state.energy == pytest.approx(energy, rel=1e-7)
+    assert np.max(np.abs(state.u - u)) <= 1e-4 * np.max(np.abs(u))
+    assert state.energy == pytest.approx(system.energy(state.u), rel=1e-14)
     gap, slip = system.normals @ state.u + system.offset, system.tangents @ state.u
     unit, length = system.force_scale, np.max(np.abs(state.u))
     out_of_balance = system.stiffness @ state.u - system.load - system.normals.T @ state.normal_force
@@ -112,7 +108,7 @@ def test_the_laws_of_contact_and_friction_hold_at_every_node(system: ContactSyst
     np.testing.assert_allclose(out_of_balance, 0, atol=1e-9 * unit)
 
 
-def test_any_start_ends_at_the_same_solution(system: ContactSystem) -> None:
+def test_any_start_ends_at_the_same_solution_or_at_the_iteration_limit(system: ContactSystem) -> None:
     cold, n, rng = solve(system), system.offset.size, np.random.default_rng(1)
     assert solve(system, cold.active).iterations == 1
     for _ in range(5):
@@ -120,16 +116,26 @@ def test_any_start_ends_at_the_same_solution(system: ContactSystem) -> None:
         warm = solve(system, ActiveSet(rng.random(n) < 0.5, sliding))
         assert warm.status is Status.CONVERGED
         assert warm.energy == pytest.approx(cold.energy, rel=1e-10)
+    far_off = ActiveSet(~cold.active.touching, cold.active.sliding)
+    limited = solve(system, far_off, max_iterations=1)
+    assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 1)
 
 
-def test_the_dual_problem_predicts_most_of_the_active_set(system: ContactSystem) -> None:
-    if system.rigid is None:
-        guess, found = predicted_set(system), solve(system).active
-        assert np.mean(guess.touching != found.touching) <= 0.2
-        assert np.mean(guess.sliding != found.sliding) <= 0.2 if found.sliding.size else True
+@pytest.mark.parametrize("dense", [np.inf, 0.0], ids=["Hessian formed", "by back-substitutions"])
+@pytest.mark.parametrize("ordered", [False, True])
+def test_the_dual_problem_predicts_most_of_the_active_set(system, ordered, dense, monkeypatch) -> None:
+    if system.rigid is not None:
+        pytest.skip("contact alone holds the body")
+    monkeypatch.setattr(active_set, "DENSE", dense)
+    order = np.random.default_rng(0).permutation(system.load.size) if ordered else None
+    guess, found = predicted_set(replace(system, order=order)), solve(system).active
+    assert np.mean(guess.touching != found.touching) <= 0.2
+    assert np.mean(guess.sliding != found.sliding) <= 0.2 if found.sliding.size else True
 
 
-def test_the_dual_energy_has_gaps_and_slips_as_its_gradient() -> None:
+@pytest.mark.parametrize("dense", [np.inf, 0.0])
+def test_the_dual_energy_has_gaps_and_slips_as_its_gradient(dense, monkeypatch) -> None:
+    monkeypatch.setattr(active_set, "DENSE", dense)
     system = random_system(3)
     dual, rng = DualEnergy(system), np.random.default_rng(0)
     y, d = rng.standard_normal((2, 20))
@@ -140,32 +146,3 @@ def test_the_dual_energy_has_gaps_and_slips_as_its_gradient() -> None:
     # quadratic: one expansion is exact
     expected = here.value + here.gradient @ d + dual(d) @ d / 2
     assert dual.evaluate(y + d).value == pytest.approx(expected, rel=1e-9)
-
-
-@pytest.mark.parametrize("ordered", [False, True])
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_the_dual_hessian_is_the_same_by_back_substitutions(name, ordered, monkeypatch) -> None:
-    system = SYSTEMS[name]()
-    if system.rigid is not None:
-        pytest.skip("contact alone holds the body")
-    if ordered:
-        order = np.random.default_rng(0).permutation(system.load.size)
-        system = replace(system, order=order)
-    monkeypatch.setattr(active_set, "DENSE", np.inf)
-    formed = DualEnergy(system)
-    monkeypatch.setattr(active_set, "DENSE", 0.0)
-    solved = DualEnergy(system)
-    y, d = np.random.default_rng(1).standard_normal((2, solved.diagonal().size))
-    one, other = formed.evaluate(y), solved.evaluate(y)
-    assert one.value == pytest.approx(other.value, rel=1e-8)
-    np.testing.assert_allclose(
-        one.gradient, other.gradient, rtol=1e-8, atol=1e-8 * np.max(abs(other.gradient))
-    )
-    np.testing.assert_allclose(formed(d), solved(d), rtol=1e-8, atol=1e-8 * np.max(np.abs(solved(d))))
-
-
-def test_the_iteration_limit_is_reported() -> None:
-    system = SYSTEMS["6.2"]()
-    far_off = ActiveSet(np.ones(system.offset.size, dtype=bool), np.zeros(0, dtype=np.int8))
-    state = solve(system, far_off, max_iterations=2)
-    assert (state.status, state.iterations) == (Status.ITERATION_LIMIT, 2)

@@ -1,7 +1,5 @@
 """Coulomb friction: closed forms, all branches of a small problem, derivatives, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -11,7 +9,7 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
-from rmesh_nlp.contact.active_set import _by_bounds, first_set, solve
+from rmesh_nlp.contact.active_set import first_set, solve
 from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
@@ -54,7 +52,7 @@ class TestSolver:
         assert np.all(found.active.sliding == 1)
 
     @pytest.mark.parametrize("order", [1, 2])
-    @pytest.mark.parametrize("coulomb", [0.0, 0.1, 0.5, 1.0, 3.0, lambda x, y: 0.2 + 0.3 * x])
+    @pytest.mark.parametrize("coulomb", [0.0, 0.5, 3.0, lambda x, y: 0.2 + 0.3 * x])
     def test_laws_hold_whatever_the_coefficient(self, coulomb, order: int) -> None:
         problem = slab(coulomb, order=order)
         model = ContactSolver(problem)
@@ -75,16 +73,18 @@ class TestSolver:
             np.testing.assert_allclose(u, model.given.u, atol=1e-12)
 
     @pytest.mark.parametrize("coulomb", [0.3, 1.0])
-    def test_bounds_that_follow_the_forces_lead_to_the_same_solution(self, coulomb: float) -> None:
+    def test_where_newton_fails_bounds_follow_the_forces_to_the_same_solution(self, coulomb, monkeypatch):
         problem = slab(coulomb)
         system = ContactSolver(problem).system(problem.mesh.p)
-        newton = solve(system)
-        slow = _by_bounds(system, system.equilibrium(first_set(system)), 100)
-        assert slow.status is Status.CONVERGED
-        np.testing.assert_allclose(slow.u, newton.u, atol=1e-12)
+        by_newton = solve(system)
         # it is the solution for the bound of Tresca that is reached
-        bounded = replace(system, slip_bound=system.bound(newton.normal_force), coulomb=None)
-        np.testing.assert_allclose(solve(bounded).u, newton.u, atol=1e-12)
+        bounded = replace(system, slip_bound=system.bound(by_newton.normal_force), coulomb=None)
+        np.testing.assert_allclose(solve(bounded).u, by_newton.u, atol=1e-12)
+        at_once = replace(system.equilibrium(first_set(system)), status=Status.STALLED)
+        monkeypatch.setattr("rmesh_nlp.contact.active_set.newton", lambda *_: at_once)
+        slow = solve(system)
+        assert slow.status is Status.CONVERGED
+        np.testing.assert_allclose(slow.u, by_newton.u, atol=1e-12)
 
     def test_bounds_of_tresca_and_of_coulomb_add_up(self) -> None:
         problem = slab(0.3)
@@ -98,21 +98,7 @@ class TestSolver:
         expected = (4.0 * omega + 0.3 * state.normal_force)[slides]
         np.testing.assert_allclose(np.abs(state.tangential_force[slides]), expected, rtol=1e-10)
 
-    def test_a_node_that_meets_the_foundation_slides_as_it_moves(self) -> None:
-        """Unless the overlap presses so much that it sticks; the slip at an earlier guess does not matter."""
-        problem = slab(0.5, (4, 2), motion=rm.Motion(None))
-        system = ContactSolver(problem).system(problem.mesh.p)
-        size = system.offset.size
-        for direction in (-1, 1):
-            apart = ActiveSet(np.zeros(size, bool), np.full(size, direction, np.int8))
-            state = replace(system.equilibrium(apart), u=np.zeros(system.load.size))
-            for slip, gap, way in ((0.3, -0.2, 1), (-0.3, -0.2, -1), (0.3, -0.7, 0), (-0.3, -0.7, 0)):
-                u = slip * system.tangents.T @ np.ones(size) + gap * system.normals.T @ np.ones(size)
-                proposal, _ = next_set(system, replace(state, u=u), apart)
-                assert np.all(proposal.touching)
-                np.testing.assert_array_equal(proposal.sliding, way)
-
-    @pytest.mark.parametrize(("seed", "order", "coulomb"), [(18, 1, 3.0), (19, 2, 10.0), (10, 2, 10.0)])
+    @pytest.mark.parametrize(("seed", "order", "coulomb"), [(18, 1, 3.0), (19, 2, 10.0)])
     def test_newton_is_damped_where_full_steps_cycle(self, seed: int, order: int, coulomb: float) -> None:
         rough = random_problem(seed, kind="rough", order=order)
         problem = refined(
@@ -128,18 +114,28 @@ class TestSolver:
         assert state.status is Status.CONVERGED
         assert is_solution(system, state)
 
-    def test_laws_vanish_at_the_solution_only_and_name_its_active_set(self) -> None:
+    def test_a_node_that_meets_the_foundation_slides_as_it_moves_unless_the_overlap_holds_it(self) -> None:
+        """Whatever way it slid at an earlier guess."""
+        problem = slab(0.5, (4, 2), motion=rm.Motion(None))
+        system = ContactSolver(problem).system(problem.mesh.p)
+        ones = np.ones(system.offset.size)
+        for direction in (-1, 1):
+            apart = ActiveSet(ones < 0, (direction * ones).astype(np.int8))
+            for slip, gap, way in ((0.3, -0.2, 1), (-0.3, -0.2, -1), (0.3, -0.7, 0), (-0.3, -0.7, 0)):
+                u = system.tangents.T @ (slip * ones) + system.normals.T @ (gap * ones)
+                proposal, _ = next_set(system, replace(system.equilibrium(apart), u=u), apart)
+                assert np.all(proposal.touching)
+                np.testing.assert_array_equal(proposal.sliding, way)
+
+    def test_laws_vanish_at_the_solution_alone(self) -> None:
         problem = slab(1.0)
         system = ContactSolver(problem).system(problem.mesh.p)
         state, laws = solve(system), Laws(system)
-        residual, active = laws(state)
         unit = system.force_scale**2 / system.stiffness.diagonal().max()
-        assert residual < 1e-20 * unit
-        np.testing.assert_array_equal(active.touching, state.active.touching)
-        np.testing.assert_array_equal(active.sliding[active.touching], state.active.sliding[active.touching])
-        assert laws(replace(state, normal_force=0.9 * state.normal_force))[0] > 1e-6 * unit
-        assert laws(replace(state, tangential_force=-state.tangential_force))[0] > 1e-6 * unit
-        assert laws(replace(state, u=-state.u))[0] > 1e-6 * unit
+        assert laws(state)[0] < 1e-20 * unit
+        wrong = {"normal_force": 0.9 * state.normal_force, "tangential_force": -state.tangential_force}
+        for name, value in {**wrong, "u": -state.u}.items():
+            assert laws(replace(state, **{name: value}))[0] > 1e-6 * unit
 
     def test_contraction_is_that_of_the_fixed_point(self) -> None:
         problem = slab(0.8)
@@ -166,10 +162,8 @@ class TestSolver:
         monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
         assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
 
-    @pytest.mark.parametrize(("seed", "draw"), [(21, 9), (21, 41), (27, 7), (38, 7), (23, 41)])
-    def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(
-        self, seed: int, draw: int
-    ) -> None:
+    @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
+    def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(self, seed, draw) -> None:
         """All branches of three contact nodes under random loads there."""
         rough, rng = random_problem(seed, kind="rough"), np.random.default_rng(draw)
         problem = replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=8.0))
@@ -188,7 +182,7 @@ class TestSolver:
 
 class TestFormulations:
     def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:
-        ends = {name: rm.solve(slab(0.5, (8, 4)), name, objective=SAG) for name in ("nested", "mpcc")}
+        ends = {name: rm.solve(slab(0.5, (4, 2)), name, objective=SAG) for name in ("nested", "mpcc")}
         for solution in ends.values():
             row = solution.record()
             assert solution.success
@@ -197,29 +191,24 @@ class TestFormulations:
             assert solution.stationarity_residual < 1e-5
         assert ends["mpcc"].stationarity == "S"
 
-    def test_fixed_solves_the_contact_problem(self) -> None:
+    def test_fixed_solves_the_contact_problem_without_a_certificate(self) -> None:
         problem = slab(1.0)
-        solution = rm.solve(problem, "fixed")
+        solution = rm.solve(problem, "fixed", certify=True)
         assert solution.status is Status.CONVERGED
         row, state = solution.record(), ContactSolver(problem).given
         touching = state.active.touching
         assert row["sticking_nodes"] == np.count_nonzero(state.active.sliding == 0) > 0
         assert row["sliding_nodes"] == np.count_nonzero(state.active.sliding != 0)
         assert 0 < np.count_nonzero(touching) < touching.size
+        assert "Coulomb" in solution.certificate_remark
 
     @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "auto", "cascade"])
     def test_there_is_no_energy_to_minimise(self, name: str) -> None:
         with pytest.raises(BadInputError, match="with Coulomb friction"):
             rm.solve(slab(), name)
-
-    def test_joint_says_why_it_refuses(self) -> None:
-        with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
-            rm.solve(slab(), "joint", objective=SAG)
-
-    def test_there_is_no_certificate(self) -> None:
-        remark = rm.solve(slab(), "fixed", certify=True).certificate_remark
-        assert remark is not None
-        assert "Coulomb" in remark
+        if name == "joint":
+            with pytest.raises(BadInputError, match=r"joint minimises an energy.*use mpcc or nested"):
+                rm.solve(slab(), name, objective=SAG)
 
     def test_a_strong_coefficient_is_warned_of(self, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr("rmesh_nlp.solving.assess.contraction", lambda *_: 1.25)

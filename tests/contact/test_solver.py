@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from skfem import Basis, BilinearForm, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
-from skfem.helpers import dot, grad
+from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp.contact import solver as of_solver
@@ -21,24 +19,6 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
 from support.contact_geometry import block_on_a_circle, block_sliding_on_a_circle
 from support.problems import sloped_block
-
-
-def test_scalar_system_is_that_of_scikit_fem() -> None:
-    problem = replace(EXAMPLES["6.1"](), quadrature=8)
-    solver = ContactSolver(problem)
-    system = solver.system(problem.mesh.p)
-    basis = Basis(problem.mesh, ElementTriP1(), intorder=8)
-    source = ca.Function("f", [x := ca.SX.sym("x"), y := ca.SX.sym("y")], [problem.law.source(x, y)])
-
-    def f(x: np.ndarray) -> np.ndarray:
-        return source(x[0].ravel(), x[1].ravel()).full().reshape(x[0].shape)
-
-    K = asm(BilinearForm(lambda u, v, w: dot(grad(u), grad(v))), basis)
-    F = asm(LinearForm(lambda v, w: f(w.x) * v), basis)
-    index = solver.displacement.index[0]
-    nodes = np.flatnonzero(index >= 0)[np.argsort(index[index >= 0])]
-    np.testing.assert_allclose(system.stiffness.toarray(), K[nodes][:, nodes].toarray(), atol=1e-13)
-    np.testing.assert_allclose(system.load, F[nodes], atol=1e-13)
 
 
 def test_forces_are_measured_by_the_load_or_by_what_an_overlap_would_take() -> None:
@@ -89,20 +69,6 @@ def test_turned_problem_has_the_same_energy_and_forces() -> None:
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)
     assert np.any(one.active.touching)
     assert np.any(one.tangential_force != 0)
-
-
-def test_gaps_and_slips_are_single_unknowns_of_the_rotated_system() -> None:
-    for make in (sloped_block, block_sliding_on_a_circle, block_on_a_circle):
-        problem = make()
-        system = ContactSolver(problem).system(problem.mesh.p)
-        rotated = system.rotated
-        w = np.random.default_rng(0).standard_normal(system.load.size)
-        u = rotated.back(w)
-        np.testing.assert_allclose(system.normals @ u, w[rotated.normal], atol=1e-13)
-        slips = rotated.slips
-        np.testing.assert_allclose((system.tangents @ u)[slips], w[rotated.tangent[slips]], atol=1e-13)
-        np.testing.assert_allclose(u @ (system.stiffness @ u), w @ (rotated.K @ w))
-        assert np.sum(slips) == np.sum(system.frictional)
 
 
 def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
-from rmesh_nlp.mpcc import MPCC, bilevel, classify, outcome, solve
+from rmesh_nlp.mpcc import bilevel, outcome, solve
 from rmesh_nlp.optimize.status import Status
 
 INF = np.inf
@@ -71,47 +71,10 @@ def test_multipliers_are_those_of_nlpsol(kind, variables):
         assert np.max(np.minimum(G, H)) <= 1e-6
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("target", [-1.0, 0.4, 3.0])
-def test_two_sided_bounds_have_separate_multipliers(kind, target):
-    x, y = kind.sym("x"), kind.sym("y")
-    lower = {"f": (y - x) ** 2 / 2, "lbx": 0, "ubx": 1}
-    mpcc = bilevel({"x": x, "f": (x - target) ** 2 + 0.01 * y}, lower, variables=y)
-    result = solve(mpcc, 0.5)
-    assert result.success
-    _, nearest, low, high = result.x
-    x = result.x[0]
-    assert nearest == pytest.approx(np.clip(x, 0, 1), abs=1e-7)
-    assert (low, high) == pytest.approx((max(-x, 0), max(x - 1, 0)), abs=1e-7)
-    assert result.f == pytest.approx((x - target) ** 2 + 0.01 * np.clip(x, 0, 1))
-    assert x == pytest.approx(target - (0.005 if target == 0.4 else 0), abs=1e-6)
-    assert result.lower_level.verdict == "global minimum"
-
-
-def test_equality_has_a_multiplier_of_any_sign():
-    """min |y|^2 / 2 - x y_1 over y_1 + y_2 = 1: y = (1 + x, 1 - x) / 2, lam = (x - 1) / 2."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y", 2)
-    lower = {"f": ca.sumsqr(y) / 2 - x * y[0], "g": ca.sum1(y), "lbg": 1, "ubg": 1}
-    for target in (-1.5, 2.5):
-        mpcc = bilevel({"x": x, "f": (y[0] - target) ** 2}, lower, variables=y)
-        assert mpcc.n_pairs == 0
-        result = solve(mpcc, 0.3)
-        assert result.success
-        solved = 2 * target - 1
-        expected = [solved, (1 + solved) / 2, (1 - solved) / 2, (solved - 1) / 2]
-        assert result.x == pytest.approx(expected, abs=1e-7)
-        assert values(mpcc, result.x, "lam_g")[0] == pytest.approx([(solved - 1) / 2], abs=1e-7)
-
-
-EXPECTED = (
-    "bard-1984-a", "bard-falk-1982", "ben-ayed-blair-1990-a", "candler-townsley-1982", "glackin-2009",
-    "toll-setting-5", "bard-1988-3", "bard-1991-1", "calvete-gale-1999", "clark-westerberg-1990-a",
-    "colson-bipa-3", "de-silva-1978", "macal-hurter-1997", "muu-quy-2003-1", "outrata-1990-1a", "sinha-tp6",
-    "shimizu-aiyoshi-1981-2", "yezza-1996-4.1",
-)  # fmt: skip
-
-
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize(
+    "name",
+    ["bard-1984-a", "toll-setting-5", "bard-1991-1", "henderson-quandt-1958", "sinha-tp6"],
+)
 def test_known_optimum_from_the_given_start(name):
     problem = PROBLEMS[name]
     result = solve(problem.program(), problem.x0)
@@ -132,20 +95,6 @@ def test_most_of_the_library_ends_at_known_optima_and_none_below():
         reached += result.f <= problem.best + tolerance
     assert len(convex) >= 50
     assert reached >= 0.8 * len(convex)
-
-
-@pytest.mark.parametrize("name", ["muu-quy-2003-1", "colson-bipa-4", "henderson-quandt-1958"])
-def test_no_upper_value_on_a_grid_is_better(name):
-    """With exact lower-level solves; the grid comes as near as its spacing allows."""
-    problem = PROBLEMS[name]
-    mpcc = problem.program()
-    result, level = solve(mpcc, problem.x0), mpcc.lower_level
-    objective = ca.Function("F", [mpcc.x], [mpcc.f])
-    width = min(float(mpcc.ubx[0]), 6.0 if name.startswith("colson") else INF)
-    best = min(float(objective(level.start([x], problem.y0))) for x in np.linspace(0, width, 61))
-    assert result.success
-    assert result.f <= best + 1e-6
-    assert best - result.f <= 2e-3 * (1 + abs(best))
 
 
 def test_stackelberg_duopoly_with_a_parameter():
@@ -180,34 +129,7 @@ def test_multipliers_may_enter_the_upper_level():
     assert result.f == pytest.approx(-4)
 
 
-def test_obstacle_control_is_that_of_hand_written_conditions():
-    """Membrane over an obstacle: u controls its load; y >= obstacle, pairs of gaps and contact forces."""
-    n = 12
-    h, u, y, force = 1 / (n + 1), ca.SX.sym("u", n), ca.SX.sym("y", n), ca.SX.sym("force", n)
-    t = np.linspace(h, 1 - h, n)
-    obstacle, wanted = -0.1 + 0.05 * np.cos(3 * t), -0.15 * np.sin(np.pi * t)
-    steps = ca.vertcat(y, 0) - ca.vertcat(0, y)
-    tracking = h * ca.sumsqr(y - wanted) + 1e-3 * h * ca.sumsqr(u)
-    mpcc = bilevel(
-        {"x": u, "f": tracking, "lbx": -8, "ubx": 8},
-        {"f": ca.sumsqr(steps) / (2 * h) - h * ca.dot(u - 1, y), "lbx": obstacle},
-        variables=y,
-    )
-    stiffness = (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1)) / h
-    balance = ca.mtimes(ca.DM(stiffness), y) - h * (u - 1) - force
-    bounds = {"lbx": [-8] * n + [-INF] * 2 * n, "ubx": [8] * n + [INF] * 2 * n, "lbg": 0, "ubg": 0}
-    by_hand = MPCC(ca.vertcat(u, y, force), tracking, balance, force, y - obstacle, **bounds)
-    ours, other = solve(mpcc, 0.0), solve(by_hand, 0.0)
-    assert ours.success
-    assert other.success
-    assert ours.f == pytest.approx(other.f, rel=1e-6)
-    assert ours.x == pytest.approx(other.x, abs=1e-4)
-    assert np.any(ours.x[2 * n :] > 1e-3)  # there is contact
-    assert classify(by_hand, ours.x).b_stationary
-    assert ours.lower_level.verdict == "global minimum"
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_end_is_the_answer_of_the_lower_level(seed):
     """Random strictly convex quadratic programs with bounds of all kinds: Ipopt finds the same y there.
 
@@ -268,40 +190,25 @@ def saddle(f, at, g=(), **bounds):
         # convex, but not its constraint, which is not active
         (saddle(ca.sumsqr, [0, 0, 0], [lambda y: y[0] * y[1]], lbg=-5), "local minimum", 2, 2),
         # an equality without a multiplier leaves no direction along y_2
-        (
-            saddle(lambda y: y[0] ** 2 - y[1] ** 2, [0, 0, 0], [lambda y: y[1]], lbg=0, ubg=0),
-            "local minimum", 2, 2,
-        ),
+        (saddle(lambda y: y[0] ** 2 - y[1] ** 2, [0, 0, 0], [lambda y: y[1]], lbg=0, ubg=0),
+         "local minimum", 2, 2),
         # vertex: no direction is left
         (saddle(lambda y: ca.sum1(y) - y[0] * y[1], [0, 0, 1, 1], lbx=0), "local minimum", INF, INF),
         # y_1 >= 0 holds with a multiplier, the rest is concave
         (saddle(lambda y: y[0] - y[1] ** 2, [0, 0, 1], lbx=[0, -INF]), "no minimum", -2, -2),
-        # the same with the bound as a row, too: multipliers are not unique, but do not enter the curvature
-        (
-            saddle(lambda y: y[0] - y[1] ** 2, [0, 0, 1, 0], [lambda y: y[0]], lbx=[0, -INF], lbg=0),
-            "no minimum", -2, -2,
-        ),
         # one bound without a multiplier: -2 along +y_1 is a critical direction
         (saddle(lambda y: y[1] ** 2 - y[0] ** 2, [0, 0, 0], lbx=[0, -INF]), "no minimum", -2, -2),
         # y >= 0 with y_1 y_2: the Hessian is indefinite, the quadrant has no direction of descent
         (saddle(lambda y: y[0] * y[1], [0, 0, 0, 0], lbx=0), "undecided", -1, 0),
-        # ... and with y_1 y_2 < 0 inside it, though along no edge
+        # ... and with -y_1 y_2 it has one inside, though along no edge
         (saddle(lambda y: -y[0] * y[1], [0, 0, 0, 0], lbx=0), "no minimum", -1, -1),
         # y_1 = y_2^2 / 2: curvature of the constraint, with its multiplier 1
-        (
-            saddle(
-                lambda y: y[0] - y[1] ** 2, [0, 0, -1], [lambda y: y[0] - y[1] ** 2 / 2], lbg=0, ubg=0
-            ),
-            "no minimum", -1, -1,
-        ),
+        (saddle(lambda y: y[0] - y[1] ** 2, [0, 0, -1], [lambda y: y[0] - y[1] ** 2 / 2], lbg=0, ubg=0),
+         "no minimum", -1, -1),
         # the same row twice: multipliers are not unique, so negative curvature with these proves nothing
-        (
-            saddle(
-                lambda y: y[0] - y[1] ** 2, [0, 0, -1, 0],
-                [lambda y: y[0] - y[1] ** 2 / 2, lambda y: y[0] - 2 * y[1] ** 2], lbg=0, ubg=0,
-            ),
-            "undecided", -1, -1,
-        ),
+        (saddle(lambda y: y[0] - y[1] ** 2, [0, 0, -1, 0],
+                [lambda y: y[0] - y[1] ** 2 / 2, lambda y: y[0] - 2 * y[1] ** 2], lbg=0, ubg=0),
+         "undecided", -1, -1),
     ],
 )  # fmt: skip
 def test_second_order_conditions(check, verdict, low, high):
@@ -340,8 +247,6 @@ def test_local_minimum_that_is_not_global_is_found_out():
     lowest = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
     assert result.lower_level.f - lowest.f > 0.5
     assert lowest.x == pytest.approx([1], abs=1e-6)
-    again = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
-    assert again.f == lowest.f
 
 
 def test_large_lower_level_is_checked_on_request_only(monkeypatch):
@@ -350,13 +255,6 @@ def test_large_lower_level_is_checked_on_request_only(monkeypatch):
     result = solve(mpcc, 0.5)
     assert (result.success, result.lower_level) == (True, None)
     assert mpcc.lower_level.check(result.x).verdict == "global minimum"
-
-
-def test_result_without_a_lower_level_has_no_check():
-    x = ca.SX.sym("x", 2)
-    result = solve(MPCC(x, ca.sumsqr(x - 1), None, x[0], x[1]), 0.5)
-    assert result.lower_level is None
-    assert "lower" not in str(result)
 
 
 x, y, z = (ca.SX.sym(name) for name in "xyz")

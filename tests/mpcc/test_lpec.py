@@ -1,4 +1,4 @@
-"""Active sets of a point, descent over its branches, and branches near an inexact point."""
+"""Active sets of a point, descent over its branches, branches near an inexact one, and phase I."""
 
 from types import SimpleNamespace
 
@@ -8,9 +8,11 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
-from rmesh_nlp.mpcc.lpec import descent, nearest_branch, steepness
+from rmesh_nlp.mpcc.lpec import descent, nearest_branch
+from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.optimize.budget import Budget, Limits
-from support.scripted_run import XY, XYW, linearised, w, x, y
+from rmesh_nlp.optimize.status import Status
+from support.scripted_run import XY, linearised, run_of, x, y
 
 ONE = np.ones(1)
 
@@ -33,12 +35,6 @@ def test_what_is_active_by_hand():
     assert list(lin.row_lower) == [False, False, False, True]  # the equation is 9e-5 off; the slack's row
     assert list(lin.row_upper) == [False, True, False, True]  # 1e-2 of 1e3 x is 1e-5 of x
     assert lin.scale == pytest.approx(2 * (9 + 9e-5))
-
-
-def test_steepness_is_the_largest_entry_of_a_row_and_at_least_one():
-    _, lin = linearised(MPCC(XYW, x, ca.vertcat(3 * x - 7 * y, 0.5 * x, 0 * x), None, None), [1, 1, 1])
-    assert list(steepness(lin.jacobian)) == [7, 1, 1]
-    assert lin.scale == 1.0
 
 
 CASES = [
@@ -91,24 +87,57 @@ def test_search_that_was_given_up_decides_only_by_a_descent(pairs, x_is, status,
 )  # fmt: skip
 def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective(mpcc, radius, end):
     """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
-    z, zero = nearest_branch(lift(mpcc), np.array([2e-3, 1e-3]), ONE, radius)
+    z, zero = nearest_branch(lift(mpcc), np.array([2e-3, 1e-3]), np.ones(1), radius)
     assert (z, zero.tolist()) == (pytest.approx([0, end], abs=1e-12), [[True], [False]])
 
 
-def test_nearest_branch_keeps_bounds_and_pairs_far_from_the_corner():
-    """Pair (x, y) is at (1e-3, 5): x goes to zero whatever the objective says; w stays below its bound."""
-    v = ca.SX.sym("v", 4)
-    lifted = lift(MPCC(v, -v[0] - v[1] - v[2] - v[3], None, v[[0, 2]], v[[1, 3]], ubx=[9, 9, 9, 2e-3]))
-    z, zero = nearest_branch(lifted, np.array([1e-3, 5.0, 2e-3, 1e-3]), ONE, 1e-2)
-    assert zero.tolist() == [[True, False], [False, True]]
-    assert z == pytest.approx([0, 5.01, 1.2e-2, 0], abs=1e-12)
-    z, zero = nearest_branch(lifted, np.array([5.0, 1e-3, 2e-3, 0.0]), ONE, 1e-2)
-    assert zero.tolist() == [[False, False], [True, True]]
-    assert z[:2] == pytest.approx([5.01, 0], abs=1e-12)
+v = ca.SX.sym("v", 3)
+SUM = MPCC(v, ca.sum1(v), ca.dot(ca.DM([3, 5, 9]), v), v, 1 - v, lbg=14, ubg=14)
+"""Each v is 0 or 1: only (0, 1, 1) is feasible."""
 
 
-@pytest.mark.parametrize(("sign", "end"), [(-1, 2e-3), (1, -3e-3)])
-def test_nearest_branch_stops_at_the_bounds_of_unknowns_beside_the_pairs(sign, end):
-    lifted = lift(MPCC(XYW, sign * w + x + y, None, x, y, lbx=[-9, -9, -3e-3], ubx=[9, 9, 2e-3]))
-    z, _ = nearest_branch(lifted, np.array([1e-3, 0.0, 1e-3]), ONE, 1e-2)
-    assert z == pytest.approx([0, 0, end], abs=1e-12)
+def end_of(mpcc, start, **how):
+    run = run_of(mpcc)
+    end = phase_one(run, run.lifted.start(np.array(start, dtype=float), np.zeros(0)), **how)
+    return run, end
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1.0, np.inf])
+def test_region_grows_until_a_feasible_point_is_within_reach(radius):
+    run, end = end_of(MPCC(XY, x, x + 2 * y, x, y, lbg=10), [0.2, 0.0], radius=radius)
+    assert end.status is Status.CONVERGED
+    assert run.exact(end.z)
+    assert np.max(end.z) >= 5 - 1e-7
+
+
+@pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (1, 0, 0), (0, 0, 0)])
+def test_branch_is_found_over_all_combinations(start):
+    run, end = end_of(SUM, start)
+    assert end.status is Status.CONVERGED
+    assert end.z[:3] == pytest.approx([0, 1, 1], abs=1e-7)
+    assert run.exact(end.z)
+
+
+def test_region_shrinks_where_the_linearisation_is_poor():
+    """cos(4 x) = 1/2 with x in [0.1, 3]: the first steps go too far."""
+    _, end = end_of(MPCC(XY, -x, ca.cos(4 * x) + y, x, y, lbg=0.5, ubg=0.5, lbx=[0.1, 0], ubx=3), [0.11, 0])
+    assert end.status is Status.CONVERGED
+    assert np.cos(4 * end.z[0]) == pytest.approx(0.5, abs=1e-7)
+
+
+def test_of_feasible_branches_the_one_with_the_lower_objective_is_taken():
+    mpcc = MPCC(XY, x + 3 * y, x + y, x, y, lbg=1)
+    assert end_of(mpcc, [0.4, 0.5])[1].z == pytest.approx([1, 0], abs=1e-6)
+
+
+def test_point_outside_its_bounds_is_put_into_them():
+    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=0.5))
+    assert phase_one(run, np.array([-0.1, -0.2])).status is Status.INFEASIBLE
+    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=1.5))
+    assert phase_one(run, np.array([-0.1, -0.2])).status is Status.CONVERGED
+
+
+@pytest.mark.parametrize("start", [[np.nan, 0.0], [np.inf, 0.0]])
+def test_point_that_is_not_finite_proves_nothing(start):
+    run = run_of(MPCC(XY, x, x + y, x, y, lbg=1))
+    assert phase_one(run, np.array(start)).status is Status.STALLED

@@ -1,17 +1,169 @@
-"""Compiled NLPs: what is solved, with which multipliers, and how residuals are measured."""
+"""What is compiled: members as unknowns, relaxations by their formulas, NLPs and their residuals."""
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Options, nlps, solve
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, Options, solve
+from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, Watch, relaxed_nlp, unlifted_nlp
+from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
-from rmesh_nlp.optimize.status import Status
-from support.scripted_run import CORNER, ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
+from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
 
 p = ca.SX.sym("p")
-ONE, INF = np.ones(1), np.inf
+NONE, ONE, INF = np.zeros(0), np.ones(1), np.inf
+
+
+def test_only_members_that_are_no_unknowns_get_slacks():
+    """Pairs (x, 2 y) and (y + w, w): slacks 3 and 4 for 2 y and y + w."""
+    lifted = lift(
+        MPCC(XYW, x, x + w, ca.vertcat(x, y + w), ca.vertcat(2 * y, w), lbg=-1, ubg=2, lbx=[-5, -6, -7])
+    )
+    assert lifted.pairs.tolist() == [[0, 3], [4, 2]]
+    assert list(lifted.rows) == [0, 2, 3]  # g, then G_1 and H_0 of (g, G, H)
+    assert list(lifted.member) == [True, False, True, True, True]
+    nlp = lifted.nlp
+    assert (list(nlp.lbx), list(nlp.ubx)) == ([0, -6, 0, 0, 0], [np.inf] * 5)
+    assert (list(nlp.lbg), list(nlp.ubg)) == ([-1, 0, 0], [2, 0, 0])
+    z = np.array([1.0, 2.0, 4.0, 10.0, 20.0])
+    f, gradient, rows, jacobian = lifted.linearise(z, np.array([3.0]))  # weight 3
+    assert (f, list(gradient), list(rows)) == (3.0, [3, 0, 0, 0, 0], [5, 6 - 10, 4 - 20])
+    assert jacobian.toarray().tolist() == [[1, 0, 1, 0, 0], [0, 1, 1, -1, 0], [0, 2, 0, 0, -1]]
+    assert z[lifted.pairs].tolist() == [[1, 10], [20, 4]]
+    assert lifted.smaller(z).tolist() == [[True, False], [False, True]]
+    assert lifted.smaller(np.ones(5)).tolist() == [[True, True], [False, False]]  # of equals the first
+
+
+def test_member_keeps_its_place_only_if_it_is_the_unknown_and_may_be_zero():
+    members = ca.vertcat(x, 1.0 * x, x * (1 + 1e-9), x + 1e-9, 0 * x, ca.SX(0), x + y, x**2, -x)
+    ones = ca.SX.ones(9) * w
+    lifted = lift(MPCC(XYW, x, None, members, ones))
+    assert lifted.pairs[0].tolist() == [0, 0, *range(3, 10)]
+    for lower, upper, keeps in ((0, 0, True), (-1, 1, True), (1, 2, False), (-2, -1, False)):
+        lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
+        assert (lifted.pairs[0, 0] == 0) == keeps
+        assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
+
+
+def test_start_extends_by_slacks_that_meet_their_rows_as_far_as_signs_allow():
+    lifted = lift(MPCC(XYW, x, x, ca.vertcat(2 * y, w - 1), ca.vertcat(x * p, 1 / w), p=p))
+    assert list(lifted.start(np.array([1.0, 2.0, 4.0]), np.array([5.0]))) == [1, 2, 4, 4, 3, 5, 0.25]
+    assert list(lifted.start(np.array([1.0, -2.0, 0.0]), np.array([5.0]))) == [1, -2, 0, 0, 0, 5, 0]
+
+
+def test_weight_looks_beside_a_start_where_the_slope_vanishes():
+    lifted = lift(MPCC(XYW, 1e-3 * ca.sumsqr(XYW), None, x, w))
+    weight = lifted.weight(np.zeros(3), NONE)
+    assert 1e3 <= weight < 1e5  # a slope of at most 1e-3 within 0.5 of the start
+    bad = lift(MPCC(XYW, 1e-2 * ca.sqrt(x), None, x, w))
+    assert np.isfinite(bad.weight(np.full(3, -1.0), NONE))
+
+
+def test_known_multipliers_are_put_on_rows_bounds_and_members():
+    """Pair (x, 2 y): that of x joins its bound, that of 2 y its slack and its row; NaN counts as zero."""
+    lifted = lift(MPCC(XYW, x, w, x, 2 * y))
+    known = Duals(np.array([1.0, np.nan, 3.0]), np.array([5.0]), np.array([7.0]), np.array([11.0]))
+    warm = warm_start(lifted, np.ones(4), 2.0, known)
+    assert list(warm.lam_x) == [2 * (1 + 7), 0, 6, 2 * 11]
+    assert list(warm.lam_g) == [10, 22]
+    assert warm.converged
+    twice = lift(MPCC(XYW, x, None, ca.vertcat(x, x), ca.vertcat(y, w)))
+    known = Duals(np.zeros(3), NONE, np.array([1.0, 2.0]), np.zeros(2))
+    assert list(warm_start(twice, np.ones(3), 1.0, known).lam_x) == [3, 0, 0]
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+def test_constant_derivatives_are_numbers(kind):
+    Q, v = np.random.default_rng(0).normal(size=(12, 12)), kind.sym("v", 12)
+    f = ca.bilin(ca.DM(Q), v, v) + v[0]
+    derivatives = automatic_derivatives(v, kind(0, 1), f, ca.mtimes(ca.DM(Q[:5]), v) - 1)
+    upper = derivatives.hess_lag(np.ones(12), np.zeros((0, 1)), 2.0, np.ones(5))
+    np.testing.assert_allclose(np.array(upper), np.triu(2 * (Q + Q.T)), rtol=1e-12)
+    np.testing.assert_allclose(np.array(derivatives.jac_g(np.ones(12), np.zeros((0, 1)))[1]), Q[:5])
+    assert derivatives.hess_lag.n_instructions() < 500
+
+
+A, B, T = np.array([0.3, 2.0]), np.array([0.5, 0.1]), 0.04
+S = 0.2  # sqrt(T)
+PHI = 2 * S / (1 - 2 / np.pi)  # Steffensen and Ulbrich's s
+
+
+def at(name, a=A, b=B, t=T):
+    """Rows and penalty at numbers."""
+    symbols = ca.SX.sym("a", np.size(a)), ca.SX.sym("b", np.size(a)), ca.SX.sym("t")
+    found = relaxation(name)(*symbols)
+    rows, penalty = ca.Function("f", list(symbols), [found.rows, found.penalty])(a, b, t)
+    return np.array(rows).ravel(), float(penalty)
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("scholtes", [0.15 - T, 0.2 - T]),
+        ("lin-fukushima", [0.15 - T, 0.2 - T, -(0.15 + S * 0.8), -(0.2 + S * 2.1)]),
+        (
+            "steffensen-ulbrich",  # |a - b| = 0.2 lies inside of s = 1.1, 1.9 outside
+            [0.8 - PHI * (2 / np.pi * np.sin(-np.pi / 2 * S / PHI + 1.5 * np.pi) + 1), 2.1 - 1.9],
+        ),
+        ("kanzow-schwartz", [0.1 * 0.3, 1.8 * -0.1]),
+        ("fischer-burmeister", [0.8 - np.sqrt(0.34 + 2 * T), 2.1 - np.sqrt(4.01 + 2 * T)]),
+    ],
+)
+def test_rows_are_those_of_the_formula(name, expected):
+    rows, penalty = at(name)
+    assert rows == pytest.approx(expected, rel=1e-12)
+    assert penalty == 0
+
+
+def test_kanzow_schwartz_below_the_corner_and_the_penalty_by_hand():
+    assert at("kanzow-schwartz", [0.1, 0.0], [0.0, 0.0])[0][:1] == pytest.approx([-(0.1**2 + 0.2**2) / 2])
+    assert at("l1-penalty") == (pytest.approx([]), pytest.approx((0.15 + 0.2) / S))
+    with pytest.raises(ValueError, match="unknown relaxation 'none'; there are scholtes, lin-fukushima"):
+        relaxation("none")
+
+
+@pytest.mark.parametrize("name", RELAXATIONS)
+def test_solution_of_max_x_on_the_diagonal_is_the_corner(name):
+    """-x + x y / sqrt(t) on x = y has its minimum at sqrt(t) / 2."""
+    nlps = CompiledNLPs(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), Options())
+    for t in (1.0, 1e-2, 1e-4):
+        result = nlps.relaxed(name, np.array([0.1, 0.1]) * np.sqrt(t), np.ones(1), t)
+        expected = np.sqrt(t) * (0.5 if name == "l1-penalty" else 1.0)
+        assert result.x == pytest.approx([expected] * 2, rel=1e-4)
+
+
+def nonlinear(kind):
+    """One member is an unknown with bounds of its own, the others are expressions."""
+    x, p = kind.sym("x", 3), kind.sym("p", 1)
+    G, H = ca.vertcat(x[0] * x[1], x[2]), ca.vertcat(x[1] + p, ca.exp(x[0]) * x[2])
+    return MPCC(x, ca.sumsqr(x - 1) * x[2], x[0] ** 3 - x[1], G, H, p=p, lbg=0, ubg=0, lbx=-5, ubx=[4, 5, 6])
+
+
+def assert_derivatives_are_casadis(nlp, seed):
+    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
+    rows = [nlp.f, ca.gradient(nlp.f, nlp.x), nlp.g, ca.jacobian(nlp.g, nlp.x)]
+    hessian = ca.triu(ca.hessian(lam_f * nlp.f + ca.dot(lam_g, nlp.g), nlp.x)[0])
+    given = ca.Function("given", [nlp.x, nlp.p, lam_f, lam_g], [*rows, hessian])
+    at = np.random.default_rng(seed)
+    point, parameters = at.uniform(0.2, 1.5, nlp.n_x), at.uniform(0.2, 1.5, nlp.p.shape[0])
+    lam = at.normal(size=nlp.n_g)
+    own = nlp.derivatives
+    ours = [*own.grad_f(point, parameters), *own.jac_g(point, parameters)]
+    ours += [own.hess_lag(point, parameters, 0.7, lam)]
+    for mine, casadi in zip(ours, given(point, parameters, 0.7, lam), strict=True):
+        np.testing.assert_allclose(np.array(ca.DM(mine)), np.array(ca.DM(casadi)), rtol=1e-11, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
+@pytest.mark.parametrize("name", [None, "unlifted", *RELAXATIONS])
+def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
+    lifted = lift(nonlinear(kind))
+    if name is None:
+        nlp = lifted.nlp
+    else:
+        nlp = unlifted_nlp(lifted.source, lifted.base) if name == "unlifted" else relaxed_nlp(lifted, name)[0]
+    assert_derivatives_are_casadis(nlp, 3)
 
 
 def compiled(mpcc=None, **options):
@@ -29,7 +181,6 @@ THREE = MPCC(XY, x, x + y, ca.vertcat(x, y), ca.vertcat(y, x), lbx=-1, ubx=4, lb
         ((5, 1), 0.5, (1, 1), (1, 1), 1),
         ((1, 1), 1.25, (1, 1), (1, 1), 0.25),
         ((1, 1), -0.25, (1, 1), (1, 1), 0.25),
-        ((1, 1), 0.5, (1, -2), (1, 1), 2),
         ((1, 1), 0.5, (1, -2), (1, -3), 3),
         ((1, 1), np.nan, (1, 1), (1, 1), INF),
     ],
@@ -63,17 +214,10 @@ def test_complementarity_is_the_smaller_member_and_product_the_product():
 def test_excess_is_in_units_of_the_tolerance_and_of_the_terms_of_a_row(point, units):
     own = compiled(MPCC(XYW, x, 10 * w, x, y, ubg=20, lbx=[-INF, -INF, -3]))
     assert own.excess(np.array(point), ONE) == pytest.approx(units, rel=1e-3, abs=1e-6)
+    sized = compiled(MPCC(XYW, x, None, 1e6 * (x - w), y))  # zero only up to rounding of its terms
+    at_3 = sized.lifted.start(np.array([3.0 + 1e-6, 1.0, 3.0]), np.zeros(0))
+    assert sized.excess(at_3, ONE) == pytest.approx(100 / 3, rel=0.01)
     assert compiled(MPCC(XYW, ca.log(x - 1), None, x, y)).excess(np.array([0.0, 1.0, 0.0]), ONE) == INF
-
-
-@pytest.mark.parametrize("size", [1.0, 1e4, 1e6])
-def test_residuals_of_pairs_are_relative_to_their_row(size):
-    """``size (x - w)`` cannot be zero more precisely than rounding of its terms allows."""
-    own = compiled(MPCC(XYW, x, None, size * (x - w), y))
-    at = np.array([3.0, 1.0, 3.0])
-    for error, units in ((1e-9, 1 / 30), (1e-6, 100 / 3)):
-        point = own.lifted.start(at + np.array([error, 0, 0]), np.zeros(0))
-        assert own.excess(point, ONE) == pytest.approx(units, rel=0.01)
 
 
 def test_looser_tolerances_belong_to_their_residual():
@@ -95,51 +239,11 @@ def test_branch_fixes_one_member_of_each_pair():
     on_second = own.branch(START, ONE, ON_H)
     assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
     assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
-    corner = own.branch(START, ONE, CORNER)
-    assert (list(corner.x), corner.f) == ([0, 0], 5)
     boxed = own.branch(np.array([0.5, 0.0]), ONE, ON_H, radius=np.array([0.25, 0.1]))
     assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
     assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
     assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
-
-
-def test_nothing_is_compiled_twice(monkeypatch):
-    made = []
-
-    class Counted(nlps.Solver):
-        def __init__(self, nlp, **names):
-            made.append(names["options"])
-            super().__init__(nlp, **names)
-
-    monkeypatch.setattr(nlps, "Solver", Counted)
-    own = compiled()
-    result = None
-    for t in (1.0, 0.1, 0.01):
-        result = own.relaxed("scholtes", START, ONE, t, first=True)
-        own.unlifted(START, ONE, t)
-        own.branch(START, ONE, ON_G)
-    assert len(made) == 3
-    own.relaxed("scholtes", result.x, ONE, 1e-3)  # not the first: another barrier
-    own.relaxed("scholtes", result.x, ONE, 1e-3, result)
-    assert len(made) == 5
-    assert [options.get("mu_strategy") for options in made] == ["monotone", None, *["adaptive"] * 3]
-    assert ["warm_start_init_point" in options for options in made] == [False] * 4 + [True]
-    own.relaxed("scholtes", result.x, ONE, 1e-3, dependent=True)
-    assert [options.get("perturb_always_cd") for options in made] == [None] * 5 + ["yes"]
-
-
-@pytest.mark.parametrize("relaxation", RELAXATIONS)
-def test_multipliers_without_the_relaxation_make_the_lifted_lagrangian_stationary(relaxation):
-    own = compiled(MPCC(XYW, (x - 1) ** 2 + (y - 2) ** 2 + w**2, x + w, x, y + w, lbg=0.25))
-    result = own.relaxed(relaxation, own.lifted.start(np.array([0.5, 0.5, 0.1]), np.zeros(0)), ONE, 1e-2)
-    warm = own.without_relaxation(relaxation, result, 1e-2)
-    _, gradient, _, jacobian = own.lifted.linearise(result.x, ONE)
-    assert warm.lam_g.size == own.lifted.nlp.n_g
-    assert gradient + jacobian.T @ warm.lam_g + warm.lam_x == pytest.approx(np.zeros(4), abs=1e-6)
-    padded = own.padded(relaxation, warm)
-    assert padded.lam_g.size == result.lam_g.size
-    assert not np.any(padded.lam_g[warm.lam_g.size :])
 
 
 def test_unlifted_solution_is_that_of_the_lifted_relaxation_with_its_multipliers():
@@ -165,17 +269,9 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success
 
 
-def test_clock_of_small_problems_is_looked_at_now_and_then(monkeypatch):
-    made = []
-    monkeypatch.setattr(nlps, "_AnySize", lambda nlp, options, every: made.append(every) or solved)
+def test_clock_of_small_problems_is_looked_at_now_and_then():
+    def never(*_):
+        return False
 
-    def solved(z, monitor, **_):
-        return ended(z, Status.CONVERGED)
-
-    for n, only_clock, watched, every in ((2, False, True, 1), (2, True, True, 20), (300, True, True, 6),
-                                          (3000, True, True, 1), (2, False, False, 0)):  # fmt: skip
-        v = ca.SX.sym("v", n)
-        own = compiled(MPCC(v, ca.sumsqr(v), None, None, None))
-        watch = nlps.Watch((lambda *_: False) if watched else None, only_clock)
-        own.branch(np.zeros(n), ONE, np.zeros((2, 0), bool), watch=watch)
-        assert made[-1] == every
+    assert [Watch(never, only_clock=True).every(n) for n in (2, 300, 3000)] == [20, 6, 1]
+    assert (Watch(never).every(2), Watch().every(2)) == (1, 0)

@@ -1,12 +1,17 @@
 """Newton's method on a branch and the projection onto it, by hand and against Ipopt."""
 
+import threading
+
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from rmesh_nlp.mpcc import MPCC
+from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.polish import _Branch, polish, project
+from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.scripted_run import CORNER, ON_G, XY, XYW, run_of, two_minima, w, x, y
 
@@ -20,56 +25,6 @@ def overdetermined():
     """
     g = ca.vertcat(x + y + w - 1, y - w - 0.5 + x, 2 * y - 1.5 + 2 * x)
     return MPCC(XYW, (x - 1) ** 2 + y**2, g, x, y, lbg=0, ubg=0)
-
-
-def branch(lbg, ubg, lbx=-INF, ubx=INF):
-    mpcc = MPCC(XYW, x, w, x, y, lbx=lbx, ubx=ubx, lbg=lbg, ubg=ubg)
-    return _Branch(run_of(mpcc).lifted, ON_G)
-
-
-def test_bounds_of_a_branch_are_those_of_the_lifted_problem_and_zero_where_fixed():
-    found = branch([-1], [2], lbx=[-INF, -INF, -3], ubx=[4, 5, 6])
-    assert list(found.lower) == [-1, 0, 0, -3]
-    assert list(found.upper) == [2, 0, 5, 6]
-    assert list(found.equal) == [False, True, False, False]
-
-
-@pytest.mark.parametrize(
-    ("value", "lam", "size", "active"),
-    [
-        (0.2, -0.3, 1.0, -1),  # the multiplier outweighs the distance from the lower bound 0
-        (0.2, -0.1, 1.0, 0),  # 0.2 / 1.2 = 0.17
-        (0.2, 0.3, 1.0, 0),  # a multiplier of the upper bound 1, whose distance is 0.8 / 1.2
-        (0.9, 0.1, 1.0, 1),
-        (0.9, 0.05, 1.0, 0),
-        (-0.1, 0.0, 1.0, -1),  # violated
-        (1.1, 0.0, 1.0, 1),
-        (0.2, -0.1, 10.0, -1),  # distance 0.02 / 1.02, multiplier 1
-        (0.9, 0.05, 10.0, 1),
-        (0.85, 0.12, 0.5, 0),
-    ],
-)
-def test_first_active_set_weighs_multipliers_against_distances(value, lam, size, active):
-    found = branch([0], [1])
-    values, lams = np.array([value, 0.0, 5.0, 5.0]), np.array([lam, 0, 0, 0])
-    assert list(found.first_active(values, lams, np.array([size, 1, 1, 1]))) == [active, -1, 0, 0]
-
-
-@pytest.mark.parametrize(
-    ("before", "value", "lam", "after"),
-    [
-        (-1, 0.0, -2.0, -1), (-1, 0.0, 0.5, -1), (-1, 0.0, 2.0, 0), (1, 1.0, 2.0, 1), (1, 1.0, -0.5, 1),
-        (1, 1.0, -2.0, 0), (0, 0.5, 9.0, 0), (0, -1e-9, 0.0, -1), (0, -1e-11, 0.0, 0), (0, 1 + 1e-9, 0.0, 1),
-        (0, 1 + 1e-11, 0.0, 0), (-1, -0.5, 2.0, 0),
-    ],
-)  # fmt: skip
-def test_next_active_set_drops_wrong_signs_and_adds_violations(before, value, lam, after):
-    """Bounds [0, 1], tolerance of multipliers 1."""
-    found = branch([0], [1])
-    values, lams = np.array([value, 0.0, 5.0, 5.0]), np.array([lam, 9.0, 0, 0])
-    active = np.array([before, -1, 0, 0], dtype=np.int8)
-    assert list(found.next_active(active, values, lams, 1.0)) == [after, -1, 0, 0]
-    assert list(active) == [before, -1, 0, 0]  # is left as it was
 
 
 def test_newton_ends_at_the_kkt_point_of_a_branch_with_its_multipliers():
@@ -91,29 +46,23 @@ def test_newton_ends_at_the_kkt_point_of_a_branch_with_its_multipliers():
 
 
 @pytest.mark.parametrize("size", [1.0, 1e4])
-@pytest.mark.parametrize(("offset", "end"), [(2.5e-8, 2.0), (1e-6, 2 + 1e-6)])
-def test_wrong_signs_are_measured_in_units_of_the_objective(size, offset, end):
-    """min (w - 2 - offset)^2 on w >= 2, held at first with the multiplier 2 offset; 1e-7 counts as none."""
-    f = size * ((w - 2 - offset) ** 2 + x + (y - 1) ** 2)
-    run = run_of(MPCC(XYW, f, None, x, y, lbx=[-INF, -INF, 2]))
-    found = polish(run, np.array([0, 1, 2.0]), ON_G, np.zeros(0), size * np.array([-1, 0, -1.0]))
-    assert found.z[2] == pytest.approx(end, abs=1e-10)
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(("offset", "moves"), [(2.5e-8, False), (1e-6, True)])
+def test_wrong_signs_are_measured_in_units_of_the_objective(size, side, offset, moves):
+    """The minimum is ``offset`` inside a bound that is held at first; a multiplier of 1e-7 counts as none."""
+    f = size * ((w - 2 - side * offset) ** 2 + x + (y - 1) ** 2)
+    bounds = {"lbx": [-INF, -INF, 2]} if side > 0 else {"ubx": [INF, INF, 2]}
+    run = run_of(MPCC(XYW, f, None, x, y, **bounds))
+    found = polish(run, np.array([0, 1, 2.0]), ON_G, np.zeros(0), size * np.array([-1, 0, -1.0 * side]))
+    assert found.z[2] == pytest.approx(2 + side * offset * moves, abs=1e-10)
 
 
-def test_both_members_may_be_fixed():
+@pytest.mark.parametrize(("release", "end", "lam"), [(False, [0, 0], [4, 2]), (True, [2, 0], [0, 2])])
+def test_of_two_members_at_the_corner_the_one_with_the_larger_multiplier_leaves(release, end, lam):
     run = run_of(two_minima())
-    found = polish(run, np.array([1e-3, 1e-3]), CORNER, np.zeros(0), np.zeros(2))
-    assert (list(found.z), found.f) == ([0, 0], 5.0)
-    assert found.lam_z == pytest.approx([4, 2])
-
-
-def test_flat_and_linear_objectives_end_as_sharp_as_others():
-    run = run_of(MPCC(XY, 1e-8 * (y - 1) ** 2 + x, None, x, y))
-    assert polish(run, np.array([0, 0.9]), ON_G, np.zeros(0), np.array([-1.0, 0])).f == pytest.approx(
-        0, abs=1e-14
-    )
-    flat = polish(run_of(MPCC(XY, x, None, x, y)), np.array([0, 0.9]), ON_G, np.zeros(0), np.array([-1.0, 0]))
-    assert flat.z == pytest.approx([0, 0.9])
+    found = polish(run, np.array([1e-3, 1e-3]), CORNER, np.zeros(0), np.zeros(2), release=release)
+    assert found.z == pytest.approx(end, abs=1e-9)
+    assert found.lam_z == pytest.approx(lam, abs=1e-6)
 
 
 def test_without_a_hessian_or_with_a_singular_point_there_is_no_newton():
@@ -134,15 +83,6 @@ def test_more_equations_than_unknowns_are_met_by_projection_and_by_newton():
     assert project(far, np.ones(2), ON_G) is None  # the branch is far away: no projection
 
 
-def test_projection_is_the_nearest_point_of_the_branch():
-    """Onto x = 0, y + w = 1, w <= 1/4."""
-    run = run_of(MPCC(XYW, 9 * y, y + w, x, y, lbg=1, ubg=1, ubx=[INF, INF, 0.25]))
-    assert project(run, np.array([0.1, 0.8, 0.1]), ON_G) == pytest.approx([0, 0.85, 0.15], abs=1e-8)
-    assert project(run, np.array([0.1, 0.8, 0.4]), ON_G) == pytest.approx([0, 0.75, 0.25], abs=1e-8)
-    circle = run_of(MPCC(XYW, 0, y**2 + w**2, x, y, lbg=1, ubg=1))
-    assert project(circle, np.array([0.1, 0.66, 0.88]), ON_G) == pytest.approx([0, 0.6, 0.8], abs=1e-6)
-
-
 def towards_x():
     """Minimum (2, 0): on the branch x = 0 the member y is driven to zero, and f falls along x from there."""
     return MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y)
@@ -156,23 +96,20 @@ def test_pair_at_its_corner_changes_sides_where_the_objective_falls(release, end
     assert np.max(found.lam_z) == pytest.approx(0.0 if release else 4.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("lam", "equal"),
-    [
-        ([0.5, -1.0], [False, True]),  # x leaves, y is fixed
-        ([-1.0, 0.5], [True, False]),
-        ([0.5, 0.7], [True, False]),  # of two the larger
-        ([-1.0, -1.0], [True, False]),  # none: x stays fixed, as the branch has it
-    ],
-)
-@pytest.mark.parametrize("is_active", [True, False])
-def test_release_swaps_the_fixed_member_only_at_the_corner(lam, equal, is_active):
-    found = _Branch(run_of(towards_x()).lifted, ON_G)
-    active = np.array([-1, -1 if is_active else 0], dtype=np.int8)
-    after = found.release(active, np.array(lam), 1e-6)
-    if not is_active:
-        equal = [True, False]
-    assert list(found.equal) == equal
-    leaves = is_active and max(lam) > 0
-    assert list(after) == ([-1 if held else 0 for held in equal] if leaves else list(active))
-    assert list(np.isinf(found.upper)) == [not held for held in equal]
+def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
+    random, n = np.random.default_rng(0), 2500
+    border = sp.csc_matrix(random.normal(size=(n, 2)))
+    line = sp.diags([-np.ones(n - 1), np.full(n, 3.0), -np.ones(n - 1)], [-1, 0, 1])
+    system = sp.bmat([[line, border], [border.T, None]], format="csc")
+    right = random.normal(size=n + 2)
+    assert np.max(np.abs(system @ factorised(system, lambda solve: solve(right)) - right)) <= 1e-10
+
+
+def test_factors_stay_in_the_thread_that_made_them():
+    """SuperLU does not give back memory in another one."""
+    eye = sp.identity(3, format="csc")
+    solved, at = factorised(
+        eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), Budget(Limits(60.0))
+    )
+    assert list(solved) == [1, 1, 1]
+    assert at != threading.get_ident()

@@ -73,16 +73,6 @@ def test_bad_parameters_and_options_are_refused():
         with pytest.raises(ValueError, match=words):
             Options(**{name: value})
     assert Options(t_final=1.0, t0=1.0).t_final == 1.0
-    own = Options()
-    assert (own.t0, own.factor, own.t_final, own.crossover, own.max_pivots) == (1.0, 0.1, 1e-8, 1e-2, 30)
-    assert (own.feasibility, own.complementarity, own.stationarity) == (1e-8, 1e-8, 1e-6)
-    assert own.rescues == (("steffensen-ulbrich", 1.0), ("scholtes", 1e-3), ("l1-penalty", 1.0))
-
-
-def test_one_nlp_has_a_limit_that_does_not_grow_with_the_problem():
-    for options in (Options().relaxed, Options().exact):
-        assert [options(n, warm=False)["max_iter"] for n in (10, 1000, 100_000)] == [302, 500, 600]
-    assert Options().unlifted(10)["max_iter"] == 302
 
 
 def test_lists_scalars_rows_and_omitted_parts_are_accepted():
@@ -120,17 +110,6 @@ def test_mixed_pair_has_the_feasible_points_of_its_definition(of_G, of_H, satisf
         g, G, H = (np.array(part).ravel() for part in values(program.start(point)))
         inside = not np.any(g) and np.all(np.minimum(G, H) >= 0) and not np.any(G * H)
         assert inside == satisfied(*point), point
-
-
-@pytest.mark.parametrize(("slope", "expected"), [(1.0, (-1, 1)), (-1.0, (2, -1)), (0.0, (0.5, 0))])
-def test_mixed_pair_is_at_either_bound_or_between(slope, expected):
-    """``-1 <= y <= 2 _|_ x``, f pulls x to the slope and y to 1/2: the sign of x decides where y is."""
-    program = MPCC.mixed(XY, 10 * (x - slope) ** 2 + (y - 0.5) ** 2, x + y, x, y, lbH=-1, ubH=2)
-    assert (program.n_own, program.n_x) == (2, 4)
-    result = solve(program, [slope, 0.5])
-    assert result.success
-    assert result.x[[1, 0]] == pytest.approx(expected, abs=1e-6)
-    np.testing.assert_allclose(solve(program, program.start([slope, 0.5])).x, result.x)
 
 
 def test_bounds_that_make_no_pair_are_refused():

@@ -2,17 +2,13 @@
 
 import signal
 import time
-from contextlib import nullcontext
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
-from rmesh_nlp.mpcc.result import Step
-from rmesh_nlp.optimize.budget import StoppedError
-from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.mpcc.result import Step, in_words
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
 
@@ -26,11 +22,6 @@ def obstacle(n=40):
     balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + load - force
     f = h * ca.sumsqr(u + 0.02) + 0.01 * (load - 1) ** 2
     return MPCC(v, f, balance, force, u + 0.05, lbg=0, ubg=0)
-
-
-@pytest.fixture(scope="module")
-def solved():
-    return solve(two_minima(), 0.5)
 
 
 @pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
@@ -57,6 +48,7 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
     assert len(lines) == 1 + len(result.history) == 1 + result.counts["nlp_solves"]
     assert result.table() == "\n".join(lines)
     assert result.columns()["iterations"] == [step.iterations for step in result.history]
+    assert result.lower_level is None  # and no word of it
     assert str(result) == (
         f"converged: f = 1, violation {result.constraint_violation:.1e}, complementarity "
         f"{result.complementarity:.1e}, stationarity S (no biactive pair: a KKT point)"
@@ -95,74 +87,21 @@ def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation()
         (0, "W", True, "W (0 biactive pairs, B-stationary)"),
     ],
 )
-def test_label_in_words(pairs, stationarity, b, words, solved):
-    known = replace(solved, biactive=np.arange(pairs), stationarity=stationarity, b_stationary=b)
-    assert known.label == words
+def test_label_in_words(pairs, stationarity, b, words):
+    assert in_words(stationarity, b, pairs) == words
 
 
-def test_nearest_point_is_the_most_feasible_and_of_exact_ones_the_lowest():
-    run = run_of(two_minima())
-    points = [([1, 0.1], 3.0), ([1, 1e-3], 5.0), ([1, 1e-2], 0.0), ([1, 0], 2.0), ([1, 9e-9], 1.0),
-              ([1, 0], 1.5), ([np.inf, 1], -9.0)]  # fmt: skip
-    kept = []
-    for z, f in points:
-        with np.errstate(invalid="ignore"):
-            run.keep(np.array(z, float), f)
-        kept.append(run.nearest[1])
-    assert kept == [3, 5, 5, 2, 1, 1, 1]
-
-
-@pytest.mark.parametrize(
-    ("limits", "iterations", "status"),
-    [({"max_iterations": 5}, 5, Status.ITERATION_LIMIT), ({"max_iterations": 6}, 4, None),
-     ({"time_limit_s": 1e-9}, 0, Status.TIME_LIMIT), ({"time_limit_s": 100.0}, 0, None)],
-)  # fmt: skip
-def test_limits_are_checked_between_nlps_and_after_iterations(limits, iterations, status):
-    run, stops = run_of(two_minima(), **limits), []
-    run.budget.iterations = iterations
-
-    def nlp(watch):
-        assert watch.only_clock == ("time_limit_s" in limits)
-        stops.extend(watch.monitor(0, np.zeros(2), 0.0) for _ in range(2))
-        return replace(ended([0.5, 0.5]), iterations=0)
-
-    if status is None:
-        run.solve("relaxed", 1.0, nlp)
-        assert stops == [False, False]
-        run.budget.iterations = 5
-        with pytest.raises(StoppedError) if "max_iterations" in limits else nullcontext():
-            run.solve("relaxed", 1.0, nlp)
-        assert stops == [False, False, False, "max_iterations" in limits]
-    else:
-        with pytest.raises(StoppedError) as error:
-            run.solve("relaxed", 1.0, nlp)
-        assert (error.value.status, stops) == (status, [])
-
-
-def test_limit_that_an_nlp_reaches_ends_the_solve_after_its_point_is_kept():
-    run = run_of(two_minima(), max_iterations=3)
-    with pytest.raises(StoppedError):
-        run.solve("relaxed", 1.0, lambda watch: ended([0.5, 0.25]))
-    assert (len(run.steps), list(run.nearest[0])) == (1, [0.5, 0.25])
-
-
-def test_without_limits_and_observers_nothing_is_watched():
-    run, watches = run_of(two_minima()), []
-    run.solve("relaxed", 1.0, lambda watch: watches.append(watch) or ended([0.5, 0.5]))
-    assert (watches[0].monitor, run.budget.remaining) == (None, np.inf)
-
-
-@pytest.mark.slow
-def test_iteration_limit_holds_and_gives_the_best_point():
-    total = solve(obstacle(), 0.1).counts["ipopt_iterations"]
+@pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
+def test_iteration_limit_holds_and_gives_the_best_point(mpcc):
+    total = solve(mpcc, 0.1).counts["ipopt_iterations"]
     for limit in (1, total // 2, total - 1):
-        result = solve(obstacle(), 0.1, max_iterations=limit)
+        result = solve(mpcc, 0.1, max_iterations=limit)
         assert result.counts["ipopt_iterations"] <= limit
         if not result.success:
             assert result.status is Status.ITERATION_LIMIT
             ends = [max(s.constraint_violation, s.complementarity) for s in result.history]
             assert max(result.constraint_violation, result.complementarity) <= min(ends) + 1e-12
-    assert solve(obstacle(), 0.1, max_iterations=total + 10).success
+    assert solve(mpcc, 0.1, max_iterations=total + 10).success
 
 
 @pytest.mark.slow
@@ -203,16 +142,17 @@ def _ctrl_c_raises():
 
 @pytest.mark.usefixtures("_ctrl_c_raises")
 def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
-    def press(iteration, *_):
-        if iteration == 2:
+    seen = []
+
+    def press(iterate):
+        seen.append(iterate.iteration)
+        if iterate.iteration == 2:
             signal.raise_signal(signal.SIGINT)
 
-    nlp = run_of(two_minima()).lifted.nlp
     with pytest.raises(KeyboardInterrupt):
-        Solver(nlp, monitor=press)(np.full(nlp.n_x, 0.5))
+        solve(two_minima(), 0.5, on_iteration=press)
+    assert seen == [0, 1, 2]  # at once
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    with pytest.raises(KeyboardInterrupt):
-        solve(two_minima(), 0.5, on_iteration=lambda iterate: press(iterate.iteration))
 
 
 @pytest.mark.slow
@@ -229,10 +169,3 @@ def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
     far = solver(known.x, p=0.2, start=known)  # too far for Newton's method: the homotopy goes on
     assert far.success
     assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("changes", [{"warm_duals": True}, {"newton_finish": False}])
-def test_warm_starts_lead_to_the_same_solution(changes):
-    plain = solve(obstacle(), 0.1)
-    assert solve(obstacle(), 0.1, **changes).f == pytest.approx(plain.f, rel=1e-7)

@@ -16,24 +16,17 @@ from support.scripted_run import XY, x, y
 p = ca.SX.sym("p")
 
 
-def end(success, f=0.0, violation=0.0, complementarity=0.0):
-    residuals = {"constraint_violation": violation, "complementarity": complementarity}
-    return SimpleNamespace(success=success, f=f, **residuals)
-
-
-@pytest.mark.parametrize(
-    ("ends", "best", "spread"),
-    [
-        ([end(True, 2.0), end(True, 1.0), end(False, -9.0)], 1, (1.0, 2.0)),
-        # the most nearly feasible one
-        ([end(False, 0, 0, 1), end(False, 0, 0.1), end(False, -9, 0.2)], 1, (np.nan, np.nan)),
-    ],
-)
-def test_best_is_the_lowest_success_else_the_most_feasible(ends, best, spread):
-    many = MultiStart(tuple(ends), (), 0)
-    assert many.best is ends[best]
-    assert many.spread == pytest.approx(spread, nan_ok=True)
-    assert f"{sum(e.success for e in ends)} of 3 starts succeeded" in str(many)
+def test_best_is_the_lowest_success_else_the_most_feasible():
+    names = ("success", "f", "constraint_violation", "complementarity")
+    for rows, spread in (
+        ([(False, -9, 0, 0), (True, 1.0, 0, 0), (True, 2.0, 0, 0)], (1.0, 2.0)),
+        ([(False, 0, 0, 1), (False, 0, 0.1, 0), (False, -9, 0.2, 0)], (np.nan, np.nan)),
+    ):
+        ends = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
+        many = MultiStart(tuple(ends), (), 0)
+        assert many.best is ends[1]
+        assert many.spread == pytest.approx(spread, nan_ok=True)
+        assert f"{sum(end.success for end in ends)} of 3 starts succeeded" in str(many)
 
 
 def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_origin():
@@ -62,8 +55,12 @@ ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3
 """Minima (1, 0) with f = 1 and (0, 1.05) with f = 0.8975; from t0 = 1e-4 each start keeps its arm."""
 
 
-def test_best_of_several_starts_says_what_they_reached():
-    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+@pytest.fixture(scope="module")
+def many():
+    return multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+
+
+def test_best_of_several_starts_says_what_they_reached(many):
     best = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
     assert best.x == pytest.approx([0, 1.05], abs=1e-7)
     assert many.spread == pytest.approx((0.8975, 1.0), abs=1e-6)
@@ -74,8 +71,7 @@ def test_best_of_several_starts_says_what_they_reached():
     assert not solve(ARMS, [1.5, 0], t0=1e-4).reached
 
 
-def test_trajectory_that_comes_upon_a_former_one_has_its_result():
-    many = multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+def test_trajectory_that_comes_upon_a_former_one_has_its_result(many):
     followed = [k for k, former in enumerate(many.joined) if former is None]
     assert many.joined[0] is None
     assert 2 <= len(followed) < 8
@@ -93,7 +89,7 @@ def test_limits_hold_for_all_starts_together():
     assert 2 <= len(many.results) == len(many.starts) < 50
     assert many.best.success
     late = multistart(ARMS, [1.5, 0], n=50, time_limit_s=1e-9)
-    assert [r.status for r in late.results] == [Status.TIME_LIMIT]
+    assert [(r.status, r.history) for r in late.results] == [(Status.TIME_LIMIT, ())]
 
 
 @pytest.mark.parametrize("options", [{"starts": 0}, {"starts": 2.5}, {"seed": -1}, {"moves": -1}])

@@ -1,8 +1,5 @@
 """The one call of CasADi's solvers: wrong options are named, Ctrl-C stops them, units do not matter."""
 
-import signal
-from typing import Any
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,35 +17,13 @@ from rmesh_nlp.optimize.units import Units
         ({"mu_strategy": "adaptiv"}, "Ipopt refuses mu_strategy = 'adaptiv'"),
     ],
 )
-def test_a_wrong_option_of_ipopt_is_named(
-    option: dict[str, Any], message: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_option_of_ipopt_is_named(option, message, capfd) -> None:
     x, none = ca.MX.sym("x"), np.zeros(0)
     nlp = NLP(x, ca.MX(0, 1), x**2, ca.MX(0, 1), np.array([-1.0]), np.array([1.0]), none, none)
     with pytest.raises(ValueError) as caught:  # noqa: PT011 - the message is compared as a whole
         Solver(nlp, options=option)
     assert str(caught.value) == message
     assert capfd.readouterr().out == ""
-
-
-def test_ctrl_c_ends_a_solver_at_the_iteration_in_which_it_is_pressed() -> None:
-    x, seen = ca.MX.sym("x", 2), []
-    valley = (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
-    free, none = np.full(2, np.inf), np.zeros(0)
-
-    def monitor(iteration: int, *_: object) -> None:
-        seen.append(iteration)
-        if iteration == 1:
-            signal.raise_signal(signal.SIGINT)
-
-    solver = Solver(NLP(x, ca.MX(0, 1), valley, ca.MX(0, 1), -free, free, none, none), monitor=monitor)
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a worker of tests may ignore it
-    try:
-        with pytest.raises(KeyboardInterrupt):
-            solver([-1.2, 1.0])
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert seen == [0, 1]
 
 
 @pytest.mark.parametrize(("upper", "x", "lam_x", "lam_g"), [(9.0, 1.0, 0.0, 2.0), (0.5, 0.5, 5.0, 0.0)])

@@ -1,7 +1,5 @@
 """What ``scripts/corpus.py`` reports of a version that is worse than its baseline."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import cast
 
@@ -35,8 +33,19 @@ def held(*olds: Row, new: Row, allowed: tuple[str, ...] = ()) -> Comparison:
     return compare([{"group: case": old} for old in olds], {"group: case": new}, allowed)
 
 
-def test_an_equal_run_has_no_faults() -> None:
+def test_what_is_no_loss_is_no_fault() -> None:
     assert not held(row(), row(), new=row(value=-1.0 + 1e-8, seconds=3.0)).faults
+    keys = {"keys": ["energy"]}  # entries may be allowed to go
+    assert not held(row(), new=row(**keys), allowed=("units",)).faults
+    better = held(row(status="stalled", label="C"), new=row(value=-1.1))
+    assert better.remarks[:2] == [
+        "group: case: status stalled (success) -> converged (success)",
+        "group: case: lower value, -1 -> -1.1",
+    ]
+    # a stopped solve may lose a thousandth of its gain
+    stopped = {"status": "stalled", "numbers": {"energy_initial_audited": 9.0}}
+    assert not held(row(**stopped), new=row(**stopped, value=-0.995)).faults
+    assert held(row(**stopped), new=row(**stopped, value=-0.98)).faults
 
 
 @pytest.mark.parametrize(
@@ -48,10 +57,7 @@ def test_an_equal_run_has_no_faults() -> None:
         ({"status": "over the time limit", "success": False, "value": None}, "over the time limit"),
         ({"label": "C"}, "weaker label: 1 cases, up to 0 among runs of the baseline; group: case: S -> C"),
         ({"label": "at least M"}, "S -> at least M"),
-        (
-            {"value": -0.99999},
-            "higher value: 1 cases, up to 0 among runs of the baseline; group: case: -1 -> ",
-        ),
+        ({"value": -0.99999}, "higher value: 1 cases, up to 0 among runs of the baseline"),
         ({"keys": ["energy"]}, "entry missing units: 1 cases"),
         ({"keys": [*KEYS, "fresh"]}, "entry new fresh: 1 cases"),
         ({"numbers": {"resultant": 3.01}}, "number resultant: 1 cases"),
@@ -70,26 +76,11 @@ def test_a_refused_problem_stays_refused() -> None:
     assert "message 'ProblemError: no' -> 'ProblemError: yes'" in other.remarks[0]
 
 
-def test_gains_are_remarks() -> None:
-    better = held(row(status="stalled", label="C"), new=row(value=-1.1))
-    assert better.remarks[:2] == [
-        "group: case: status stalled (success) -> converged (success)",
-        "group: case: lower value, -1 -> -1.1",
-    ]
-
-
 def test_a_case_is_as_good_as_its_worst_run() -> None:
     worst = row(value=-0.5, status="stalled", label="M", numbers={"resultant": 2.0})
     assert not held(row(), worst, new=worst).faults
     assert not held(row(), worst, new=row(value=-0.7, numbers={"resultant": 9.0})).faults
     assert "higher value" in held(row(), worst, worst, new=row(value=-0.4)).faults[0]
-
-
-def test_a_stopped_solve_may_lose_a_thousandth_of_its_gain() -> None:
-    numbers = {"energy_initial_audited": 9.0}
-    stopped = row(status="stalled", numbers=numbers)
-    assert not held(stopped, new=row(status="stalled", numbers=numbers, value=-0.995)).faults
-    assert held(stopped, new=row(status="stalled", numbers=numbers, value=-0.98)).faults
 
 
 def runs_of(*values: float) -> dict[str, Row]:
@@ -104,18 +95,6 @@ def test_as_many_cases_may_be_worse_as_one_run_has_against_the_others() -> None:
     (higher, best) = compare(baseline, runs_of(-1, -1, -0.9, -0.9, -0.9)).faults
     assert higher.startswith("group: higher value: 3 cases, up to 1 among runs of the baseline")
     assert best == "group: 4 to 5 -> 2 of 5 cases at the best known value"
-
-
-def test_many_cases_at_the_worse_of_several_ends_are_a_fault() -> None:
-    baseline = [runs_of(-1, -1, -2, -2), runs_of(-2, -1, -1, -2), runs_of(-1, -2, -2, -1)]
-    assert compare(baseline, runs_of(-1, -1, -1, -2)).faults == []
-    worst = compare([runs_of(*[-2] * 9), runs_of(-1, *[-2] * 8)], runs_of(*[-1] * 9))
-    assert worst.faults[-1] == "group: 8 to 9 -> 0 of 9 cases at the best known value"
-
-
-def test_entries_may_be_allowed_to_go() -> None:
-    assert not held(row(), new=row(keys=["energy"]), allowed=("units",)).faults
-    assert held(row(), new=row(keys=["units", "units.length"]), allowed=("units",)).faults
 
 
 def test_slower_by_more_than_a_tenth_is_a_fault() -> None:

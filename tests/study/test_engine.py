@@ -1,7 +1,5 @@
 """Every planned solve becomes one row, whatever happens to it, its worker or its client."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import itertools
@@ -9,11 +7,9 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import time
-from dataclasses import replace
 
 import pytest
 
@@ -23,7 +19,7 @@ from rmesh_nlp.io.records import MEASURED
 from rmesh_nlp.io.results import read_results, row_files
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
-from rmesh_nlp.study.contained import Contained, _row
+from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.runner import failure
@@ -131,31 +127,9 @@ def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path):
     assert [PLAN[2].key] == SOLVED
 
 
-def test_fields_are_kept_unless_they_are_not_wanted(tmp_path):
-    for solve in (replace(PLAN[0], fields=False), PLAN[0]):
-        row = json.loads(_row(solve, tmp_path))
-        assert (tmp_path / "solutions" / f"{row['key']}.vtu").exists() == solve.fields
-        assert row["task_time_s"] > 0
-        assert (row["variant"], row["repeat"]) == ("fixed", 0)
-
-
-@pytest.mark.parametrize(("cpu", "busy"), [(0.91, False), (0.89, True), (None, False)])
-def test_a_solve_that_did_not_have_its_core_alone_is_marked(cpu, busy, tmp_path, monkeypatch):
-    monkeypatch.setattr(Contained, "solve", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu})
-    for core in (None, (0, socket.socket())):
-        monkeypatch.setattr(worker, "_own_core", lambda core=core: core)
-        with worker.Worker(tmp_path) as one:
-            assert one.row(PLAN[0])["shared"] == (core is None or busy)
-
-
 @pytest.mark.parametrize(
     ("statuses", "code"),
-    [
-        (("converged", "converged"), 0),
-        (("converged", "refused"), 0),
-        (("refused", "refused"), 1),
-        (("converged", "died"), 1),
-    ],
+    [(("converged", "refused"), 0), (("refused", "refused"), 1), (("converged", "died"), 1)],
 )
 def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch):
     left = [*statuses]
@@ -169,6 +143,17 @@ def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, 
     path = study_file(tmp_path, SMALL.replace("3", "2"))
     assert cli.run(["study", path, "--out", str(tmp_path / "out"), "--quiet"]) == code
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
+
+
+def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
+    told = {"key": PLAN[0].key, "status": "converged"}  # its worker has written it
+    ended = iter([(PLAN[0], told), (PLAN[1], None)])
+    monkeypatch.setattr(engine, "distributed_rows", lambda *_: ended)
+    first, lost = engine.run(PLAN, tmp_path, jobs=2)
+    assert first == told
+    assert (lost["key"], lost["status"], lost["shared"]) == (PLAN[1].key, "died", True)
+    assert [path.name for path in row_files(tmp_path)] == [f"records-{lost['worker']}.jsonl"]
+    assert rows_of(tmp_path) == [lost]
 
 
 def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monkeypatch):
@@ -192,18 +177,6 @@ def test_a_local_cluster_writes_the_same_rows(tmp_path):
     assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in PLAN)
     assert 1 <= len(row_files(tmp_path)) <= 2
     assert list(engine.run(PLAN, tmp_path, jobs=2)) == []
-
-
-def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
-    told = {"key": PLAN[0].key, "status": "converged"}
-    ended = [(PLAN[0], told), (PLAN[1], None)]
-    monkeypatch.setattr(engine, "distributed_rows", lambda todo, *_: iter(ended))
-    first, lost = engine.run(PLAN, tmp_path, jobs=2)
-    assert first == told  # which its worker has written
-    assert (lost["key"], lost["status"], lost["shared"]) == (PLAN[1].key, "died", True)
-    (path,) = row_files(tmp_path)
-    assert path.name == f"records-{lost['worker']}.jsonl"
-    assert rows_of(tmp_path) == [lost]
 
 
 def test_failures_are_tried_again_when_that_is_asked_for(tmp_path, answers):
@@ -353,18 +326,20 @@ def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch, capsys
         assert message.format(address) in line
 
 
-CORES = {900_001, 900_002}
-"""Cores that no machine has, so that studies which run beside the tests do not matter."""
-
-
 @pytest.mark.skipif(sys.platform != "linux", reason="processes are pinned on Linux")
-def test_no_core_is_given_twice_and_a_core_given_back_is_free(monkeypatch):
-    monkeypatch.setattr(os, "sched_getaffinity", lambda _: CORES)
-    (number, holder), other = worker._own_core(), worker._own_core()
-    assert {number, other[0]} == CORES
-    assert worker._own_core() is None
-    holder.close()
-    again = worker._own_core()
-    assert again[0] == number
-    for _, each in (again, other):
-        each.close()
+def test_a_solve_that_did_not_have_a_core_to_itself_is_marked(tmp_path, monkeypatch):
+    """By cores that no machine has, so that studies which run beside the tests do not matter."""
+    cpu = [0.91]
+    monkeypatch.setattr(Contained, "solve", lambda *_: {"task_time_s": 1.0, "cpu_time_s": cpu[0]})
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {900_001, 900_002})
+
+    def shared(*workers):
+        return [one.row(PLAN[0])["shared"] for one in workers]
+
+    with worker.Worker(tmp_path) as one:
+        with worker.Worker(tmp_path) as other, worker.Worker(tmp_path) as third:
+            assert shared(one, other, third) == [False, False, True]
+        with worker.Worker(tmp_path) as again:  # a core given back is free
+            assert shared(again) == [False]
+        for cpu[0], busy in ((0.89, True), (None, False)):
+            assert shared(one) == [busy]

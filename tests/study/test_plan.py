@@ -1,7 +1,5 @@
 """Study files, and the plans that they become."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -113,18 +111,11 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "examples = ['6.1']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
         (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "expected sizes such as 8 or '12x6'"),
         (JOINT + "examples = ['6.1']\nseeds = [-1]", "expected seeds such as"),
-        (
-            JOINT + "examples = ['6.1']\norder = 0",
-            "order = 0: expected 1 for linear displacements, 2 for quadratic ones, or [1, 2]",
-        ),
+        (JOINT + "examples = ['6.1']\norder = 0", "order = 0: expected 1 for linear displacements, 2 for"),
         (JOINT + "examples = ['6.1']\norder = [1, true]", "expected 1 for linear"),
-        (JOINT + "examples = ['6.1']\norder = ['two']", "expected 1 for linear"),
         (JOINT + "examples = ['6.1']\norder = []", "expected 1 for linear"),
         (JOINT + "examples = '6.1'", "examples = '6.1': expected a list of texts"),
-        (
-            "examples = ['6.1']\n[formulations.joint]\nouter = 'newton'",
-            "joint.outer = 'newton': not an option",
-        ),
+        ("examples = ['6.1']\n[formulations.joint]\nouter = 'newton'", "outer = 'newton': not an option"),
         (JOINT + "examples = ['6.1']\n[limits]\ntime = 0", "limits.time = 0: expected"),
         (JOINT + "examples = ['6.1']\nobjectives = ['energie']", "energie"),
         (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),

@@ -1,7 +1,5 @@
 """Progress of a solve: gain, residual, limits; and lines about many solves."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A planned solve becomes one row: its own, or that of its failure."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +12,7 @@ from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.study import runner
 from rmesh_nlp.study.plan import PlannedSolve, planned
-from rmesh_nlp.study.runner import TIMES, Done, joined, perform
+from rmesh_nlp.study.runner import Done, perform
 from support.planted import plant, raising
 
 
@@ -56,6 +54,28 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     assert steps[-1] <= 1e-5
 
 
+@pytest.mark.parametrize("count", [3, 2])
+def test_repeats_are_bare_and_their_times_medians_with_a_range(one, count, monkeypatch):
+    """Those after an interrupted run are left out."""
+    runs, honest = [], runner.driver.solve
+
+    def solve(*given, **options):
+        solution, k = honest(*given, **options), len(runs)
+        runs.append(options["certify"])
+        seconds = {"build_time_s": [3.0, 1.0, 2.0][k], "solve_time_s": 1.0, "contact_time_s": float("nan")}
+        return replace(solution, is_interrupted=k + 1 == count < 3, **seconds)
+
+    monkeypatch.setattr(runner.driver, "solve", solve)
+    row = perform(replace(one, certify=True, repeats=3)).row
+    assert runs == [True, False, False][:count]
+    if count < 3:
+        assert row["status"] == "interrupted"
+        return
+    assert (row["build_time_s"], row["build_time_range_s"], row["repeats"]) == (2.0, [1.0, 3.0], 3)
+    assert row["first_cost_s"] == 3.0 + 1.0
+    assert "contact_time_range_s" not in row  # which no run has
+
+
 @pytest.mark.parametrize(
     ("error", "status", "message"),
     [
@@ -92,34 +112,3 @@ def test_theorem_41_is_not_evaluated_on_a_broken_mesh(one, monkeypatch):
     monkeypatch.setattr(runner.driver, "solve", lambda *_, **__: broken)
     monkeypatch.setattr(runner, "error_terms", lambda _: pytest.fail("it was evaluated"))
     assert perform(one).row["status"] == "invalid_mesh"
-
-
-@pytest.mark.parametrize(
-    ("statuses", "count"),
-    [(["failed"], 1), (["interrupted"], 1), (["converged", "interrupted"], 2), (["converged"] * 3, 3)],
-)
-def test_repeats_are_bare_and_end_with_a_failure_or_an_interrupted_run(one, statuses, count, monkeypatch):
-    calls = []
-
-    def once(solve, on_step):
-        calls.append(solve.certify)
-        status = statuses[len(calls) - 1]
-        record = {"status": status, "build_time_s": 1.0 * len(calls), "solve_time_s": 1.0}
-        return Done(record, None if status == "failed" else object())
-
-    monkeypatch.setattr(runner, "_once", once)
-    row = perform(replace(one, certify=True, repeats=3)).row
-    assert calls == [True, False, False][:count]
-    assert row["status"] == statuses[-1]
-    joined_times = (row["build_time_s"], row.get("repeats"))
-    assert joined_times == ((2.0, 3) if count == 3 else (count, None))
-
-
-def test_times_are_medians_with_their_range():
-    first = {"energy": -1.0, **dict.fromkeys(TIMES, 3.0), "contact_time_s": None}
-    row = joined([first, {**first, "build_time_s": 1.0, "energy": -9.0}, {**first, "build_time_s": 2.0}])
-    assert (row["build_time_s"], row["build_time_range_s"]) == (2.0, [1.0, 3.0])
-    assert (row["wall_time_s"], row["wall_time_range_s"]) == (3.0, [3.0, 3.0])
-    assert (row["energy"], row["repeats"], row["first_cost_s"]) == (-1.0, 3, 6.0)
-    assert "contact_time_range_s" not in row
-    assert joined([first]) is first

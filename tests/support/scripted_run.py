@@ -52,11 +52,9 @@ def ended(x: Sequence[float], status: Status = Status.CONVERGED, f: float = 0.0,
 class Call:
     """A relaxation that was asked for."""
 
-    name: str
     z: np.ndarray
     t: float
     warm: NLPResult | None
-    first: bool
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class ScriptedRun(Run):
 
     def relaxed(self, name, z, t, warm=None, *, first=False, dependent=False):  # type: ignore[no-untyped-def]
         assert self.relaxations is not None
-        self.calls.append(Call(name, z, t, warm, first))
+        self.calls.append(Call(z, t, warm))
         answer = self.relaxations(self.calls[-1])
         measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
         self.steps.append(

@@ -1,4 +1,4 @@
-"""The benchmark of MPCC solvers on a collection of two problems."""
+"""The benchmark of MPCC solvers on small collections, and points of known label."""
 
 import json
 import os
@@ -10,7 +10,18 @@ import numpy as np
 import pytest
 
 import benchmark_mpcc as benchmark
+from check_mpcc_labels import main, verdict
 from isolated import Failed, isolated
+from mpcc_library.labels import (
+    Active,
+    Point,
+    dependent,
+    descends_by_search,
+    label_by_search,
+    regular,
+    tangled,
+)
+from rmesh_nlp.mpcc import classify
 
 COLLECTION = """
 import casadi as ca
@@ -49,10 +60,8 @@ def test_point_is_measured_by_the_problem(tmp_path):
     path = tmp_path / "collection.py"
     path.write_text(COLLECTION)
     (_, problem), _ = benchmark.problems([path], (), 1, 1)
-    assert benchmark.measured(problem, np.array([2.0, 3.0])) == (
-        25.0,
-        6.0,
-    )  # (x + 1)^2 + (y + 1)^2; the product
+    # (x + 1)^2 + (y + 1)^2; the product
+    assert benchmark.measured(problem, np.array([2.0, 3.0])) == (25.0, 6.0)
     assert benchmark.measured(problem, np.array([0.0, -1.0])) == (1.0, 1.0)
 
 
@@ -109,7 +118,7 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
 
 
 def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
-    same = ["--families", "membrane", "--sizes", "1", "--seeds", "1", "--out", str(tmp_path)]
+    same = ["--families", "markets", "--sizes", "1", "--seeds", "1", "--out", str(tmp_path)]
     rows = tmp_path / "rows.jsonl"
     assert benchmark.main([*same, "--solvers", "rmesh_nlp.mpcc"]) == 0
     (first,) = rows.read_text(encoding="utf-8").splitlines()
@@ -118,4 +127,62 @@ def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
     again, added = rows.read_text(encoding="utf-8").splitlines()
     assert again == first
     assert "plain" in added
-    assert "| membrane | 400 |" in (tmp_path / "table.md").read_text(encoding="utf-8")
+    assert "| markets, 1 |" in (tmp_path / "table.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_blocks():
+    """Of each kind some: most of the time goes into the search for blocks."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("mpcc_library.labels._BLOCKS", 100)
+        yield
+
+
+@pytest.mark.parametrize(
+    ("c", "label", "descends", "rows"),
+    [
+        ([1.0, 1.0], "S", False, []),
+        ([-1.0, 0.0], "M", True, []),
+        ([-1.0, -1.0], "C", True, []),
+        ([1.0, -1.0], "W", True, []),
+        ([1.0, 1.0, 1.0], "none", True, []),  # a free unknown with slope
+        # min x + y - z, z <= 4 x, z <= 4 y of Scheel and Scholtes: B, but the multipliers of S are missing
+        ([1.0, 1.0, -1.0], "M", False, [[-4.0, 0, 1], [0, -4.0, 1]]),
+    ],
+)
+def test_search_finds_the_label_of_a_corner(c, label, descends, rows):
+    n, A = len(c), np.reshape(rows, (len(rows), len(c)))
+    data = Active(np.array(c), A, np.ones(len(rows)), np.eye(n)[:1], np.eye(n)[1:2])
+    assert (label_by_search(data), descends_by_search(data)) == (label, descends)
+
+
+@pytest.mark.parametrize("make", [regular, dependent, tangled])
+@pytest.mark.parametrize("seed", range(5))
+def test_labels_are_those_that_are_known(make, seed):
+    point = make(seed, 1, 7)
+    found = classify(point.mpcc, point.x)
+    assert found.biactive.size == point.n_biactive
+    assert verdict(point, found.stationarity, found.b_stationary) == "right"
+
+
+@pytest.mark.parametrize(
+    ("known", "said", "word"),
+    [
+        (("M", True), ("M", True), "right"),
+        (("M", None), ("M", False), "right"),
+        (("M", True), ("M", None), "undecided"),
+        (("M", True), ("at least C", True), "undecided"),
+        (("W", False), ("at least C", False), "wrong"),
+        (("C", False), ("M", False), "wrong"),
+        (("M", True), ("M", False), "wrong"),
+        (("M", True), ("", None), "wrong"),
+    ],
+)
+def test_verdict_tells_wrong_from_undecided(known, said, word):
+    point = Point("", regular(0, 1, 1).mpcc, np.zeros(1), 1, *known)
+    assert verdict(point, *said) == word
+
+
+def test_script_prints_a_table_and_finds_nothing_wrong(capsys):
+    assert main(["--few", "3", "--many", "2"]) == 0
+    assert "0 wrong" in capsys.readouterr().out

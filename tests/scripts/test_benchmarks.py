@@ -1,0 +1,231 @@
+"""Benchmarks, soaks and the comparison that users copy: small runs of each, and what their tables say."""
+
+import importlib
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import ablation
+import benchmark_branches
+import benchmark_cost
+import benchmark_designs
+import benchmark_peers
+import compare_formulations
+import soak_losses
+from benchmark_coulomb import StickZone, fixed_point, plate, plate_slips, pressed_block, slab, system_of
+from formulations import cascade
+from peer_solvers import nlpsol_mapped, nlpsol_written_out
+from random_designs import random_design
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.solving.outer import Outer
+
+
+def rows_of(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+@pytest.mark.slow
+def test_a_study_with_its_tables_and_figures(tmp_path, capsys):
+    arguments = ["6.1", "--sizes", "7", "8", "--formulations", "fixed", "joint", "--out", str(tmp_path)]
+    assert compare_formulations.main(arguments) == 0
+    rows = capsys.readouterr().out.splitlines()
+    assert [row.split()[-1] for row in rows[1:]] == ["0.0", "1.0", "0.0", "1.0"]
+    kept = (tmp_path / "records.jsonl").read_text()
+    assert "| 6.1, n = 8, joint |" in (tmp_path / "table.md").read_text()
+    assert any((tmp_path / "figures").iterdir())
+    assert compare_formulations.main(arguments) == 0  # nothing is solved again
+    assert (tmp_path / "records.jsonl").read_text() == kept
+
+
+def test_a_study_of_an_unknown_example_is_exit_code_2(tmp_path, capsys):
+    with pytest.raises(SystemExit) as stop:
+        compare_formulations.main(["6.9", "--out", str(tmp_path / "study")])
+    assert stop.value.code == 2
+    assert "6.9" in capsys.readouterr().err
+    assert not (tmp_path / "study").exists()
+
+
+@pytest.mark.parametrize("rule", ablation.RULES, ids=lambda rule: rule.name)
+def test_every_rule_that_is_switched_off_exists_and_is_put_back(rule):
+    def values():
+        places = (place.split(":") for place in rule.values)
+        return [getattr(importlib.import_module(module), name) for module, name in places]
+
+    before = values()
+    with ablation.without(rule):
+        assert all(one is other for one, other in zip(values(), rule.values.values(), strict=True))
+    assert all(one is other for one, other in zip(values(), before, strict=True))
+    assert rule.values or rule.settings
+
+
+def test_table_of_the_ablation_has_gains_failures_and_cost():
+    rule = ablation.RULES[0].name
+    good = {"success": True, "status": "converged", "gain": 2.0, "cost": 10}
+    rows = {(name, "joint", case): good for name in ("as it is", rule) for case in "abc"}
+    rows[rule, "joint", "a"] = {**good, "gain": 1.0, "cost": 30}
+    rows[rule, "joint", "c"] = {**good, "success": False, "status": "worse"}
+    assert ablation.table(rows).splitlines()[-1] == f"| {rule} | 3 | 0.7500 | 0.500 | 1, 0 | 1, 0 | 2.00 |"
+
+
+def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was(capsys):
+    before = cascade.descend, ContactSolver.__init__
+    assert benchmark_cost.main(["6.1:3"]) == 0
+    assert (cascade.descend, ContactSolver.__init__) == before
+    lines = capsys.readouterr().out.splitlines()
+    header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines)
+    parts = [*benchmark_cost.PARTS, "rest"]
+    assert header[-len(parts) :] == parts
+    found = dict(zip(header, row, strict=True))
+    assert (found["problem"], found["nodes"]) == ("6.1:3", "16")
+    # rounded to three digits
+    assert sum(float(found[part]) for part in parts) == pytest.approx(float(found["whole"]), rel=0.05)
+    assert min(float(found[part]) for part in ("models", "descents", "assess", "reduction", "unit")) > 0
+
+
+@pytest.mark.slow
+def test_ends_at_kinks_are_searched_branch_by_branch(capsys, tmp_path):
+    every = [case.name for case in benchmark_branches.cases()]
+    assert len(every) == len(set(every)) == 68
+    rows = tmp_path / "rows.jsonl"
+    assert benchmark_branches.main(["--only", "seal-4-2", "--out", str(rows)]) == 0
+    said, found = capsys.readouterr().out, rows_of(rows)
+    assert [row["formulation"] for row in found] == ["nested", "mpcc"]
+    for row in found:
+        assert (row["status"], row["b_stationary"], row["searched"]) == ("converged", True, 8)
+        assert row["steepest"] >= -1e-6
+    assert found[0]["objective_value"] == pytest.approx(found[1]["objective_value"], rel=1e-8)
+    assert benchmark_branches.main(["--read", str(rows)]) == 0
+    assert capsys.readouterr().out == said
+    assert said.count("S, 3") == 2
+
+
+def test_a_case_of_kinks_that_raises_is_a_row():
+    case = next(iter(benchmark_branches.cases()))
+    bad = benchmark_branches.Case(case.name, case.problem, "mean(nowhere, uy)")
+    row = benchmark_branches.row(bad, "mpcc", 10.0)
+    assert row["status"] != "converged"
+    assert "nowhere" in row["message"]
+    assert "nowhere" not in benchmark_branches.table([row])
+
+
+@pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
+def test_stated_design_obeys_all_constraints(seed):
+    found = random_design(seed)
+    outer = Outer.of(found.problem, found.objective)
+    amplitudes = [found.feasible[shape.name] for shape in found.problem.shapes]
+    nodes = found.problem.mesh.p + np.tensordot(amplitudes, found.problem.shape_motions, 1)
+    q = outer.variables(nodes, design=found.feasible)
+    assert outer.design(q) == pytest.approx(found.feasible)
+    assert 3 <= outer.n <= 200
+    assert outer.merit(outer.function(q))[0] == 0.0
+
+
+def test_seed_determines_the_design_problem():
+    one, two = random_design(5), random_design(5)
+    assert (one.objective, one.feasible) == (two.objective, two.feasible)
+    np.testing.assert_array_equal(one.problem.mesh.p, two.problem.mesh.p)
+    assert [str(c) for c in one.problem.constraints] == [str(c) for c in two.problem.constraints]
+    assert random_design(6).feasible != one.feasible
+
+
+@pytest.mark.slow
+def test_one_design_problem_by_both_from_both_starts(tmp_path, capsys):
+    out = tmp_path / "rows.jsonl"
+    for _ in range(2):  # the second time nothing is left to solve
+        benchmark_designs.main(["--seeds", "3", "4", "--out", str(out)])
+        rows = rows_of(out)
+        assert len(rows) == 4
+    assert {(row["formulation"], row["start"]) for row in rows} == {
+        (name, start) for name in ("nested", "mpcc") for start in ("given", "seed")
+    }
+    assert all(row["success"] and row["b_stationary"] for row in rows)
+    said = "nested: 2 solves, 2 valid, 2 successes, best of all reached on 1 of 1 problems"
+    assert said in capsys.readouterr().out
+
+
+def test_the_better_of_two_starts_counts_and_invalid_ends_do_not():
+    ends = [("nested", 2.0, True), ("nested", 1.0, True), ("mpcc", 1.5, True), ("mpcc", 0.5, False)]
+    names = ("seed", "formulation", "value", "valid", "first")
+    rows = [dict(zip(names, (0, *end, 3.0), strict=True)) for end in ends]
+    assert benchmark_designs.best_reached(rows) == {(0, "nested"): True, (0, "mpcc"): False}
+
+
+def test_orders_of_gradients(capsys):
+    benchmark_designs.main(["--gradients", "--seeds", "2", "4"])
+    assert "within 0.02 on 2" in capsys.readouterr().out
+
+
+def test_times_are_medians_and_a_run_without_a_result_is_a_row():
+    def rows(solver, *seconds):
+        return [benchmark_peers.Row("p", solver, "converged", -1.5, 0.25, 7, one) for one in seconds]
+
+    failed = benchmark_peers.Row("p", "three", "crashed: SIGKILL")
+    text = benchmark_peers.table([*rows("one", 1.0, 2.0, 4.0), *rows("two", 3.0, 4.0, 4.0), failed])
+    assert "| p | one | converged | -1.5 | 0.25 | 7 | 2 (1 to 4) | 1 |" in text
+    assert "| p | two | converged | -1.5 | 0.25 | 7 | 4 (3 to 4) | 2 |" in text  # ratios run by run
+    assert "| p | three | crashed: SIGKILL | - | - | - | - | - |" in text
+
+
+@pytest.mark.slow
+def test_one_program_built_three_times_has_one_energy(monkeypatch, tmp_path):
+    solvers = {"joint": benchmark_peers.FORMULATIONS["joint"]}
+    solvers |= {"mapped": nlpsol_mapped, "written out": nlpsol_written_out}
+    tasks = (benchmark_peers.Task("6.1, n = 8", lambda: EXAMPLES["6.1"](8), solvers),)
+    monkeypatch.setattr(benchmark_peers, "GROUPS", {"one": tasks})
+    assert benchmark_peers.main(["--groups", "one", "--repeat", "1", "--out", str(tmp_path)]) == 0
+    found = rows_of(tmp_path / "rows.jsonl")
+    assert [row["status"] for row in found] == ["converged"] * 3
+    assert [row["value"] for row in found] == pytest.approx([found[0]["value"]] * 3, rel=1e-6)
+    assert (tmp_path / "formulations.md").read_text().count("| 6.1, n = 8 |") == 3
+
+
+@pytest.mark.slow
+def test_kills_and_short_writes_lose_nothing(capsys):
+    arguments = ["--kills", "1", "--short-writes", "1", "--solves", "4", "--jobs", "1", "--longest", "5"]
+    soak_losses.main([*arguments, "--seed", "5"])
+    assert capsys.readouterr().out.startswith("nothing lost, nothing doubled: ")
+
+
+def test_a_lost_or_doubled_row_is_found_out(tmp_path):
+    line = json.dumps({"key": "a", "success": True})
+    path = tmp_path / "records.jsonl"
+    path.write_text(f"{line}\n{line[:9]}")
+    known = soak_losses.rows(tmp_path)
+    assert known == {"a": line}
+    path.write_text(f"{line}\n{line}\n")
+    with pytest.raises(AssertionError, match="doubled: a"):
+        soak_losses.rows(tmp_path)
+    path.write_text(line.replace("true", "false") + "\n")
+    with pytest.raises(AssertionError, match="lost"):
+        soak_losses.survive(known, tmp_path)
+
+
+@pytest.mark.parametrize("shear", [0.03, 0.06])
+def test_partial_slip_is_that_of_cattaneo_and_mindlin(shear: float) -> None:
+    """c/a to 2 % on 516 nodes; the interpolation within an edge is less than what brackets the zone."""
+    zone = StickZone.of(ContactSolver(pressed_block(8, shear)))
+    assert 0.2 < zone.load < 0.8
+    assert abs(zone.error) < 0.02
+    low, high = zone.bracket
+    edge = 1 / 8
+    assert low - edge < np.sqrt(1 - zone.load) * zone.contact < high + edge
+
+
+def test_slips_of_a_plate_are_the_published_ones() -> None:
+    """Within the 5 % of their source, and at the first four places within the rounding of three digits."""
+    slips = plate_slips(plate(32, 1))
+    np.testing.assert_allclose(slips, 1.0, atol=0.05)
+    np.testing.assert_allclose(slips[:4], 1.0, atol=0.005)
+
+
+def test_a_fixed_point_of_the_bounds_takes_more_active_sets() -> None:
+    system = system_of(slab((12, 6)))
+    steps, sets = fixed_point(system)
+    assert steps > 1
+    assert solve(system).iterations < sets
+    still = replace(system, coulomb=np.zeros(system.offset.size))
+    assert fixed_point(still)[0] <= 2
