@@ -98,7 +98,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
         raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
-    guess, skeleton = guess.by_mesh(), skeleton_of(problem, nodes)
+    skeleton = skeleton_of(problem, nodes)
     conditions, load, u = conditions_of(problem, skeleton), loads(problem, skeleton), guess.displacement
     build = equilibrated_flux if problem.components == 1 else equilibrated_stress
     effort = PRODUCTS[problem.components] if products is None else products
@@ -198,7 +198,7 @@ def refined_bracket(
         return plain if plain.guaranteed_lower else refined
     if refinements == 0:
         return bracket(problem, nodes, guess)
-    guess, mesh = guess.by_mesh(), relocated_mesh(problem.mesh, nodes)
+    mesh = relocated_mesh(problem.mesh, nodes)
     finer = replace(problem, mesh=mesh, motion=Motion(None))
     for _ in range(refinements):
         coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))

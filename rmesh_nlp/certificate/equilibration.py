@@ -17,7 +17,6 @@ small, and so is the rounding of stresses, which would else be differences of la
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,19 +50,11 @@ long.
 
 @dataclass(frozen=True)
 class Guess:
-    """What the computed solution knows: where the equilibration begins."""
+    """What the computed solution knows: where the equilibration begins; vertices come first, then edges."""
 
     displacement: Array  # (components, nodes) coefficients
     pressure: Array  # (nodes,) coefficients, of contact
     friction: Array  # (nodes,)
-    space: DisplacementSpace | None = None  # whose nodes these are; by default vertices and then edges
-
-    def by_mesh(self) -> Guess:
-        """The same numbered as the mesh is, vertices and then edges."""
-        if self.space is None:
-            return self
-        node = self.space.number
-        return self._picked(lambda values: values[..., node])
 
     def on_refined(self, coarse: DisplacementSpace, fine: DisplacementSpace) -> Guess:
         """From a mesh to the mesh refined once, whose new vertices halve the edges; numbered as these are.
@@ -79,10 +70,8 @@ class Guess:
             node, between = first.astype(np.int64), first != second
             node[between] = coarse.nodes_at(first[between], second[between])
             node = node.reshape(4, -1)
-        return self._picked(lambda values: values[..., node].mean(axis=-2))
-
-    def _picked(self, pick: Callable[[Array], Array]) -> Guess:
-        return Guess(pick(self.displacement), pick(self.pressure), pick(self.friction))
+        values = self.displacement, self.pressure, self.friction
+        return Guess(*(part[..., node].mean(axis=-2) for part in values))
 
 
 @dataclass(frozen=True)

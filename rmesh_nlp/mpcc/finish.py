@@ -145,17 +145,21 @@ def _labelled(run: Run, z: Array, f: float, offered: tuple[Array, Array] | None)
 def pivot(run: Run, point: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
     lpecs = point.lpecs
-    for pivots in range(run.options.max_pivots):
+    for pivots in range(run.options.max_pivots + 1):
         point = replace(point, pivots=pivots, lpecs=lpecs)
         direction = None if point.stationarity is None else point.stationarity.direction
-        better = None if direction is None else _descend(run, point, direction)
-        if direction is None or better is None:
+        if direction is None:
+            return point
+        if pivots == run.options.max_pivots:
+            break
+        better = _descend(run, point, direction)
+        if better is None:
             return point
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1, lpecs=lpecs)
         point = _labelled(run, better.x, better.f, (better.lam_g, better.lam_x))
         lpecs += point.lpecs
-    return replace(point, pivots=run.options.max_pivots, lpecs=lpecs, status=Status.ITERATION_LIMIT)
+    return replace(point, status=Status.ITERATION_LIMIT)
 
 
 def _descend(run: Run, point: Finish, direction: Direction) -> NLPResult | None:

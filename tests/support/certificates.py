@@ -33,7 +33,8 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
         pressure[model.contact_nodes] = found.normal_force / weights
         if found.tangential_force.size:
             friction[model.contact_nodes] = found.tangential_force / weights
-    return Guess(displacement, pressure, friction, space)
+    node = space.number
+    return Guess(displacement[:, node], pressure[node], friction[node])
 
 
 def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:
