@@ -26,7 +26,6 @@ from rmesh_nlp.models.alternating import alternated
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Open
@@ -134,9 +133,6 @@ a limit the second took 50 times the time of the first on the page on identifica
 LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 """Ends of a homotopy whose last point need not be complementary."""
 
-DROPPED: Mapping[str, Any] = {"tol": 1e-8, "mu_strategy": "adaptive", "max_iter": 1000}
-"""Ipopt options of the model without complementarity."""
-
 
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
     """The symbolic MPCC, see :mod:`rmesh_nlp.models.kkt_model`; in N/m, m and the objective's unit."""
@@ -180,8 +176,6 @@ class AllAtOnce(Formulation):
         A name in ``rmesh_nlp.mpcc.RELAXATIONS``.
     options : mapping
         Fields of :class:`rmesh_nlp.mpcc.Options`, on top of ``formulations.mpcc.OPTIONS``.
-    without_first : bool
-        Begin with the end of the same model without its complementarity.
     twice : bool or None
         Follow a second path from the start, of the last relaxation alone, and keep the better end; None, the
         default: where there are design variables. The two often end at different minima. The second is left
@@ -190,7 +184,6 @@ class AllAtOnce(Formulation):
 
     relaxation: str = "scholtes"
     options: Annotated[Mapping[str, Any], Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
-    without_first: bool = False
     twice: bool | None = None
 
     def __post_init__(self) -> None:
@@ -203,7 +196,7 @@ class AllAtOnce(Formulation):
         before = monitor.iterations
         first = self._path(outer, q, monitor)
         twice = bool(outer.problem.design) if self.twice is None else self.twice
-        if not twice or outer.is_near or self.without_first or outer.objective.is_energy:
+        if not twice or outer.is_near or outer.objective.is_energy:
             return first
         most = SECOND * (monitor.iterations - before)
         second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
@@ -225,14 +218,6 @@ class AllAtOnce(Formulation):
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
         x, near = program.point(q, point.equilibrium, point.system), outer.is_near
-        solves = 0
-        if self.without_first:
-            first = Solver(program.without_complementarity(), options=DROPPED, monitor=track)(x)
-            track.with_violations(first.history["inf_pr"])
-            monitor.work += Work(kkt_factorisations=track.iterations)
-            monitor.check()
-            x, near, solves = first.x, True, 1
-            track = monitor.track(outer, program.value)
         own = _options(outer, program.value / pull(begin.gradient), near)
         with monitor.budget.during("build"):
             options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
@@ -252,7 +237,7 @@ class AllAtOnce(Formulation):
             result.status,
             own=end,
             label=result.stationarity,
-            details=(relaxation, _figures(outer, program, solves, result)),
+            details=(relaxation, _figures(outer, program, result)),
         )
 
 
@@ -310,7 +295,7 @@ def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
 
 
-def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) -> Homotopy:
+def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> Homotopy:
     return Homotopy(
         stages=[
             {**{name: getattr(stage, name) for name in STAGE}, "status": stage.status.value}
@@ -323,7 +308,7 @@ def _figures(outer: Outer, program: Bilevel, solves: int, result: MPCCResult) ->
         equilibrium_multiplier=float(np.max(np.abs(result.lam_g[: program.n_u]))),
         constraint_violation=result.constraint_violation,
         complementarity=result.complementarity,
-        nlp_solves=solves + result.counts["nlp_solves"],
+        nlp_solves=result.counts["nlp_solves"],
         rescues=result.counts["rescues"],
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rmesh_nlp.cli.folders import SUCCESS, read_quietly, writable
-from rmesh_nlp.cli.study import STUDY_FILE, read_noted
+from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.folder import Manifest, remove_leftovers, write_whole
@@ -20,6 +20,7 @@ from rmesh_nlp.report.pictures import PICTURES, Drawable, write_pictures
 from rmesh_nlp.report.style import Page
 from rmesh_nlp.report.tables import frame, markdown, short_markdown, write_tables
 from rmesh_nlp.study.reproduction import reproduce as derive
+from rmesh_nlp.study.study_file import read_study
 
 
 def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
@@ -74,7 +75,7 @@ def report(folder: Path) -> None:
     remove_leftovers(folder)
     path, question, title = folder / STUDY_FILE, "", ""
     if path.exists():
-        stated = read_noted(path)
+        stated = read_study(path)
         question, title = stated.question, stated.name or ""
     print(f"wrote {write_report(folder, results, question, title)}")
 

@@ -7,14 +7,14 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
+from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, writable
 from rmesh_nlp.errors import InterruptedSolveError
 from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, make_plan, seconds_of_plan
 from rmesh_nlp.study.progress import SolvesProgress
-from rmesh_nlp.study.study_file import StudyTable, read_study
+from rmesh_nlp.study.study_file import read_study
 
 STUDY_FILE = "study.toml"
 
@@ -25,7 +25,7 @@ def study(
     path: Path, out: Path, jobs: int, scheduler: str | None, retry_failed: bool, voice: str = "text"
 ) -> int:
     """Perform a study; returns the exit code. What is printed is "text", "json" (the counts) or "quiet"."""
-    plan = make_plan(read_noted(path), path)
+    plan = make_plan(read_study(path), path)
     with writable(out, (STUDY_FILE,)) as results:
         results.manifest.check((f"{ROWS}/records", f"{SOLUTIONS}/x"))
         results.manifest.claim(STUDY_FILE)
@@ -55,7 +55,7 @@ def study(
 
 def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
     """Print what a study would do, as JSON with its keys or in short."""
-    stated = read_noted(path)
+    stated = read_study(path)
     plan = make_plan(stated, path)
     todo = engine.missing(plan, out)
     if voice == "json":
@@ -77,17 +77,11 @@ def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
 
 def check(path: Path) -> int:
     """Validate a study file and print its plan in short."""
-    stated = read_noted(path)
+    stated = read_study(path)
     plan = make_plan(stated, path)
     print(f"{path}: study {stated.name or path.stem!r} is in order")
     print_plan(plan, plan, 1)
     return SUCCESS
-
-
-def read_noted(path: Path) -> StudyTable:
-    """The tables of a study; what is spelled as of old is noted."""
-    with notes(DeprecationWarning, "note"):
-        return read_study(path)
 
 
 def print_plan(

@@ -36,8 +36,6 @@ HISTORY_FIELDS = (
     *("contact_solves", "seconds", "stationarity"),
 )
 
-LATER_FIELDS = ("stationarity",)  # columns that histories of older versions do not have
-
 
 @dataclass(frozen=True)
 class Result:
@@ -55,7 +53,7 @@ class Result:
             with self.history.open(newline="", encoding="utf-8") as file:
                 rows = csv.DictReader(file, strict=True)
                 steps = [{name: _number(text) for name, text in row.items()} for row in rows]
-            missing = sorted(set(HISTORY_FIELDS) - set(LATER_FIELDS) - set(rows.fieldnames or ()))
+            missing = sorted(set(HISTORY_FIELDS) - set(rows.fieldnames or ()))
             if missing:
                 raise ValueError(f"it has no column {missing[0]!r}")
         except (OSError, ValueError, TypeError, csv.Error) as error:  # of the decoding as well

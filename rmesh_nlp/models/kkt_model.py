@@ -37,7 +37,6 @@ from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
 
 COMMON: Mapping[str, Any] = {
@@ -86,26 +85,6 @@ class Bilevel:
         """The gaps of complementarity pairs: those of contact, then two of friction each where it may act."""
         every = np.concatenate([np.arange(self.n_contact), self.friction_rows, self.friction_rows])
         return np.asarray(every[pairs])
-
-    def without_complementarity(self) -> NLP:
-        """The NLP that keeps ``G, H >= 0`` and drops their products.
-
-        Its minimum bounds that of the MPCC from below; with the energy as objective it is the
-        same, because then the contact law is a condition of optimality.
-        """
-        mpcc = self.mpcc
-        n = int(mpcc.G.shape[0])
-        return NLP(
-            x=mpcc.x,
-            p=ca.MX(0, 1),
-            f=mpcc.f,
-            g=ca.vertcat(mpcc.g, mpcc.G, mpcc.H),
-            lbx=np.asarray(mpcc.lbx),
-            ubx=np.asarray(mpcc.ubx),
-            lbg=np.append(mpcc.lbg, np.zeros(2 * n)),
-            ubg=np.append(mpcc.ubg, np.full(2 * n, np.inf)),
-            derivatives=mpcc.derivatives,
-        )
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""

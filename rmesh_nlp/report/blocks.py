@@ -16,7 +16,7 @@ LINEAR = "order 1"  # what is only said beside another one
 RELOCATING_NOTHING = "fixed"  # the formulation whose solution is that of the initial grid
 
 # starts of ``mpcc`` that solve another model first: the homotopy then only certifies its end
-BORROWED = ("joint", "nested", "without-complementarity")
+BORROWED = ("joint", "nested")
 
 Item = TypeVar("Item")
 Key = TypeVar("Key", bound=Hashable)
@@ -116,7 +116,7 @@ def block_key(record: Record) -> Hashable:
 
 
 def order_of(record: Record) -> int:
-    """The order of the displacements, which old records do not name."""
+    """The order of the displacements."""
     return int(record.get("order") or 1)
 
 
@@ -207,7 +207,7 @@ def delta_text(delta: Any) -> str:
 
 
 def seconds_of_work(record: Record) -> float | None:
-    """Seconds of build and solve, the assessment is no cost; older records have but their wall time."""
+    """Seconds of build and solve, the assessment is no cost; of a killed one its wall time."""
     build, solve = record.get("build_time_s"), record.get("solve_time_s")
     return record.get("wall_time_s") if build is None or solve is None else build + solve
 

@@ -232,7 +232,7 @@ def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Res
         row = by_key.get(solve.key)
         if row is None:
             continue
-        asked = {"order": 1, **row, **(row.get("asked") or {})}  # which old rows do not name
+        asked = {**row, **(row.get("asked") or {})}
         for name, value in solve.identity.items():
             if asked.get(name) != value:
                 raise BadInputError(

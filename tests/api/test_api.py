@@ -45,13 +45,13 @@ def test_settings_of_an_object_are_its_own() -> None:
 def test_one_spelling_of_options_serves_names_tables_and_lists() -> None:
     """What Python takes by keyword, ``compare`` gives to those that take it, and a text may name too."""
     problem, few = rm.EXAMPLES["6.2"](n=(4, 2)), rm.Limits(iterations=2)
-    alone = rm.solve(problem, "mpcc", t0=1e-3, without_first=True, limits=few)
-    both = rm.compare(problem, ["fixed", "mpcc"], t0=1e-3, without_first=True, limits={"iterations": 2})
-    asked = {"options": {"t0": 1e-3}, "without_first": True}
+    alone = rm.solve(problem, "mpcc", t0=1e-3, twice=True, limits=few)
+    both = rm.compare(problem, ["fixed", "mpcc"], t0=1e-3, twice=True, limits={"iterations": 2})
+    asked = {"options": {"t0": 1e-3}, "twice": True}
     assert alone.settings == both["mpcc"].settings == asked
     assert alone.limits == both["mpcc"].limits == few
-    named = formulation_options("mpcc:t0=1e-3:without_first=true")
-    assert named == ("mpcc", {"t0": 1e-3, "without_first": True})
+    named = formulation_options("mpcc:t0=1e-3:twice=true")
+    assert named == ("mpcc", {"t0": 1e-3, "twice": True})
     assert rm.solve(problem, named[0], **named[1], limits=few).settings == asked
 
 

@@ -93,7 +93,7 @@ def test_options_of_the_command_line_override_those_of_a_file(
     [
         ([], {}),
         (["tol=1e-8", "relaxation = scholtes"], {"tol": 1e-8, "relaxation": "scholtes"}),
-        (["blocks=[8, 4]", "without_first=true"], {"blocks": [8, 4], "without_first": True}),
+        (["blocks=[8, 4]", "twice=true"], {"blocks": [8, 4], "twice": True}),
         (
             ["newton.forcing=0.2", "newton.step.searches=5", "tight=1"],
             {"newton": {"forcing": 0.2, "step": {"searches": 5}}, "tight": 1},

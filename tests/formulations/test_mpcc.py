@@ -77,12 +77,12 @@ def test_t_goes_down_in_the_history_and_products_follow() -> None:
     assert [step.row()["t"] for step in solution.history] == t.tolist()
 
 
-@pytest.mark.parametrize("start", ["joint", "nested", None])
-def test_what_is_solved_first_is_named(start: str | None) -> None:
-    solution = mpcc.solve(example("6.3", (4, 2)), start=start, without_first=start is None)
+@pytest.mark.parametrize("start", ["joint", "nested"])
+def test_what_is_solved_first_is_named(start: str) -> None:
+    solution = mpcc.solve(example("6.3", (4, 2)), start=start)
     record = solution.record()
     assert record["success"]
-    assert record["start"] == start or record["settings"] == {"without_first": True}
+    assert record["start"] == start
     before = [step for step in solution.history if not 0 < step.t <= 1e-9]
     assert before[0].t == (0.0 if start == "nested" else np.inf)
     iterations = [step.iteration for step in solution.history]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import errno
 import json
 import math
@@ -113,11 +112,6 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     assert result.steps() == [dict.fromkeys(HISTORY_FIELDS, 1.5) | {"design.E": 2.5}]
     assert second["t"] == np.inf
     assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
-    older = [name for name in HISTORY_FIELDS if name != "stationarity"]
-    with result.history.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerows([older, ["2"] * len(older)])
-    assert result.steps() == [dict.fromkeys(older, 2.0)]
 
 
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
