@@ -1,6 +1,7 @@
 """Solves checked by a finite-element solver of its own, to see whether anything wrong is called a success.
 
     python scripts/soak_truth.py --count 500 --jobs 2 --out soak        random problems, one a seed
+    python scripts/soak_truth.py --kind jumps --count 200               the same with data that jump
     python scripts/soak_truth.py --kind aimed --out soak                problems made to be exploited
     python scripts/soak_truth.py --kind parts --parts DIR --out soak    problem files, by default settings
     python scripts/soak_truth.py --out soak --compare old/random.jsonl  two versions
@@ -84,7 +85,9 @@ def certificate(solution: Any) -> Row:
         found = rm.certify(solution)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"remark": str(error)[:200]}
-    record = {k: v for k, v in found.record().items() if "bound" in k or "guaranteed" in k}
+    record = {"energy_lower_bound": found.lower, "energy_upper_bound": found.upper}
+    record |= {"error_bound": found.error_bound, "why": found.why}
+    record |= {name: getattr(found, name) for name in ("guaranteed_lower", "guaranteed_upper")}
     return {**record, "percent": "%" in found.sentence}
 
 
@@ -192,7 +195,7 @@ def found_faults(row: Row) -> list[str]:
 def check(kind: str, number: int, folder: Path, order: int = 1) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
-    data = draws.KINDS[kind](folder)[number] if kind != "random" else draws.random(number)
+    data = draws.DRAWN[kind](number) if kind in draws.DRAWN else draws.KINDS[kind](folder)[number]
     data = replace(data, order=order)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
@@ -264,7 +267,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--kind", choices=("random", *draws.KINDS), default="random")
+    parser.add_argument("--kind", choices=(*draws.DRAWN, *draws.KINDS), default="random")
     parser.add_argument("--count", type=int, help="number of solves: 60 random ones, all others")
     parser.add_argument("--first", type=int, default=0, help="seed or number of the first")
     parser.add_argument("--parts", type=Path, default=Path(), help="folder of problem files")
@@ -274,7 +277,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--compare", type=Path, help="KIND.jsonl of another version")
     given = parser.parse_args(arguments)
     last = given.first + (given.count or 60)
-    if given.kind != "random":
+    if given.kind in draws.KINDS:
         every = len(draws.KINDS[given.kind](given.parts))
         last = min(every, last) if given.count else every
     file = given.out and given.out / f"{given.kind}.jsonl"
@@ -287,7 +290,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for future in as_completed([pool.submit(check, *task) for task in tasks]):
             row = future.result()
             rows.append(row)
-            if row["faults"] or given.kind != "random" or (row["well_posed"] and not row["success"]):
+            if row["faults"] or given.kind in draws.KINDS or (row["well_posed"] and not row["success"]):
                 show(row)
             if file:
                 with file.open("a", encoding="utf-8") as stream:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, hstack
@@ -168,25 +169,53 @@ class Body:
         return points, length, self.at(self.mesh.f2t[0, self.facets(name)], points)
 
     def loads(self, n: int) -> np.ndarray:
-        """Forces (unknowns,) by Gauss's rule with n x n points on elements, n on each of 8 parts of edges."""
+        """Forces (unknowns,) by Gauss's rule with n x n points on elements, n on each of 8 parts of edges.
+
+        Elements and edges are cut where loads jump.
+        """
         (a, b), (v, w) = (np.meshgrid(*(part,) * 2) for part in composite(1, n))
         X, W = np.stack([a.ravel(), (b * (1 - a)).ravel()]), (v * w * (1 - a)).ravel()  # collapsed square
-        corners, every = self.p[:, self.t], np.arange(self.t.shape[1])
+        every, corners = self.cut()
         points = corners[:, 0, :, None] + np.einsum("iae,aq->ieq", corners[:, 1:] - corners[:, :1], X)
+        one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area, material_of = np.abs(one[0] * two[1] - one[1] * two[0]) / 2, self.material[every]
         shapes, F = self.shapes(every, points), np.zeros(self.c * self.size)
         for number, material in enumerate(self.data.materials):
-            weights = 2 * W * (self.polygon * (self.material == number))[:, None]
+            weights = 2 * W * (area * (material_of == number))[:, None]
             for component, text in enumerate(material.loads):
                 if text != 0:
                     assert not self.data.circles, "body forces are not integrated over segments"
                     share = np.einsum("aem,em->ae", shapes, values(text, points) * weights)
-                    np.add.at(F, self.c * self.nodes + component, share)
+                    np.add.at(F, self.c * self.nodes[:, every] + component, share)
         t, w = composite(8, n)
         for name, tractions in self.data.tractions.items():
-            points, length, trace = self.trace(name, t)
-            for component, text in enumerate(tractions):
-                F[component :: self.c] += trace.T @ (values(text, points) * length * w).ravel()
+            ends = self.breaks(name)
+            for low, high in zip(ends[:-1, :, None], ends[1:, :, None], strict=True):
+                points, length, trace = self.trace(name, low + (high - low) * t)
+                for component, text in enumerate(tractions):
+                    weights = length * (high - low) * w
+                    F[component :: self.c] += trace.T @ (values(text, points) * weights).ravel()
         return F
+
+    def breaks(self, name: str) -> np.ndarray:
+        """(k, edges) parameters of the ends of edges and of jumps on them, in ascending order."""
+        (first, last), _ = self.ends[..., self.facets(name)]
+        rise = np.where(first == last, 1.0, last - first)
+        inner = [np.clip(np.where(first == last, 0.0, (at - first) / rise), 0, 1) for at in self.data.jumps]
+        return np.sort(np.stack([np.zeros(first.size), np.ones(first.size), *inner]), axis=0)
+
+    def cut(self) -> tuple[np.ndarray, np.ndarray]:
+        """Triangles (n,) and corners (2, 3, n) of their parts between the jumps of loads."""
+        every, corners = np.arange(self.t.shape[1]), self.p[:, self.t]
+        for at in self.data.jumps:
+            low, high = corners[0].min(axis=0) < at - 1e-12, corners[0].max(axis=0) > at + 1e-12
+            crossed = np.flatnonzero(low & high)
+            parts = [(k, part) for k in crossed for part in _halves(corners[:, :, k], at)]
+            kept = ~(low & high)
+            every = np.append(every[kept], [every[k] for k, _ in parts]).astype(int)
+            new = np.stack([part for _, part in parts], axis=2) if parts else corners[:, :, :0]
+            corners = np.concatenate([corners[:, :, kept], new], axis=2)
+        return every, corners
 
     @cached_property
     def given(self) -> tuple[np.ndarray, np.ndarray]:
@@ -238,3 +267,18 @@ class Body:
     def density(self, gradient: np.ndarray) -> np.ndarray:
         """``grad u : C : grad u`` (elements,) for gradients (elements, c, 2)."""
         return np.einsum("epi,epiqj,eqj->e", gradient, self.tensor[self.material], gradient, optimize=True)
+
+
+def _halves(corners: np.ndarray, at: float) -> Iterator[np.ndarray]:
+    """Triangles (2, 3) left and right of the line x = at, of one that it crosses."""
+    for side in (-1.0, 1.0):
+        polygon = []
+        for k in range(3):
+            a, b = corners[:, k], corners[:, (k + 1) % 3]
+            off_a, off_b = side * (a[0] - at), side * (b[0] - at)
+            if off_a >= 0:
+                polygon.append(a)
+            if off_a * off_b < 0:
+                polygon.append(a + off_a / (off_a - off_b) * (b - a))
+        for b, c in pairwise(polygon[1:]):
+            yield np.stack([polygon[0], b, c], axis=1)

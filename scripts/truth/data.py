@@ -24,6 +24,7 @@ def formula(text: Text, library: ModuleType = np) -> Callable[[Any, Any], Any]:
     """A function of position with the functions of numpy (the check) or CasADi (the package)."""
     code = compile(str(text), str(text), "eval")
     names = {"pi": np.pi, "__builtins__": {}, **{name: getattr(library, name) for name in FUNCTIONS}}
+    names["where"] = np.where if library is np else rm.where
     return lambda x, y: eval(code, names, {"x": x, "y": y})
 
 
@@ -117,7 +118,7 @@ class Data:
 
     ``held`` and ``tractions`` map names of boundaries to one entry per component (None: free), ``circles``
     to centre and radius of the curve that a boundary is on; its nodes slide along it. Displacements are of
-    ``order`` 1 or 2.
+    ``order`` 1 or 2. Loads may jump at ``jumps``, values of x.
     """
 
     name: str
@@ -135,6 +136,7 @@ class Data:
     certify: bool = False
     file: Path | None = None
     order: int = 1
+    jumps: tuple[float, ...] = ()
 
     @property
     def components(self) -> int:

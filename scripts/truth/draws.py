@@ -134,6 +134,34 @@ def _bound(rng: np.random.Generator, size: float) -> Text:
     return (0.0, g, f"{g}*(1+0.95*sin({k}*pi*x+0.3))", bump)[rng.integers(4)]
 
 
+def jumps(number: int) -> Data:
+    """A random problem whose loads, friction or foundation jump or kink at one to three places."""
+    rng = np.random.default_rng([number, 40])
+    places = tuple(sorted(_number(rng, 0.1, 1.95) for _ in range(rng.integers(1, 4))))
+    (name, options), limits = WAYS[rng.integers(len(WAYS))], LIMITS[rng.integers(6)]
+    how = {"limits": limits, "formulation": name, "options": options, "certify": bool(rng.integers(2))}
+    nx, ny = (int(k) for k in rng.integers(3, 8, 2))
+
+    def stepped(low: float, high: float) -> str:
+        text = str(_number(rng, low, high))
+        for at in places:
+            text = f"where(x > {at}, {_number(rng, low, high)}, {text})"
+        return text
+
+    if rng.integers(3) == 0:
+        wave = Foundation("right", "offset", f"0.05+0.01*(1+sin({_number(rng, 3, 9)}*y))")
+        source, mesh = (Material("laplace", (stepped(-4, -0.5),)),), block(nx, ny, 2, rng)
+        data = Data("jumps", mesh, source, wave, {"left": (0.0,)}, {"top": (stepped(-2, 2),)})
+    else:
+        steel = Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.0, 0.4))
+        kinks = f"-0.003-{_number(rng, 0, 0.01)}*fabs(x-{places[0]})"
+        friction = (0.0, stepped(0, 5))[rng.integers(2)]
+        foundation = Foundation("bottom", "height", kinks, friction)
+        tops = {"top": (stepped(-3, 3), stepped(-9, -1))}
+        data = Data("jumps", block(nx, ny, 2, rng), (steel,), foundation, {"left": (0.0, 0.0)}, tops)
+    return replace(data, name=f"jumps {number}", jumps=places, **how)
+
+
 def _curved(rng: np.random.Generator, family: str, pressed: bool) -> Data:
     material = (Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.2, 0.4)),)
     g, k, shape = _number(rng, 1, 5), _number(rng, 1, 6), rng.integers(4)
@@ -238,6 +266,9 @@ def _part(file: Path) -> Data:
     circles = {k: (*curve.centre, curve.radius) for k, curve in stated.motion.curves.items()}
     return Data(file.stem, stated.mesh, (material,), foundation, held, tractions, circles, file=file)
 
+
+DRAWN: dict[str, Callable[[int], Data]] = {"random": random, "jumps": jumps}
+"""Kinds of problems that there are as many of as seeds."""
 
 KINDS: dict[str, Callable[[Path], list[Data]]] = {"aimed": lambda folder: aimed(), "parts": parts}
 """Problems that are no random ones, by kind."""
