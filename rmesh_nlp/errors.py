@@ -5,6 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+INTERRUPTED = 130
+"""Exit code after Ctrl-C."""
+
 
 class BadInputError(ValueError):
     """Something given by the user cannot be used; the message is one line and names it."""

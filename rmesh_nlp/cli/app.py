@@ -9,8 +9,7 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp.cli.commands import app
-from rmesh_nlp.cli.entry import INTERRUPTED
-from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.errors import INTERRUPTED, BadInputError, InterruptedSolveError
 
 BAD_INPUT = 2
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+from rmesh_nlp.errors import INTERRUPTED
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of the threads of linear algebra, which are read when numpy is imported."""
