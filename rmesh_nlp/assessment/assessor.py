@@ -130,7 +130,7 @@ class Quantities:
     """Quantities of a contact solution."""
 
     peak_pressure: float  # largest nodal force over the share omega_i of its node, in N/m^2
-    resultant: float  # size of the sum of all contact forces on the body, friction included, in N/m
+    resultant: float  # integral of the contact pressure, in N/m
     contact_length: float  # of the boundary at nodes that press, in m (an area for an interior obstacle)
 
 
@@ -141,15 +141,11 @@ def quantities(
     force = state.normal_force
     if not force.size:
         return None
-    weights, points = space.weights(nodes), space.points(nodes)
-    normals = np.hstack([part.obstacle.normals(points[:, part.nodes]) for part in space.contact_sets])
-    total = normals @ force
-    if state.tangential_force.size:
-        total = total + np.stack([normals[1], -normals[0]]) @ state.tangential_force
+    weights = space.weights(nodes)
     pressing = force > 1e-9 * max(system.force_scale, float(np.max(force)))
     return Quantities(
         peak_pressure=float(np.max(force / weights)),
-        resultant=float(np.linalg.norm(total)),
+        resultant=float(np.sum(force)),
         contact_length=float(np.sum(weights[pressing])),
     )
 

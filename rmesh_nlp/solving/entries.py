@@ -101,7 +101,7 @@ def _contact(suffix: str, where: str, of: Callable[[Solution], Quantities | None
         Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
               on(lambda its: its.peak_pressure), unit="force/length^2"),
         Entry(f"resultant{suffix}", Number,
-              f"Size of the sum of all contact forces on {where}, friction included.",
+              f"Integral of the contact pressure on {where}: the sum of all normal forces.",
               on(lambda its: its.resultant), unit="force/length"),
         Entry(f"contact_length{suffix}", Number,
               f"Length of the boundary that presses on {where}; of an interior obstacle an area.",
