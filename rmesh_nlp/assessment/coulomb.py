@@ -51,7 +51,8 @@ def coulomb_residual(
     parts = [part for part in space.contact_sets if part.obstacle.has_coulomb]
     if not parts:
         return None
-    weights, force, size = space.weights(nodes), np.hypot(normal, tangential), np.max(np.abs(displacement))
+    weights, force = space.weights(nodes), np.hypot(normal, tangential)
+    size = float(np.max(np.hypot(*displacement)))
     rows = np.concatenate([part.rows for part in parts])
     total = float(np.sum(force[rows]))
     if total == 0 or size == 0:

@@ -3,9 +3,11 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
+from scipy.sparse.linalg import ArpackNoConvergence
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
@@ -161,6 +163,35 @@ class TestSolver:
         dense = contraction(system, state)
         monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
         assert contraction(system, state) == pytest.approx(dense, rel=2e-3)
+
+    def test_a_mirror_image_contracts_as_much(self) -> None:
+        """Whichever way all nodes slide together is looked at."""
+
+        def of(way: float) -> float:
+            mesh = rm.shapes.rectangle(8, 4, x=(0, 2))
+            problem = rm.ContactProblem(
+                replace(mesh, doflocs=mesh.p * np.array([[way], [1.0]])),
+                rm.PlaneStrain.from_young(100.0, 0.4),
+                ("left",),
+                rm.Obstacle("bottom", (0.0, 1.0), coulomb=2.0),
+                tractions=(rm.Traction("top", (0.0, -1.0)),),
+            )
+            system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
+            # of a state in which no node slides: what is left are the two in which all do
+            active = ActiveSet(np.ones(system.offset.size, dtype=bool), np.zeros(system.offset.size, np.int8))
+            return contraction(system, replace(solve(system), active=active))
+
+        assert of(-1.0) == pytest.approx(of(1.0), rel=1e-9)
+
+    def test_what_does_not_converge_is_not_known_to_contract(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fails(*_: Any, **__: Any) -> None:
+            raise ArpackNoConvergence("none", np.zeros(0), np.zeros(0))
+
+        problem = slab(0.8, (12, 4))
+        system = ContactSolver(problem).system(problem.mesh.p)
+        monkeypatch.setattr("rmesh_nlp.contact.uniqueness.FEW", 3)
+        monkeypatch.setattr("rmesh_nlp.contact.uniqueness.eigs", fails)
+        assert contraction(system, solve(system)) == np.inf
 
     @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
     def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(self, seed, draw) -> None:

@@ -22,6 +22,7 @@ from rmesh_nlp.fem.metric import FLOOR, Metric, best_metric, nodal_areas
 from rmesh_nlp.fem.recovery import Recovered
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.problem import Laplace, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.laws import Law, energy_density
 
@@ -332,3 +333,24 @@ class TestLeastErrors:
         assert np.all(mean <= isotropic_errors(law, second) * (1 + 1e-12))
         grid = on_grid(law, second, np.arange(8) * np.pi / 24).min(axis=(0, 1))
         assert np.all(least <= 1.03 * grid)
+
+
+@pytest.mark.parametrize("degree", [2, 3])
+def test_density_follows_the_root_of_the_error_of_its_degree(degree: int) -> None:
+    """Errors are quadratic in the derivatives, and fall like the size of triangles to twice the degree."""
+    values = np.linspace(1.0, 2.0, degree + 1)
+
+    def density(factor: float) -> Array:
+        nodes = np.arange(P.shape[1])
+        derivatives = np.broadcast_to(factor * values[:, None], (degree + 1, nodes.size))
+        part = Recovered(LAW, np.arange(T.shape[1]), nodes, T, np.array(derivatives[None]))
+        return best_metric(P, [part]).density
+
+    np.testing.assert_allclose(density(8.0), 8.0 ** (2 / degree) * density(1.0), rtol=1e-9)
+
+
+def test_where_round_triangles_are_best_the_least_errors_agree() -> None:
+    given = region(np.array([1.0, 0.0, 1.0]))
+    found = LeastErrors.of(P, [given], 100.0)
+    assert found.equilateral == pytest.approx(found.isotropic, rel=1e-9)
+    assert 0.5 * found.equilateral < found.any_mesh <= found.equilateral * (1 + 1e-9)
