@@ -37,7 +37,7 @@ def contraction(system: ContactSystem, state: Equilibrium) -> float:
         return 0.0
     sets, every = [state.active], np.ones(system.offset.size, dtype=bool)
     if system.rigid is None or rank(system.normals @ system.rigid, every) == system.rigid.shape[1]:
-        sets += [ActiveSet(every, np.full(every.size, way, dtype=np.int8)) for way in (-1, 1)]
+        sets.append(ActiveSet(every, np.ones(every.size, dtype=np.int8)))  # either way: signs of all change
     return max(spectral_radius(system, active) for active in sets)
 
 
