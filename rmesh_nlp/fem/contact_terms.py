@@ -34,7 +34,7 @@ from rmesh_nlp.fem.fields import (
     unknown_field,
 )
 from rmesh_nlp.fem.space import DisplacementSpace, Index
-from rmesh_nlp.problem import ContactProblem, Obstacle, at
+from rmesh_nlp.problem import Obstacle, at
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_number
 from rmesh_nlp.problem.data import ContactSet
 
@@ -283,8 +283,3 @@ def identity_group(first: int, rows: Index) -> ElementGroup:
     value = ca.SX.sym("value")
     field = unknown_field((1, rows.size), first)
     return ElementGroup(ca.Function("identity", [value], [0, value]), (field,), rows[None, :])
-
-
-def nodal_weights(problem: ContactProblem, X: Array) -> Array:
-    """omega_i of (5.9) for every gap, see :meth:`~rmesh_nlp.fem.space.DisplacementSpace.weights`."""
-    return DisplacementSpace.of(problem).weights(X)

@@ -30,7 +30,6 @@ RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
 DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
 ROWS = "rows"  # sub-folder of a study with one file of records per worker process
 TABLES = ("table.md", "table.tex", "table.csv")
-FIGURES = "figures"
 HISTORY_FIELDS = (
     *("iteration", "energy", "objective", "t", "product", "biactive", "primal_residual", "dual_residual"),
     *("contact_solves", "seconds", "stationarity"),

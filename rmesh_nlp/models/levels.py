@@ -25,9 +25,6 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 from rmesh_nlp.problem.rigid import rigid_motions
 
-COARSER = 4
-"""About how many times fewer nodes the next coarser mesh has."""
-
 TURNS = (0.6, 0.3, 0.15)
 """Radians by which a curve may turn along an edge of a coarser mesh; the next one is tried where its arc cuts
 through triangles."""

@@ -9,7 +9,6 @@ import pytest
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.fem.contact_terms import nodal_weights
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.shapes import rectangle
@@ -159,7 +158,7 @@ def test_node_of_two_foundations_obeys_both() -> None:
     assert np.all(state.normal_force[rows] > 0)
     np.testing.assert_allclose(gap[rows], 0, atol=1e-14)
     # the pressure at the node is that of both
-    weights = nodal_weights(problem, problem.mesh.p)
+    weights = DisplacementSpace.of(problem).weights(problem.mesh.p)
     assert solution.pressure[0] == pytest.approx(np.sum(state.normal_force[rows] / weights[rows]))
 
 
