@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from common import Case, command_line, energy_norm, run
 
-from rmesh_nlp.fem.contact_terms import nodal_weights
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, Obstacle, Relative
 
@@ -40,7 +40,7 @@ def problem(n: int) -> ContactProblem:
 def radius(case: Case) -> float:
     """Radius of the contact set from the total reaction, which is 2 per area of contact."""
     problem, nodes = case.after.problem, np.asarray(case.after.mesh.p)
-    reaction = case.after.pressure[problem.contact_nodes] @ nodal_weights(problem, nodes)
+    reaction = case.after.pressure[problem.contact_nodes] @ DisplacementSpace.of(problem).weights(nodes)
     return float(np.sqrt(reaction / (2 * np.pi)))
 
 
