@@ -103,7 +103,7 @@ def _finished(
     program = outer.kkt
     with monitor.budget.during("build"):
         solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
-    start = program.point(point.q, point.equilibrium, point.system)
+    start = program.point(point)
     result = solver.finish(start, budget=monitor.budget.share())
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)

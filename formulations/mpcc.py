@@ -23,8 +23,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.alternating import alternated
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, kkt_unknowns
-from rmesh_nlp.models.reduced_model import ReducedPoint
+from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, in_units_of
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -213,11 +212,12 @@ class AllAtOnce(Formulation):
             q = _in_step(outer, q)
         point = outer.energy(q)
         with monitor.budget.during("build"):
-            program = outer.kkt if not (is_energy or np.any(q)) else _own_units(outer, point)
+            at_start = not np.any(q)
+            program = outer.kkt if at_start else in_units_of(outer.discretisation, outer.objective, point)
         track = monitor.track(outer, program.value)
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
-        x, near = program.point(q, point.equilibrium, point.system), outer.is_near
+        x, near = program.point(point), outer.is_near
         own = _options(outer, program.value / pull(begin.gradient), near)
         with monitor.budget.during("build"):
             options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
@@ -248,18 +248,6 @@ def _rank(end: Outcome) -> tuple[float, bool, float]:
     point = end.outer.function(end.q)
     violation, value = end.outer.merit(point)
     return violation, not is_stationary(end.outer, point), value
-
-
-def _own_units(outer: Outer, point: ReducedPoint) -> Bilevel:
-    """The KKT model in units of the contact solution at the start."""
-    return bilevel(
-        outer.discretisation,
-        outer.objective,
-        length=float(np.max(np.abs(point.equilibrium.u))) or 1.0,
-        force=point.system.force_scale,
-        value=abs(outer.function(np.zeros(outer.n)).value) or 1.0,
-        start=kkt_unknowns(point.q, point.equilibrium, point.system, outer.discretisation.friction_rows),
-    )
 
 
 def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:

@@ -28,9 +28,6 @@ class Factor(Protocol):
     def solve(self, right: Array) -> Array:
         """Solutions for a right side (m,), or for the columns of (m, k)."""
 
-    def solve_transposed(self, right: Array) -> Array:
-        """The same with the transposed matrix."""
-
     def trailing(self, k: int) -> Array | None:
         """Schur complement (k, k) of the last unknowns, if the matrix was factorised in its own order."""
 
@@ -44,10 +41,6 @@ class _LU:
     def solve(self, right: Array) -> Array:
         """See :class:`Factor`."""
         return np.asarray(self._factor.solve(right))
-
-    def solve_transposed(self, right: Array) -> Array:
-        """See :class:`Factor`."""
-        return np.asarray(self._factor.solve(right, "T"))
 
     def trailing(self, k: int) -> Array | None:
         """See :class:`Factor`."""
@@ -67,10 +60,6 @@ class _Cholesky:
     def solve(self, right: Array) -> Array:
         """See :class:`Factor`."""
         return np.asarray(self._factor(right))
-
-    def solve_transposed(self, right: Array) -> Array:
-        """See :class:`Factor`."""
-        return self.solve(right)
 
     def trailing(self, k: int) -> Array | None:
         """See :class:`Factor`."""

@@ -11,39 +11,6 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import both_vanish
 
 
-def adjoint(
-    system: ContactSystem,
-    active: ActiveSet,
-    right: Array,
-    by_normal: Array | None = None,
-    by_tangential: Array | None = None,
-) -> tuple[Array, Array, Array]:
-    """Adjoint of the contact solution with its active set held: p, reaction and friction.
-
-    Solves ``K p = right`` over the displacements that the active set leaves free. p has the normal component
-    ``-by_normal`` at touching and the tangential component ``-by_tangential`` at sticking nodes: derivatives
-    (gaps,) by the contact forces there, by default zero. There ``right - K p`` is the reaction and the
-    friction (gaps,), which are zero at the other nodes. With Coulomb friction the system is not symmetric: at
-    sliding nodes p has ``s F`` times its tangential component in addition to the normal one.
-    """
-    rotated = system.rotated
-    turned, sticking = rotated.turned(right), rotated.sticking(active)
-    inside, factor = rotated.factor(active)
-    given, p = np.zeros((2, turned.size))
-    if by_normal is not None:
-        given[rotated.normal[active.touching]] = -by_normal[active.touching]
-    if by_tangential is not None:
-        given[rotated.tangent[sticking]] = -by_tangential[sticking]
-    rest = turned - rotated.K @ given if np.any(given) else turned
-    p[inside] = factor.solve_transposed(rest[inside])
-    if (coupling := rotated.coupling(active)) is not None:
-        p = p + coupling.T @ p
-    p = p + given
-    residual = turned - rotated.K @ p
-    reaction = np.where(active.touching, residual[rotated.normal], 0.0)
-    return rotated.back(p), reaction, np.where(sticking, residual[rotated.tangent], 0.0)
-
-
 class TangentResponse:
     """First-order change of displacement and contact forces with the active set held.
 

@@ -26,19 +26,15 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
-from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.models.kkt_model import Bilevel
-from rmesh_nlp.models.reduced_model import ReducedPoint
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.models.kkt_model import ContactPoint
+from rmesh_nlp.models.kkt_point import KKTConditions, KKTPoint
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, lift
+from rmesh_nlp.mpcc.lifting import IntArray, lift
 from rmesh_nlp.mpcc.lpec import linearise
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.activity import ZERO
-
-GIVEN = 1e-12
-"""Largest change of a gap or of a slip by unit displacements that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -71,75 +67,25 @@ class BranchLabel:
 class Branches:
     """Labels contact solutions of one outer problem; ``unit`` and ``tolerance`` are of its residual."""
 
-    def __init__(self, program: Bilevel, unit: float, tolerance: float) -> None:
-        self.program, self.tolerance, self._unit = program, tolerance, unit / program.value
-        kept = program.mpcc.derivatives
-        assert kept is not None
-        self._gradient, self._rows = Evaluator(kept.grad_f), Evaluator(kept.jac_g)
-        rows, columns = kept.jac_g.sparsity_out(1).get_triplet()
-        self._at = np.asarray(rows), np.asarray(columns)
+    def __init__(self, conditions: KKTConditions, unit: float, tolerance: float) -> None:
+        self._conditions, self._tolerance = conditions, tolerance
+        self._unit = unit / conditions.program.value
 
-    def __call__(self, point: ReducedPoint) -> BranchLabel:
+    def __call__(self, point: ContactPoint) -> BranchLabel:
         """The label at a contact solution."""
-        program, undecided = self.program, BranchLabel("", None, 0.0, np.zeros(point.q.size), _none())
-        x = program.point(point.q, point.equilibrium, point.system)
-        values, nonzeros = self._rows(x, [])
-        _, slope = self._gradient(x, [])
-        if not (np.all(np.isfinite(nonzeros)) and np.all(np.isfinite(slope))):
-            return undecided
-        jacobian = sp.csr_array((nonzeros, self._at), shape=(values.size, x.size))
-        reduced = _reduced(program, x, values, jacobian, slope, self.tolerance)
+        at, still = self._conditions.at(point).over_branches(ZERO), np.zeros(point.q.size)
+        reduced = _reduced(at, self._tolerance)
         if reduced is None:
-            return undecided
+            return BranchLabel("", None, 0.0, still, np.zeros(0, dtype=np.int64))
         lifted = lift(reduced.mpcc(self._unit))
         origin, weight = np.zeros(lifted.nlp.n_x), np.ones(1)
         lin = linearise(lifted, origin, weight, ZERO, ZERO)
-        result = stationarity(lifted, lin, self.tolerance / lin.scale)
+        result = stationarity(lifted, lin, self._tolerance / lin.scale)
         if result.direction is None:
-            return BranchLabel(result.label, result.b_stationary, 0.0, undecided.direction, reduced.pairs)
+            return BranchLabel(result.label, result.b_stationary, 0.0, still, reduced.pairs)
         step, decrease = result.direction.step[: point.q.size], result.direction.decrease
         size = float(np.max(np.abs(step), initial=0.0)) or 1.0
         return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, reduced.pairs)
-
-
-def _none() -> IntArray:
-    return np.zeros(0, dtype=np.int64)
-
-
-def held_members(
-    program: Bilevel, jacobian: sp.csr_array, G: Array, H: Array, zero: float
-) -> tuple[BoolArray, BoolArray]:
-    """Which members of the pairs determine the contact solution, and which pairs are biactive.
-
-    The first is True where G is held, else H is; with them the KKT conditions are a regular system. Of
-    biactive pairs G is held: contact, and stick. Three kinds of pairs look biactive and are not, because
-    their other member has no effect: where displacements are given in the direction of a gap or slip; at
-    nodes that carry no friction at all, whose slip variable s is ``|u_t|`` by convention; and where friction
-    sets in with the contact force at a node that slides, whose one condition of its own is the contact pair.
-    """
-    n_c, n_s, n_u = program.n_contact, program.friction_rows.size, program.n_u
-    first = program.mpcc.n_g
-    of_u = abs(jacobian[first : first + G.size, program.n_q : program.n_q + n_u])
-    moves = (
-        np.asarray(of_u.max(axis=1).todense()).ravel() > GIVEN if G.size and n_u else np.zeros(G.size, bool)
-    )
-    zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
-    biactive = zero_G & zero_H & (zero >= G)
-    held = zero_G.copy()
-    gaps, minus, plus = slice(0, n_c), slice(n_c, n_c + n_s), slice(n_c + n_s, n_c + 2 * n_s)
-    held[gaps] &= moves[gaps]
-    biactive[gaps] &= moves[gaps]
-    if n_s:
-        is_open = ~held[gaps][program.friction_rows]
-        slips = np.abs(G[plus] - G[minus]) > zero
-        bare = H[minus] + H[plus] <= zero  # no friction
-        one_sided = ~moves[minus] | (bare & (is_open | slips))
-        forward = G[minus] <= G[plus]
-        held[minus] = np.where(one_sided, forward, held[minus])
-        held[plus] = np.where(one_sided, ~forward, held[plus])
-        biactive[minus] &= ~one_sided
-        biactive[plus] &= ~one_sided
-    return held, biactive
 
 
 @dataclass(frozen=True)
@@ -184,50 +130,32 @@ class _Reduced:
         )
 
 
-def _reduced(
-    program: Bilevel, x: Array, values: Array, jacobian: sp.csr_array, slope: Array, tolerance: float
-) -> _Reduced | None:
+def _reduced(at: KKTPoint, tolerance: float) -> _Reduced | None:
     """Eliminate the contact problem; None if its KKT conditions are singular or constraints violated."""
-    mpcc, n = program.mpcc, program.n_q
-    n_g, n_pairs = mpcc.n_g, mpcc.n_pairs
-    inner = program.n_equations
-    G, H = np.split(values[n_g:], 2)
-    held, biactive = held_members(program, jacobian, G, H, ZERO)
-    pairs = np.flatnonzero(biactive).astype(np.int64)
-    numbers = n_g + np.arange(n_pairs)
-    equations = np.concatenate([np.arange(inner), np.where(held, numbers, numbers + n_pairs)])
-    of_q, of_y = jacobian[equations][:, :n], sp.csc_matrix(jacobian[equations][:, n:])
-    lbg, ubg = np.asarray(mpcc.lbg)[inner:], np.asarray(mpcc.ubg)[inner:]
-    g = values[inner:n_g]
-    if np.max(np.maximum(lbg - g, g - ubg), initial=0.0) > tolerance:
+    program, n, first = at.program, at.program.n_q, at.program.n_equations
+    g, lower, upper = at.rows[first : program.n_g], program.lower[first:], program.upper[first:]
+    violation = np.max(np.maximum(lower - g, g - upper), initial=0.0)
+    if violation > tolerance or at.factors is None:
         return None
-    low, high = g - lbg <= tolerance, ubg - g <= tolerance
+    low, high = g - lower <= tolerance, upper - g <= tolerance
     rows = np.flatnonzero(low | high)
-    try:
-        factors = splu(of_y)
-    except RuntimeError:  # exactly singular
-        return None
 
-    def total(of: Array) -> Array:
-        """Derivative in d and a of a row (x.size,): with ``C_y y' + C_q d = a`` in the biactive rows."""
-        w = factors.solve(of[n:], "T")
-        return np.concatenate([of[:n] - of_q.T @ w, w[inner + pairs]])
-
-    def whole(numbers: IntArray) -> Array:
-        totals = [total(jacobian[[number]].toarray().ravel()) for number in numbers]
-        return np.array(totals).reshape(-1, n + pairs.size)
+    def total(slopes: Array) -> Array:
+        return np.concatenate(at.totals(slopes), axis=-1)
 
     # those of elements are functions of the outer variables alone
     own = rows[rows < program.constraints.size]
-    areas = jacobian[inner + rows[own.size :]][:, :n]
-    areas = sp.hstack([areas, sp.csr_array((areas.shape[0], pairs.size))])
-    constraints = sp.vstack([sp.csr_array(whole(inner + own)), areas])
-    bounds = x[:n] - np.asarray(mpcc.lbx)[:n] <= tolerance, np.asarray(mpcc.ubx)[:n] - x[:n] <= tolerance
-    derivatives = total(slope), whole(n_g + n_pairs + pairs)
+    areas = at.jacobian[first + rows[own.size :]][:, :n]
+    areas = sp.hstack([areas, sp.csr_array((areas.shape[0], at.pairs.size))])
+    constraints = sp.vstack([sp.csr_array(total(at.jacobian[first + own].toarray())), areas])
+    free, q = program.parts.mesh_map, at.x[:n]
+    bounds = q - free.lower <= tolerance, free.upper - q <= tolerance
+    members = at.jacobian[program.n_g + program.n_pairs + at.pairs].toarray()
+    derivatives = total(at.slope), total(members)
     if not all(np.all(np.isfinite(part)) for part in (*derivatives, constraints.data)):
         return None
     signed = sp.csr_array(sp.diags_array(np.where(low[rows], 1.0, -1.0)) @ constraints)
-    return _Reduced(*derivatives, signed, (low & high)[rows], *bounds, pairs)
+    return _Reduced(*derivatives, signed, (low & high)[rows], *bounds, at.pairs)
 
 
 def _casadi(matrix: sp.csc_array) -> ca.DM:

@@ -16,14 +16,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
+from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.constraints import ConstraintRows, constraint_rows
 from rmesh_nlp.fem.contact_terms import (
     bound_force_groups,
@@ -60,19 +64,30 @@ less than 1e-7, for one or two iterations more."""
 
 
 @dataclass(frozen=True)
+class ContactPoint:
+    """A contact solution at outer variables ``q`` (n_q,)."""
+
+    q: Array
+    system: ContactSystem
+    equilibrium: Equilibrium
+
+    @property
+    def weak(self) -> NDArray[np.bool_]:
+        """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
+        return weakly_active(self.system, self.equilibrium)
+
+
+@dataclass(frozen=True)
 class Bilevel:
     """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model.
 
     ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units. The
     first ``n_equations`` rows of ``mpcc.g`` determine displacement, forces and sums at fixed outer variables;
-    ``constraints`` follow them.
+    ``constraints`` follow them, then element areas. Rows of ``assembled`` are those of g, of G and of H.
     """
 
-    mpcc: MPCC
-    n_q: int
-    n_u: int
-    n_contact: int
-    friction_rows: Index
+    parts: Discretisation
+    assembled: Assembled
     length: float
     force: float
     value: float
@@ -80,6 +95,74 @@ class Bilevel:
     sums: Array
     n_equations: int
     constraints: ConstraintRows
+    x: ca.MX
+
+    @property
+    def n_q(self) -> int:
+        """Number of outer variables."""
+        return self.parts.n_q
+
+    @property
+    def n_u(self) -> int:
+        """Number of displacement unknowns."""
+        return self.parts.n_u
+
+    @property
+    def n_contact(self) -> int:
+        """Number of gaps."""
+        return self.parts.n_contact
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of complementarity pairs."""
+        return self.parts.n_contact + 2 * self.parts.n_s
+
+    @property
+    def n_g(self) -> int:
+        """Number of rows of g."""
+        return self.n_equations + self.constraints.size + self.parts.validity.bound.size
+
+    @property
+    def friction_rows(self) -> Index:
+        """(n_s,) numbers of the gaps at which friction may act."""
+        return self.parts.friction_rows
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of the unknowns ``q, u, lambda, s, mu-, mu+, sigma``."""
+        n_s = self.parts.n_s
+        return self.n_q, self.n_u, self.n_contact, n_s, n_s, n_s, self.sums.size
+
+    @cached_property
+    def lower(self) -> Array:
+        """Lower bounds of the rows of g."""
+        rest = self.constraints.lower, self.parts.validity.bound
+        return np.concatenate([np.zeros(self.n_equations), *rest])
+
+    @cached_property
+    def upper(self) -> Array:
+        """Upper bounds of the rows of g."""
+        areas = np.full(self.parts.validity.bound.size, np.inf)
+        return np.concatenate([np.zeros(self.n_equations), self.constraints.upper, areas])
+
+    @cached_property
+    def mpcc(self) -> MPCC:
+        """The symbolic MPCC."""
+        free, rows = self.parts.mesh_map, self.assembled.g
+        free_above = np.full(sum(self.sizes) - free.n, np.inf)
+        return MPCC(
+            x=self.x,
+            f=self.assembled.f,
+            g=rows[: self.n_g],
+            G=rows[self.n_g : self.n_g + self.n_pairs],
+            H=rows[self.n_g + self.n_pairs :],
+            lbx=np.concatenate([free.lower, -free_above]),
+            ubx=np.concatenate([free.upper, free_above]),
+            lbg=self.lower,
+            ubg=self.upper,
+            derivatives=self.assembled.derivatives,
+            parts=_by_name(self.x, self.sizes),
+        )
 
     def pair_rows(self, pairs: Index) -> Index:
         """The gaps of complementarity pairs: those of contact, then two of friction each where it may act."""
@@ -88,30 +171,41 @@ class Bilevel:
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
-        parts = np.cumsum([self.n_q, self.n_u, self.n_contact, *(3 * [self.friction_rows.size])])
-        q, u, normal, _, minus, plus, _ = np.split(x, parts)
+        q, u, normal, _, minus, plus, _ = np.split(x, np.cumsum(self.sizes[:-1]))
         tangential = np.zeros(self.n_contact if self.friction_rows.size else 0)
         tangential[self.friction_rows] = (plus - minus) * self.force
         return q, u * self.length, normal * self.force, tangential
 
-    def point(self, q: Array, equilibrium: Equilibrium, system: ContactSystem) -> Array:
-        """The unknowns ``x`` of a contact solution at ``q``."""
-        x = kkt_unknowns(q, equilibrium, system, self.friction_rows)
-        x /= _units(self.length, self.force, (self.n_q, self.n_u, self.n_contact, self.friction_rows.size))
+    def point(self, point: ContactPoint) -> Array:
+        """The unknowns ``x`` of a contact solution."""
+        x = kkt_unknowns(point, self.friction_rows) / _units(self.length, self.force, self.sizes)
         return np.append(x, self.summed.sum_values()(x) / self.sums)
 
 
-def _units(length: float, force: float, sizes: tuple[int, int, int, int]) -> Array:
-    """Of the unknowns ``(q, u, lambda, s, mu-, mu+)``, ``sizes`` the numbers of the first four."""
-    return np.repeat((1.0, length, force, length, force, force), (*sizes, sizes[3], sizes[3]))
+def _units(length: float, force: float, sizes: tuple[int, ...]) -> Array:
+    """Of the unknowns ``(q, u, lambda, s, mu-, mu+)``, ``sizes`` their numbers."""
+    return np.repeat((1.0, length, force, length, force, force), sizes[:6])
 
 
-def kkt_unknowns(q: Array, state: Equilibrium, system: ContactSystem, friction_rows: Index) -> Array:
+def kkt_unknowns(point: ContactPoint, friction_rows: Index) -> Array:
     """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions at a contact solution."""
-    parts = [q, state.u, state.normal_force]
+    parts = [point.q, point.equilibrium.u, point.equilibrium.normal_force]
     if friction_rows.size:
-        parts += [part[friction_rows] for part in system.friction(state)]
+        parts += [part[friction_rows] for part in point.system.friction(point.equilibrium)]
     return np.concatenate(parts)
+
+
+def in_units_of(parts: Discretisation, objective: Objective, start: ContactPoint) -> Bilevel:
+    """The KKT model in units of a contact solution: of its displacement, its loads, its objective."""
+    x = kkt_unknowns(start, parts.friction_rows)
+    return bilevel(
+        parts,
+        objective,
+        length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
+        force=start.system.force_scale,
+        value=abs(parts.objective(objective, parts.fields()).evaluate()(x)) or 1.0,
+        start=x,
+    )
 
 
 def bilevel(
@@ -139,7 +233,7 @@ def bilevel(
     constraints = constraint_rows(parts.problem.constraints, physical)
     summed = Functional([], (*outer.sums, *constraints.sums))
     n_sums, first_sum = len(summed.sums), first + n_c + 3 * n_s
-    units = _units(length, force, (free.n, n_u, n_c, n_s))
+    units = _units(length, force, (free.n, n_u, n_c, n_s, n_s, n_s))
     sums = np.ones(n_sums) if start is None else summed.sizes(start / units)
     n_x = first_sum + n_sums
     of_sums = replace(unknown_field((n_sums, 1), first_sum), scale=sums[:, None])
@@ -181,34 +275,7 @@ def bilevel(
 
     x = ca.MX.sym("x", n_x)
     assembled = parts.assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
-    free_below = np.full(n_x - free.n, -np.inf)
-    mpcc = MPCC(
-        x=x,
-        f=assembled.f,
-        g=assembled.g[:n_g],
-        G=assembled.g[n_g:first_h],
-        H=assembled.g[first_h:],
-        lbx=np.concatenate([free.lower, free_below]),
-        ubx=np.concatenate([free.upper, -free_below]),
-        lbg=np.concatenate([np.zeros(n_equations), constraints.lower, area_bound]),
-        ubg=np.concatenate([np.zeros(n_equations), constraints.upper, np.full(area_bound.size, np.inf)]),
-        derivatives=assembled.derivatives,
-        parts=_by_name(x, (free.n, n_u, n_c, n_s, n_s, n_s, n_sums)),
-    )
-    return Bilevel(
-        mpcc,
-        free.n,
-        n_u,
-        n_c,
-        parts.friction_rows,
-        length,
-        force,
-        value,
-        summed,
-        sums,
-        n_equations,
-        constraints,
-    )
+    return Bilevel(parts, assembled, length, force, value, summed, sums, n_equations, constraints, x)
 
 
 def _part(field: Field, first: int, size: int) -> Field:

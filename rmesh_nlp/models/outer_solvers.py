@@ -105,7 +105,7 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
     where rounding keeps them from its tolerance it would go on for dozens of contact solves.
     """
     function = problem.function
-    nlp = lifted(problem) if isinstance(function, ReducedEnergy) else with_hessian(problem).nlp
+    nlp = lifted(problem) if isinstance(function, ReducedEnergy) else with_hessian(problem)
     n, stationary = start.size, False
     first = function(start)
     most = first.value + RISE * abs(first.value)
@@ -178,7 +178,7 @@ def _descend(
         if guarded and not problem.is_valid(q):
             return None
         point = function(q)
-        return Evaluation(point.value, point.gradient, lambda: _timed(curvature.at(point), problem.budget))
+        return Evaluation(point.value, point.gradient, lambda: _timed(curvature(point), problem.budget))
 
     return minimise(
         evaluate,

@@ -8,43 +8,32 @@ Each value is an exact contact solve, u(X(q)) = argmin J(u; X(q)).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.contact.active_set import solve
-from rmesh_nlp.contact.sensitivity import adjoint, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array, Block, Evaluator
+from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.contact_terms import coefficient_terms
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_upright
-from rmesh_nlp.models.energy_nlp import Blocks, ElementConstraints, Relocation, SecondDerivatives, relocation
-from rmesh_nlp.models.kkt_model import kkt_unknowns
+from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, relocation
+from rmesh_nlp.models.kkt_model import ContactPoint, in_units_of
+from rmesh_nlp.models.kkt_point import KKTConditions
 
 
 @dataclass(frozen=True)
-class ReducedPoint:
-    """An outer objective, its gradient with respect to q, and the contact solution behind it."""
+class ReducedPoint(ContactPoint):
+    """An outer objective and its gradient with respect to q at a contact solution."""
 
-    q: Array
     value: float
     gradient: Array
-    system: ContactSystem
-    equilibrium: Equilibrium
     is_energy: bool
-
-    @property
-    def weak(self) -> NDArray[np.bool_]:
-        """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
-        return weakly_active(self.system, self.equilibrium)
 
 
 class ReducedEnergy:
@@ -111,6 +100,13 @@ class ReducedEnergy:
         """The contact solution on the mesh as given: a cold solve once it is first asked for."""
         return self.model.given
 
+    @property
+    def start(self) -> ContactPoint:
+        """That contact solution; it counts as no contact solve of a formulation."""
+        q = np.zeros(self.relocation.n_q)
+        system = self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
+        return ContactPoint(q, system, self.given)
+
     @cached_property
     def assessor(self) -> Assessor:
         """Measures meshes against the continuous problem."""
@@ -137,7 +133,7 @@ class ReducedEnergy:
         friction = equilibrium.tangential_force[self.relocation.friction_rows]
         gradient = self.gradient(self.point(q, equilibrium), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
-        return ReducedPoint(np.array(q), value, gradient, system, equilibrium, True)
+        return ReducedPoint(np.array(q), system, equilibrium, value, gradient, True)
 
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
         """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
@@ -170,39 +166,20 @@ def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool
 
 
 class ReducedObjective:
-    """Any outer objective F(X, u(X), forces(X)) with its gradient by the adjoint.
+    """Any outer objective F(X, u(X), forces(X)) with its gradient along contact solutions.
 
-    With the active set held, ``dF/dq = F_q - R_q^T p - gamma_q^T r - sigma_q^T t``, where K p = F_u on
-    the displacements that are free, R is the out-of-balance force, r and t are the adjoint reactions at
-    touching and at sticking nodes (:func:`rmesh_nlp.contact.sensitivity.adjoint`), gamma the gaps and sigma
-    the slips at fixed displacement. Where F depends on the contact forces, p is minus its derivative by them
-    in the directions of those that hold a displacement. At sliding nodes the friction is at its bound
-    ``b = g omega + F lambda``, which moves with q and lambda. That is the gradient wherever strict
-    complementarity holds.
+    The active set is held: that is the gradient wherever strict complementarity holds
+    (:mod:`rmesh_nlp.models.kkt_point`).
     """
 
     def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
         self.energy, self.objective = energy, objective
-        rel = energy.relocation
-        parts = rel.discretisation
-        self.functional = functional = parts.objective(objective, parts.fields())
-        self._n = n = np.cumsum([rel.n_q, rel.n_u, rel.n_contact, rel.n_s, rel.n_s, rel.n_s])
-        self.n_x = int(n[-1])
-        x = ca.MX.sym("x", self.n_x)
-        outer = parts.assemble([*functional.groups, *functional.rows], x, ca.MX(0, 1), len(functional.sums))
-        self._outer = outer.gradient
-        if functional.sums:
-            self._sums, self._combine = outer.jacobian, Evaluator(functional.function)
-            self._of_sums = Block(self._sums.pattern, slice(None), slice(None))
-        self._derivatives = SecondDerivatives(rel)
-        self._last: tuple[Equilibrium, Blocks] | None = (
-            None  # several functions are differentiated at a point
-        )
-        terms = [term.on(rel.mesh_map.positions) for term in coefficient_terms(parts.space)]
-        self._coefficients = None
-        if terms:
-            rows = parts.assemble(terms, rel.x, ca.MX(0, 1), rel.n_s).jacobian
-            self._coefficients = rows, Block(rows.pattern, slice(0, rel.n_s), slice(0, rel.n_q))
+
+    @cached_property
+    def conditions(self) -> KKTConditions:
+        """The KKT conditions, in units of the contact solution on the mesh as given."""
+        parts = self.energy.relocation.discretisation
+        return KKTConditions(in_units_of(parts, self.objective, self.energy.start))
 
     def is_defined(self, q: Array) -> bool:
         """Whether a distortion in the objective is defined: no element is inverted."""
@@ -212,43 +189,11 @@ class ReducedObjective:
         """Evaluate at ``q``."""
         return self.of(self.energy(q))
 
-    def of(self, inner: ReducedPoint) -> ReducedPoint:
-        """The objective where the energy and its contact solution are known."""
-        x = kkt_unknowns(inner.q, inner.equilibrium, inner.system, self.energy.relocation.friction_rows)
-        (value,), slope = self._outer(x, None)
-        if self.functional.sums:
-            sums, nonzeros = self._sums(x, None)
-            (added,), weights = self._combine(sums)
-            value, slope = value + added, slope + self._of_sums(nonzeros).T @ weights
-        return replace(inner, value=float(value), gradient=self.total(inner, slope), is_energy=False)
-
-    def total(self, inner: ReducedPoint, slope: Array) -> Array:
-        """The derivative by q along contact solutions of a function with derivatives ``slope`` by x."""
-        rel, system, state = self.energy.relocation, inner.system, inner.equilibrium
-        f_q, f_u, by_normal, f_s, minus, plus = np.split(slope, self._n[:-1])
-        rows, touch, by_tangential = rel.friction_rows, by_normal.copy(), np.zeros(rel.n_contact)
-        if rel.n_s:
-            tangents, sliding = system.tangents[rows], state.active.sliding[rows]
-            by_slip = np.sign(tangents @ state.u) * f_s
-            f_u = f_u + tangents.T @ by_slip
-            by_force = (plus - minus) / 2
-            by_tangential[rows] = by_force
-            by_bound = (plus + minus) / 2 - sliding * by_force
-            if system.coulomb is not None:
-                touch[rows] += system.coulomb[rows] * by_bound
-        p, reaction, friction = adjoint(system, state.active, f_u, touch, by_tangential)
-        if self._last is None or self._last[0] is not state:
-            self._last = state, self._derivatives(self.energy.point(inner.q, state), state)
-        blocks = self._last[1]
-        total = f_q - blocks.qu @ p - blocks.gap.T @ reaction
-        if rel.n_s:
-            by_bound = by_bound - sliding * (tangents @ p)
-            total += blocks.qs @ by_bound + blocks.slip.T @ (by_slip - friction[rows])
-            if self._coefficients is not None:
-                numeric, block = self._coefficients
-                values = numeric(self.energy.point(inner.q, state), None)[1]
-                total += block(values).T @ (by_bound * state.normal_force[rows])
-        return np.asarray(total)
+    def of(self, inner: ContactPoint) -> ReducedPoint:
+        """The objective where the contact solution is known."""
+        at, unit = self.conditions.at(inner), self.conditions.program.value
+        gradient, _ = at.totals(unit * at.slope)
+        return ReducedPoint(inner.q, inner.system, inner.equilibrium, unit * at.value, gradient, False)
 
 
 Reduced = ReducedEnergy | ReducedObjective

@@ -35,9 +35,9 @@ from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.residual import OuterResidual
-from rmesh_nlp.models.second_derivatives import Curvature, Lifted, ObjectiveCurvature, curvature_of
+from rmesh_nlp.models.second_derivatives import Curvature, Lifted
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
@@ -188,21 +188,19 @@ class _SecondOracle(PythonFunction):
         return [ca.DM(self._upper, self._values(q, lam_f, rows, own).tolist())]
 
 
-def with_hessian(problem: ReducedNLP) -> ReducedNLP:
-    """The same NLP, with the second derivatives of its Lagrangian as a dense matrix."""
-    n, function, curvature = problem.nlp.n_x, problem.function, curvature_of(problem.function)
+def with_hessian(problem: ReducedNLP) -> NLP:
+    """The NLP of another objective than the energy, with its second derivatives as a dense matrix."""
+    function = problem.function
+    assert isinstance(function, ReducedObjective)
+    n, conditions = problem.nlp.n_x, function.conditions
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, multiples: Array) -> Array:
-        if multiples.size:
-            assert isinstance(curvature, ObjectiveCurvature)
-            hessian = dense(curvature.at(function(q), factor, multiples), n)
-        else:
-            hessian = dense(curvature.at(function(q)), n) * factor
+        hessian = dense(conditions.at(function(q)).hessian(factor * conditions.program.value, multiples), n)
         return np.asarray((hessian if rows is None else hessian + rows)[at])
 
-    return replace(problem, nlp=_with(problem.nlp, _SecondOracle(problem, upper, values), n))
+    return _with(problem.nlp, _SecondOracle(problem, upper, values), n)
 
 
 def lifted(problem: ReducedNLP) -> NLP:

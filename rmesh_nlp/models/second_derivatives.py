@@ -8,45 +8,27 @@ the Lagrangian of the energy NLP,
 where ``u', s', lambda', tau'`` are the first-order changes of displacement, slip, normal and tangential
 contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
 solve. The slips at fixed displacement, sigma, move where a foundation is curved.
-
-Of any outer objective F(X, u(X), forces(X)) (:class:`ObjectiveCurvature`): with the active set held,
-displacement, slip, forces and sums y are a smooth function of q, given by as many equations C(q, y) = 0:
-equilibrium, the sums, and of each pair the member that is zero. With the adjoint multipliers nu,
-``C_y^T nu = -F_y``, and ``Lambda = F + nu^T C``,
-
-    F' = F_q + C_q^T nu,      F'' d = Lambda_qq d + Lambda_qy y' + C_q^T nu',
-    C_y y' = -C_q d,          C_y^T nu' = -(Lambda_yq d + Lambda_yy y'),
-
-one factorisation of C_y and two solves with it for each product (the second-order adjoint).
-
+Those of any other objective are of :mod:`rmesh_nlp.models.kkt_point`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from rmesh_nlp.contact.sensitivity import TangentResponse
-from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import Index
-from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.branches import held_members
 from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
-from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
+from rmesh_nlp.models.kkt_point import ObjectiveHessian, positive
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
 
 DENSE = 200
 """Outer variables up to which all products are formed at once: one solve with as many right sides costs less
 than the products of a step one by one (7 against 25 on Example 6.1 with 126 of them; as much with 286)."""
-
-
-def _scaling(diagonal: Array) -> Array:
-    """Size of the diagonal, kept away from zero."""
-    diagonal = np.abs(diagonal)
-    return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
 
 class Curvature:
@@ -98,7 +80,7 @@ class Hessian:
 
     def diagonal(self) -> Array:
         """Size of the diagonal of Lambda_qq, kept away from zero."""
-        return _scaling(self.qq.diagonal())
+        return positive(self.qq.diagonal())
 
     def lifted(self) -> Lifted:
         """The sparse matrix in q and displacements whose Schur complement is L''."""
@@ -152,100 +134,8 @@ class Hessian:
         return np.asarray(result)
 
 
-class ObjectiveCurvature:
-    """Evaluates F'' at contact solutions of one problem."""
-
-    def __init__(self, energy: ReducedEnergy, objective: Objective) -> None:
-        start = energy(np.zeros(energy.relocation.n_q))
-        self._program = bilevel(
-            energy.relocation.problem,
-            objective,
-            length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
-            force=start.system.force_scale or 1.0,
-            start=kkt_unknowns(start.q, start.equilibrium, start.system, energy.relocation.friction_rows),
-        )
-        mpcc = self._program.mpcc
-        self._kept = kept = mpcc.derivatives
-        assert kept is not None
-        assert kept.hess_lag is not None
-        self._n_g, self._n_pairs = mpcc.n_g, mpcc.n_pairs
-        self._n_positions = energy.relocation.mesh_map.n_positions
-        n = self._program.n_equations
-        self._equations = np.arange(n)
-        self._rows = slice(n, n + self._program.constraints.size)
-        self._gradient, self._jacobian = Evaluator(kept.grad_f), Evaluator(kept.jac_g)
-        self._hessian = Evaluator(kept.hess_lag)
-        rows, columns = kept.jac_g.sparsity_out(1).get_triplet()
-        self._jacobian_at = np.asarray(rows), np.asarray(columns)
-        self._symmetric = Symmetric(numbered(kept.hess_lag.sparsity_out(0)))
-
-    def at(self, point: ReducedPoint, factor: float = 1.0, rows: Array | None = None) -> ObjectiveHessian:
-        """The second derivative of ``factor F + rows . c``, c the constraints, ready for products."""
-        x = self._program.point(point.q, point.equilibrium, point.system)
-        values, nonzeros = self._jacobian(x, [])
-        G, H = np.split(values[self._n_g :], 2)
-        first = self._n_g + np.arange(self._n_pairs)
-        whole = sp.csr_matrix((nonzeros, self._jacobian_at), shape=(values.size, x.size))
-        is_first, _ = held_members(self._program, whole, G, H, 0.0)
-        held = np.concatenate([self._equations, np.where(is_first, first, first + self._n_pairs)])
-        jacobian = whole[held]
-        n_q = self._program.n_q
-        of_q, of_y = jacobian[:, :n_q].tocsr(), jacobian[:, n_q:].tocsc()
-        factors = splu(of_y)
-        slope, multipliers = factor * self._gradient(x, [])[1], np.zeros(values.size)
-        if rows is not None:
-            multipliers[self._rows] = rows
-            slope = slope + whole.T @ multipliers
-        nu = factors.solve(-slope[n_q:], "T")
-        multipliers[held] = nu
-        (curvature,) = self._hessian(x, [], factor, multipliers)
-        return ObjectiveHessian(
-            slope[:n_q] + of_q.T @ nu,
-            sp.csr_matrix(self._symmetric(curvature)),
-            of_q,
-            factors,
-            self._n_positions,
-        )
-
-
-class ObjectiveHessian:
-    """F'' at one point, and F' by the same adjoint."""
-
-    def __init__(
-        self,
-        gradient: Array,
-        lagrangian: sp.csr_matrix,
-        of_q: sp.csr_matrix,
-        factors: splu,
-        n_positions: int,
-    ) -> None:
-        self.gradient, self._n_positions = gradient, n_positions
-        n_q = gradient.size
-        self.qq = lagrangian[:n_q, :n_q]
-        self._qy, self._yy = lagrangian[:n_q, n_q:], lagrangian[n_q:, n_q:]
-        self._yq = self._qy.T.tocsr()
-        self._of_q, self._of_q_t, self._factors = of_q, of_q.T.tocsr(), factors
-
-    def diagonal(self) -> Array:
-        """Size of the diagonal of Lambda_qq, of F'' for design variables, kept away from zero.
-
-        Lambda may be linear in a modulus or a load.
-        """
-        diagonal, designs = self.qq.diagonal(), np.arange(self._n_positions, self.gradient.size)
-        if designs.size:
-            units = np.eye(self.gradient.size)[:, designs]
-            diagonal[designs] = self(units)[designs, np.arange(designs.size)]
-        return _scaling(diagonal)
-
-    def __call__(self, d: Array) -> Array:
-        """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
-        y = -self._factors.solve(self._of_q @ d)
-        nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
-        return np.asarray(self.qq @ d + self._qy @ y + self._of_q_t @ nu)
-
-
-def curvature_of(function: Reduced) -> Curvature | ObjectiveCurvature:
-    """Second derivatives of an outer objective."""
+def curvature_of(function: Reduced) -> Callable[[ReducedPoint], Hessian | ObjectiveHessian]:
+    """Second derivatives of an outer objective at a point, ready for products."""
     if isinstance(function, ReducedEnergy):
-        return Curvature(function)
-    return ObjectiveCurvature(function.energy, function.objective)
+        return Curvature(function).at
+    return lambda point: function.conditions.at(point).hessian(function.conditions.program.value)

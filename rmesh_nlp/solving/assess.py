@@ -9,7 +9,7 @@ from rmesh_nlp.assessment.assessor import residuals
 from rmesh_nlp.assessment.coulomb import growth
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.uniqueness import contraction
-from rmesh_nlp.models.reduced_model import ReducedPoint
+from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solving.assessment import Assessment
@@ -76,7 +76,7 @@ def _domain_area_change(first: Outer, final: State) -> float | None:
     return float(signed_areas(final.mesh.p, final.problem.triangles).sum() / before - 1)
 
 
-def problem_warnings(outer: Outer, point: ReducedPoint, continuous: Admissible) -> tuple[str, ...]:
+def problem_warnings(outer: Outer, point: ContactPoint, continuous: Admissible) -> tuple[str, ...]:
     """Signs of a wrong set-up on the mesh as given."""
     # the load by an accurate rule, where it is on the same mesh
     load = continuous.system.load if continuous.problem is outer.problem else None
@@ -84,7 +84,7 @@ def problem_warnings(outer: Outer, point: ReducedPoint, continuous: Admissible) 
     return tuple(warning.message for warning in warnings if warning.kind != "penetration")
 
 
-def mesh_warnings(outer: Outer, point: ReducedPoint, _: Admissible) -> tuple[str, ...]:
+def mesh_warnings(outer: Outer, point: ContactPoint, _: Admissible) -> tuple[str, ...]:
     """Foundations that pass into the relocated mesh, and a contact solution that may be one of several."""
     displacement = outer.contact.displacement.values(point.equilibrium.u)
     passing = penetration_warnings(outer.discretisation.space, outer.nodes(point.q), displacement)

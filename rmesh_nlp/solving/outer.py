@@ -144,7 +144,7 @@ class Outer:
     @property
     def kkt(self) -> Bilevel:
         """The KKT model in units of the contact solution and of the objective on the mesh as given."""
-        return self.models.kkt
+        return self.models.conditions.program
 
     @property
     def branches(self) -> Branches:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.models.branches import Branches
-from rmesh_nlp.models.kkt_model import Bilevel, bilevel, kkt_unknowns
+from rmesh_nlp.models.kkt_model import in_units_of
+from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import OuterResidual
@@ -51,27 +50,19 @@ class OuterModels:
         return self.energy if self.objective.collapses else ReducedObjective(self.energy, self.objective)
 
     @cached_property
-    def energy_at_start(self) -> ReducedPoint:
-        """The energy on the mesh as given; it counts as no contact solve of a formulation."""
-        system = self.contact.system(self.contact.problem.mesh.p)
-        zero = np.zeros(self.contact.discretisation.n_q)
-        return self.energy.at(zero, system, self.contact.given)
-
-    @cached_property
     def at_start(self) -> ReducedPoint:
-        """The objective on the mesh as given; it counts as no contact solve either."""
-        function = self.function
+        """The objective on the mesh as given; it counts as no contact solve of a formulation."""
+        start, function = self.energy.start, self.function
         if isinstance(function, ReducedEnergy):
-            return self.energy_at_start
-        return function.of(self.energy_at_start)
+            return function.at(start.q, start.system, start.equilibrium)
+        return function.of(start)
 
     @cached_property
     def constraints(self) -> ReducedConstraints | None:
         """Those of the problem as functions of the outer variables; None without any."""
-        function = self.function
-        if not (isinstance(function, ReducedObjective) and is_constrained(self.contact.problem)):
+        if self.objective.collapses or not is_constrained(self.contact.problem):
             return None
-        return ReducedConstraints(function)
+        return ReducedConstraints(self.conditions)
 
     @cached_property
     def residual(self) -> OuterResidual:
@@ -79,20 +70,13 @@ class OuterModels:
         return OuterResidual(self.energy, self.at_start, self.constraints)
 
     @cached_property
-    def kkt(self) -> Bilevel:
-        """The KKT model in units of the contact solution and of the objective on the mesh as given."""
-        parts, given = self.contact.discretisation, self.contact.given
-        zero, system = np.zeros(parts.n_q), self.contact.system(parts.problem.mesh.p)
-        return bilevel(
-            parts,
-            self.objective,
-            length=float(np.max(np.abs(given.u), initial=0.0)) or 1.0,
-            force=system.force_scale,
-            value=abs(self.function(zero).value) or 1.0,
-            start=kkt_unknowns(zero, given, system, parts.friction_rows),
-        )
+    def conditions(self) -> KKTConditions:
+        """The KKT conditions, in units of the contact solution and of the objective on the mesh as given."""
+        if isinstance(self.function, ReducedObjective):
+            return self.function.conditions
+        return KKTConditions(in_units_of(self.contact.discretisation, self.objective, self.energy.start))
 
     @cached_property
     def branches(self) -> Branches:
         """First-order conditions where contact is about to change, for objectives that have a KKT model."""
-        return Branches(self.kkt, self.residual.unit, self.tolerance)
+        return Branches(self.conditions, self.residual.unit, self.tolerance)

@@ -23,7 +23,7 @@ from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.kkt_model import kkt_unknowns
+from rmesh_nlp.models.kkt_model import ContactPoint, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.residual import size_of
 from rmesh_nlp.optimize.status import Status
@@ -136,7 +136,7 @@ class State:
         return self.continuous.status if own is Status.CONVERGED and self.continuous is not None else own
 
 
-Warn = Callable[[Outer, ReducedPoint, Admissible], tuple[str, ...]]
+Warn = Callable[[Outer, ContactPoint, Admissible], tuple[str, ...]]
 """Warnings of a mesh, from its outer problem without design variables, its contact solution and the
 continuous one."""
 
@@ -152,7 +152,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
     at, position = outer.at_design(q)
     if is_given:  # with shapes it is where these begin
         nodes = np.asarray(at.problem.mesh.p)
-    exact = at.models.energy_at_start if is_given else at.energy(position)
+    exact = at.energy.start if is_given else at.energy(position)
     point = outer.models.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
     continuous = at.assessor.solve(nodes, solved.active)
@@ -214,7 +214,7 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
     fields, accurate = rel.discretisation.fields(), rel.problem.with_rule(ACCURATE)
     fields = fields._replace(problem=accurate, positions=fields.positions.at_rest(q))
     system = energy.model.system(rel.nodes(q), rel.mesh_map.design(q))
-    x = kkt_unknowns(q, state, system, rel.friction_rows)
+    x = kkt_unknowns(ContactPoint(q, system, state), rel.friction_rows)
     return objective.on(fields).evaluate()(x)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.sensitivity import TangentResponse, adjoint, weakly_active
+from rmesh_nlp.contact.sensitivity import TangentResponse, weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
@@ -46,20 +46,6 @@ def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(solved
     if system.slip_bound.size:
         change = np.where(state.active.sliding == 0, other.tangential_force - state.tangential_force, 0.0)
     np.testing.assert_allclose(tangential, change, atol=tolerance)
-
-
-def test_the_adjoint_gives_the_response_of_any_linear_functional(solved) -> None:
-    """``right . du`` is ``-p . force - reaction . gap - friction . slip``."""
-    (system, state), random = solved, np.random.default_rng(2)
-    right = random.normal(size=state.u.size)
-    force, gap, slip = (random.normal(size=n) for n in (right.size, system.offset.size, system.offset.size))
-    p, reaction, friction = adjoint(system, state.active, right)
-    u, _, _ = TangentResponse(system, state.active)(force, gap, slip)
-    change = -(p @ force + reaction @ gap + friction @ slip)
-    assert right @ u == pytest.approx(change, rel=1e-9)
-    np.testing.assert_array_equal(reaction[~state.active.touching], 0)
-    assert np.any(reaction[state.active.touching] != 0)
-    np.testing.assert_array_equal(friction[~system.rotated.sticking(state.active)], 0)
 
 
 def spring(gap: float, normal: float, slip: float, tangential: float, **changes: Any) -> tuple[Any, Any]:

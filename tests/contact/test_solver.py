@@ -9,7 +9,6 @@ from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, as
 from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp.contact import solver as of_solver
-from rmesh_nlp.contact.sensitivity import adjoint
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import LEAF, ContactSystem, Equilibrium, dissected, elimination_order
 from rmesh_nlp.examples import EXAMPLES
@@ -108,7 +107,7 @@ def test_every_unknown_is_eliminated_once_and_a_separator_after_what_it_separate
 
 
 @pytest.mark.parametrize("make", [sloped_block, block_sliding_on_a_circle, block_on_a_circle])
-def test_solutions_and_adjoints_do_not_depend_on_the_order(make, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_solutions_do_not_depend_on_the_order(make, monkeypatch: pytest.MonkeyPatch) -> None:
     problem: ContactProblem = make()
     results = []
     for large in (5000, 10):
@@ -116,11 +115,9 @@ def test_solutions_and_adjoints_do_not_depend_on_the_order(make, monkeypatch: py
         solver = ContactSolver(problem)
         system, state = solver.system(problem.mesh.p), solver.solve(problem.mesh.p)
         assert (system.order is None) == (large == 5000)
-        results.append((state, adjoint(system, state.active, np.linspace(-1, 1, state.u.size))))
-    (one, back), (two, ordered_back) = results
+        results.append(state)
+    one, two = results
     assert one.active.key() == two.active.key()
     assert np.any(one.active.touching)
     np.testing.assert_allclose(two.u, one.u, atol=1e-9 * np.max(np.abs(one.u)))
     np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-8 * one.normal_force.max())
-    for a, b in zip(back, ordered_back, strict=True):
-        np.testing.assert_allclose(b, a, atol=1e-8 * max(np.max(np.abs(a)), 1e-300))

@@ -8,7 +8,7 @@ import pytest
 from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.models.kkt_model import bilevel
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
+from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
 from support.designs import BOW, DESIGNS, LIMITED, E, F, block
@@ -36,7 +36,7 @@ def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
     by_design[: outer.discretisation.mesh_map.n_positions] = 0.0
     for along in (by_design, d):
         assert taylor_order(outer.function, q, along, step) == pytest.approx(2, abs=0.02)
-    product = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q))(d)
+    product = curvature_of(outer.function)(outer.function(q))(d)
     order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d, 2 * step)
     assert order_of == pytest.approx(2, abs=0.05)
     there, same = outer.at_design(q)
@@ -47,9 +47,9 @@ def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
 
 def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
     outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
-    constraints, point = ReducedConstraints(outer.function), outer.function(q)  # type: ignore[arg-type]
+    constraints, point = ReducedConstraints(outer.models.conditions), outer.function(q)
     program = bilevel(outer.discretisation, outer.objective, length=1e-2, force=10.0)
-    x = program.point(q, point.equilibrium, point.system)
+    x = program.point(point)
     assert program.mpcc.derivatives is not None
     rows = Evaluator(program.mpcc.derivatives.jac_g)(x, [])[0]
     n, size = program.n_equations, constraints.rows.size
@@ -59,7 +59,7 @@ def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
 
 def test_derivatives_of_constraints() -> None:
     outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
-    constraints = ReducedConstraints(outer.function)  # type: ignore[arg-type]
+    constraints = ReducedConstraints(outer.models.conditions)
     rng = np.random.default_rng(6)
     d, multiples = rng.uniform(-1, 1, q.size), rng.uniform(-1, 1, constraints.rows.size)
 
@@ -72,14 +72,14 @@ def test_derivatives_of_constraints() -> None:
 
     by_d = constraints.at(outer.function(q)).jacobian @ d
     assert difference_order(values, by_d, q, d, 1e-3) == pytest.approx(2, abs=0.05)
-    curvature = ObjectiveCurvature(outer.energy, outer.objective).at(outer.function(q), 1.0, multiples)
-    np.testing.assert_allclose(curvature.gradient, gradient(q), rtol=1e-7, atol=1e-10)
+    conditions = outer.models.conditions
+    curvature = conditions.at(outer.function(q)).hessian(conditions.program.value, multiples)
     assert difference_order(gradient, curvature(d), q, d, 1e-3) == pytest.approx(2, abs=0.05)
 
 
 def test_rows_of_the_largest_pressure_are_pressures() -> None:
     outer, q = at_random(block(E, F, constraints=LIMITED[1:2]))
-    constraints, point = ReducedConstraints(outer.function), outer.function(q)  # type: ignore[arg-type]
+    constraints, point = ReducedConstraints(outer.models.conditions), outer.function(q)
     weights = outer.discretisation.space.weights(outer.nodes(q))
     excess = point.equilibrium.normal_force - 200 * weights
     np.testing.assert_allclose(constraints.at(point).value * constraints.rows.unit, excess, atol=1e-9)
