@@ -171,17 +171,18 @@ def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block
     assert not Path("one/figures").exists()  # as asked
 
 
-def test_advise_prints_what_is_attainable(rmesh, block: Path) -> None:
+def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Path) -> None:
+    """On 15 nodes the second derivatives are others than on the refinement."""
     block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 4\nny = 2"))
     said = rmesh("advise block.toml")
     assert said.code == 0
     assert "best mesh of as many triangles" in said.out
+    assert "not known" in said.out
     found = json.loads(rmesh("advise block.toml --json").out)
-    names = ("attainable_factor", "attainable_same_connectivity", "attainable_by_refinement")
-    assert all(found[name] >= 1 for name in names)
-    assert found["attainable_factor"] >= found["remeshing_factor"]
-    assert found["recommended"] in ("remesh", "relocate", "refine")
-    assert found["predicted_factor"] > 0
+    assert found["attainable_factor"] is None
+    assert found["remeshing_factor"] is None
+    assert found["recommended"] == "refine"
+    assert found["predicted_factor"] > 1
 
 
 def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> None:
