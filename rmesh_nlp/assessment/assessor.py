@@ -15,7 +15,6 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import DisplacementSpace
 
 TOLERANCE = 1e-6
 """Largest scaled residual of a solution that may be called a success."""
@@ -119,45 +118,3 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
         missing = tangential + np.clip(slip - tangential, -bound, bound)
         violations = np.append(violations, np.abs(missing) / force)
     return float(np.max(violations, initial=0.0))  # not a number if one part is none
-
-
-CLEAR = 0.01
-"""Part of a quantity below which it got no worse."""
-
-
-@dataclass(frozen=True)
-class Quantities:
-    """Quantities of a contact solution."""
-
-    peak_pressure: float  # largest nodal force over the share omega_i of its node, in N/m^2
-    resultant: float  # integral of the contact pressure, in N/m
-    contact_length: float  # of the boundary at nodes that press, in m (an area for an interior obstacle)
-
-
-def quantities(
-    space: DisplacementSpace, nodes: Array, system: ContactSystem, state: Equilibrium
-) -> Quantities | None:
-    """The quantities of a contact solution at vertex positions (2, vertices); None without contact."""
-    force = state.normal_force
-    if not force.size:
-        return None
-    weights = space.weights(nodes)
-    pressing = force > 1e-9 * max(system.force_scale, float(np.max(force)))
-    return Quantities(
-        peak_pressure=float(np.max(force / weights)),
-        resultant=float(np.sum(force)),
-        contact_length=float(np.sum(weights[pressing])),
-    )
-
-
-def worse(before: Quantities, after: Quantities, refined: Quantities) -> list[str]:
-    """A sentence for each quantity that is farther from its value on a refined mesh than before."""
-    sentences = []
-    for name, label in zip(vars(before), ("largest pressure", "resultant", "length of contact"), strict=True):
-        given, last, true = (float(getattr(part, name)) for part in (before, after, refined))
-        if abs(last - true) > abs(given - true) + CLEAR * abs(true):
-            sentences.append(
-                f"the {label} got worse while the energy got better: {given:.4g} on the given mesh, "
-                f"{last:.4g} after relocation, {true:.4g} on the refined mesh"
-            )
-    return sentences

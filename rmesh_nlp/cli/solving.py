@@ -25,6 +25,7 @@ from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
 from rmesh_nlp.optimize.budget import deferred
 from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study import comparison
 from rmesh_nlp.study.plan import PlannedSolve, planned
 from rmesh_nlp.study.progress import SolvesProgress
@@ -55,6 +56,8 @@ def solve(
     if voice == "json":
         print(to_json(done.row))
     elif voice == "text":
+        for what, value in [] if done.solution is None else contact_rows(done.solution):
+            print(f"{what} {value}")
         _say_certificate(done)
         print("wrote", ", ".join(str(folder / name) for name in SINGLE if (folder / name).exists()))
     return _exit_code(done.row, folder)

@@ -112,7 +112,10 @@ MAIN = (
     *of("iterations", "contact_solves", "wall_time_s", "status"),
 )
 # by the rule of the problem
-ENERGIES = (FORMULATION, *of("energy_initial", "energy", "u_min", "u_max", "min_area_ratio"))
+ENERGIES = (
+    FORMULATION,
+    *of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
+)
 # work by one clock, the audit apart
 COSTS = (
     FORMULATION,
@@ -172,6 +175,7 @@ def body(columns: Sequence[Column], block: Block) -> list[list[str]]:
         given, final = f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}"
         ends = (paper.u_min_initial, paper.u_max_initial), (paper.u_min_final, paper.u_max_final)
         first, last = ([shown(value, ".4f") for value in pair] for pair in ends)
-        given_grid = ["paper, given grid", given, MISSING, *first, MISSING]
-        return [given_grid, ["paper, relocated", given, final, *last, MISSING], *rows]
+        rest = [MISSING] * (len(columns) - 5)
+        given_grid = ["paper, given grid", given, MISSING, *first, *rest]
+        return [given_grid, ["paper, relocated", given, final, *last, *rest], *rows]
     return rows

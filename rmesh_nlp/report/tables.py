@@ -47,8 +47,8 @@ DETAILS = "## Details"  # what stands below it is in ``table.md``, and printed w
 CAPTIONS = {
     MAIN: f"Relocation by each formulation. {ENERGY.replace('J is', '$J$ is')} The gain is in per cent of "
     r"$|J|$ on the given mesh. Times are wall times of build, solve and audit.",
-    ENERGIES: r"Energies by the quadrature rule of the problem, extremes of the displacement $u$, and the "
-    r"least element area over the given one.",
+    ENERGIES: r"Energies by the quadrature rule of the problem, extremes of the displacement $u$, the "
+    r"contact on the relocated mesh, and the least element area over the given one.",
     COMMON: r"Cost, in contact solves on the given mesh, until each formulation reached what all of them "
     r"reach: an energy or other objective, and a first-order residual.",
     RESIDUALS: r"Dimensionless residuals of equilibrium and complementarity, of the state that the "

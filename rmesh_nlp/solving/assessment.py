@@ -143,8 +143,8 @@ class Assessment:
         if not final.min_area_ratio > 0:
             return Status.INVALID_MESH
         for state in (given, final):
-            if state.contact is not Status.CONVERGED:
-                return state.contact
+            if state.contact_status is not Status.CONVERGED:
+                return state.contact_status
         if not final.residuals.hold:
             return Status.INACCURATE
         figures = self.gain, self.gain_audited, self.decrease, self.rounding, final.violation

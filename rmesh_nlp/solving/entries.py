@@ -8,14 +8,14 @@ docs/records.md is made of the meanings. What a formulation adds of its own are 
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import Quantities
+from rmesh_nlp.assessment.contact_results import ContactResult, of_all
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
@@ -34,6 +34,8 @@ from rmesh_nlp.solving.entry import (
 
 Solution = Any
 """A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
+
+Results = Mapping[str, ContactResult]
 
 
 def _widths(value: Any) -> object:
@@ -91,18 +93,19 @@ def _remark(solution: Solution) -> str | None:
 
 
 # fmt: off
-def _contact(suffix: str, where: str, of: Callable[[Solution], Quantities | None]) -> tuple[Entry, ...]:
-    """Quantities of the contact on one of the meshes."""
+def _contact(suffix: str, where: str, of: Callable[[Solution], Results]) -> tuple[Entry, ...]:
+    """Results of the contact on one of the meshes."""
 
-    def on(value: Callable[[Quantities], float]) -> Callable[[Solution], float | None]:
-        return lambda s: None if (quantities := of(s)) is None else value(quantities)
+    def on(value: Callable[[ContactResult], float]) -> Callable[[Solution], float | None]:
+        return lambda s: None if (every := of_all(of(s))) is None else value(every)
 
     return (
         Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
-              on(lambda its: its.peak_pressure), unit="force/length^2"),
+              on(lambda its: its.peak_pressure), unit="force/length^2", heading="peak|pressure",
+              digits=".4g"),
         Entry(f"resultant{suffix}", Number,
               f"Integral of the contact pressure on {where}: the sum of all normal forces.",
-              on(lambda its: its.resultant), unit="force/length"),
+              on(lambda its: its.normal_force), unit="force/length", heading="normal|force", digits=".4g"),
         Entry(f"contact_length{suffix}", Number,
               f"Length of the boundary that presses on {where}; of an interior obstacle an area.",
               on(lambda its: its.contact_length), unit="length"),
@@ -207,9 +210,14 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: s.assessment.final.penetration, SOLVED, "length"),
     ),
     "Contact": (
-        *_contact("_initial", "the given mesh", lambda s: s.assessment.given.quantities),
-        *_contact("", "the final mesh", lambda s: s.assessment.final.quantities),
-        *_contact("_refined", "its refinement", lambda s: s.reduced_error.quantities),
+        *_contact("_initial", "the given mesh", lambda s: s.assessment.given.contact),
+        *_contact("", "the final mesh", lambda s: s.assessment.final.contact),
+        *_contact("_refined", "its refinement", lambda s: s.reduced_error.contact),
+        Entry("contact", dict[str, dict[str, dict[str, Number]]],
+              "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
+              "tangents), `peak_pressure` and `contact_length`, each for the mesh `given`, the one "
+              "`relocated` and, where that was solved, its refinement, `refined`.",
+              lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
               lambda s: s.assessment.final.sticking_nodes),
         Entry("sliding_nodes", Count, "The same that slide.", lambda s: s.assessment.final.sliding_nodes),

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import Quantities, quantities, worse
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, worse
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import ProblemError
@@ -33,14 +34,14 @@ class ReducedError:
         Of the energy; None where nothing can be claimed.
     attained : Attained, optional
         How near the mesh comes to the best one of as many triangles.
-    quantities : Quantities, optional
-        On the refined last mesh, where one was needed.
+    contact : mapping
+        Results of the contact on the refined last mesh, where one was needed.
     warnings : tuple of str
     """
 
     reduction: ErrorReduction | None = None
     attained: Attained | None = None
-    quantities: Quantities | None = None
+    contact: Mapping[str, ContactResult] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
 
@@ -53,12 +54,10 @@ def reduced_error(assessment: Assessment, contact_solves: int) -> ReducedError:
     best = None
     if reduction is not None:
         best = attained(assessment.gain_audited, reduction, final.continuous, finest)
-    if finest is None or given.quantities is None or final.quantities is None:
+    if finest is None:
         return ReducedError(reduction, best)
-    fine = quantities(finest.parts.space, finest.body.nodes, finest.system, finest.state)
-    if fine is None:
-        return ReducedError(reduction, best)
-    return ReducedError(reduction, best, fine, tuple(worse(given.quantities, final.quantities, fine)))
+    fine = contact_results(finest.parts.space, finest.body.nodes, finest.system, finest.state)
+    return ReducedError(reduction, best, fine, tuple(worse(given.contact, final.contact, fine)))
 
 
 @dataclass(frozen=True)

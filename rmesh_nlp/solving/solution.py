@@ -165,6 +165,26 @@ class Solution:
         return self.assessment.final.tangential_stress
 
     @property
+    def contact(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Forces, peak pressure and length of the contact, by contact boundary and name of the result.
+
+        Each is ``given``, ``relocated`` and, where that was solved, ``refined``: on the given mesh, on the
+        final one and on its refinement.
+        """
+        meshes = {
+            "given": self.assessment.given.contact,
+            "relocated": self.assessment.final.contact,
+            "refined": self.reduced_error.contact,
+        }
+        return {
+            boundary: {
+                name: {mesh: getattr(of[boundary], name) for mesh, of in meshes.items() if boundary in of}
+                for name in vars(result)
+            }
+            for boundary, result in self.assessment.final.contact.items()
+        }
+
+    @property
     def energy(self) -> float:
         """J of the contact solution by the problem's own rules."""
         return self.assessment.final.energy

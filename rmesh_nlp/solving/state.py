@@ -11,11 +11,10 @@ from skfem import MeshTri
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.assessor import (
     ContactResiduals,
-    Quantities,
     corrections,
-    quantities,
     residuals,
 )
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
 from rmesh_nlp.assessment.coulomb import coulomb_residual
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
@@ -70,8 +69,8 @@ class State:
         Violation of Coulomb's law along edges, see :mod:`rmesh_nlp.assessment.coulomb`.
     sticking_nodes, sliding_nodes : int, optional
         With friction.
-    quantities : Quantities, optional
-        Peak pressure, resultant and length of contact; None without contact.
+    contact : mapping
+        Forces, peak pressure and length of the contact, by contact boundary.
     continuous : Admissible, optional
         The displacement that is admissible for the continuous problem, and its energy.
     corrections : mapping of str to float
@@ -104,7 +103,7 @@ class State:
     coulomb_residual: float | None = None
     sticking_nodes: int | None = None
     sliding_nodes: int | None = None
-    quantities: Quantities | None = None
+    contact: Mapping[str, ContactResult] = field(default_factory=dict)
     continuous: Admissible | None = field(default=None, repr=False)
     corrections: Mapping[str, float] = field(default_factory=dict)
     point: ReducedPoint | None = field(default=None, repr=False)
@@ -130,7 +129,7 @@ class State:
         return NAN if self.point is None else self.point.value
 
     @property
-    def contact(self) -> Status:
+    def contact_status(self) -> Status:
         """CONVERGED if the contact solves have, by the problem's own rules and by the assessment's."""
         own = self.equilibrium.status
         return self.continuous.status if own is Status.CONVERGED and self.continuous is not None else own
@@ -177,7 +176,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
         ),
         sticking_nodes=None if sliding is None else int(rows.size) - sliding,
         sliding_nodes=sliding,
-        quantities=quantities(space, nodes, system, solved),
+        contact=contact_results(space, nodes, system, solved),
         continuous=continuous,
         corrections=corrections(at.contact, nodes, solved, continuous),
         point=point,

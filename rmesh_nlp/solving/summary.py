@@ -24,6 +24,7 @@ def summary(solution: Any) -> Rows:
         ("success", success_in_words(solution.success, solution.status)),
         *_objective_rows(solution),
         *_energy_rows(solution),
+        *contact_rows(solution),
         ("first-order residual", f"{solution.stationarity_residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
@@ -90,6 +91,17 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
         ("audited gain", gain_in_words(solution.gain_audited, solution.energy_initial_audited)),
         ("energies by the rule of the problem", by_rule),
     ]
+
+
+def contact_rows(solution: Any) -> Rows:
+    """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
+    rows = []
+    for boundary, results in solution.contact.items():
+        for name, values in results.items():
+            if name != "tangential_force" or any(values.values()):
+                said = ", ".join(f"{figure(value)} {mesh}" for mesh, value in values.items())
+                rows.append((f"{boundary}: {name.replace('_', ' ')}", said))
+    return rows
 
 
 def gain_in_words(gain: float, initial: float) -> str:

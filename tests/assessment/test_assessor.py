@@ -12,7 +12,8 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.assessment.assessor import EXPLOITS, Assessor, Quantities, quantities, residuals, worse
+from rmesh_nlp.assessment.assessor import EXPLOITS, Assessor, residuals
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, of_all, worse
 from rmesh_nlp.assessment.coulomb import NOTICED, coulomb_residual, growth
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
@@ -105,9 +106,10 @@ def standing(pressure: float, order: int = 1) -> ContactProblem:
 @pytest.mark.parametrize("order", ORDERS)
 def test_quantities_of_a_block_that_stands_on_a_line(order: int) -> None:
     found = admissible(standing(3.0, order))
-    values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
-    assert values is not None
-    assert (values.peak_pressure, values.resultant, values.contact_length) == pytest.approx((3.0, 6.0, 2.0))
+    results = contact_results(found.parts.space, found.body.nodes, found.system, found.state)
+    assert vars(results["bottom"]) == pytest.approx(
+        {"normal_force": 6.0, "tangential_force": 0.0, "peak_pressure": 3.0, "contact_length": 2.0}
+    )
 
 
 def test_quantities_count_nodes_that_press() -> None:
@@ -119,34 +121,40 @@ def test_quantities_count_nodes_that_press() -> None:
     normal[order], tangential[order] = force, sideways
     active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
     state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
-    values = quantities(found.parts.space, problem.mesh.p, found.system, state)
+    values = of_all(contact_results(found.parts.space, problem.mesh.p, found.system, state))
     assert values is not None
-    assert vars(values) == pytest.approx({"peak_pressure": 12.0, "resultant": 9.0, "contact_length": 1.0})
+    assert vars(values) == pytest.approx(vars(ContactResult(9.0, 12.0, 12.0, 1.0)))
     free = ContactProblem(problem.mesh, LAW, ("left",))
     alone = admissible(free)
-    assert quantities(alone.parts.space, free.mesh.p, alone.system, alone.state) is None
+    assert not contact_results(alone.parts.space, free.mesh.p, alone.system, alone.state)
+    assert of_all({}) is None
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("example", "n"), [("6.3", (6, 4)), ("6.2", (6, 4))])
 def test_the_resultant_is_what_presses_the_body_without_friction(example, n, order) -> None:
     found = admissible(replace(EXAMPLES[example](n), order=order))
-    values = quantities(found.parts.space, found.body.nodes, found.system, found.state)
+    (values,) = contact_results(found.parts.space, found.body.nodes, found.system, found.state).values()
     held = found.system.stiffness @ found.state.u - found.system.load  # the foundation is the rest
     pressed, rubbed = (float(np.sum(rows @ held)) for rows in (found.system.normals, found.system.tangents))
-    assert values is not None
-    assert values.resultant == pytest.approx(pressed)
+    assert (values.normal_force, values.tangential_force) == pytest.approx((pressed, rubbed), abs=1e-6)
     assert (abs(rubbed) > 0.1 * pressed) is (example == "6.3")
 
 
-def test_a_quantity_that_is_farther_from_its_limit_is_said() -> None:
-    before, refined_values = Quantities(3.0, 6.0, 2.0), Quantities(3.1, 6.0, 2.0)
-    for after, said in ((3.23, 0), (3.232, 1), (2.97, 0), (2.968, 1), (3.1, 0)):  # 0.1 + 1 % of 3.1
-        assert len(worse(before, Quantities(after, 6.0, 2.0), refined_values)) == said
-    said = worse(before, Quantities(3.3, 6.05, 2.5), refined_values)
+def test_a_result_that_is_farther_from_its_limit_is_said() -> None:
+    def on(peak: float, force: float = 6.0, length: float = 2.0) -> dict[str, ContactResult]:
+        return {"bottom": ContactResult(force, 0.0, peak, length)}
+
+    before, fine = on(3.0), on(3.1)
+    for after, count in ((3.23, 0), (3.232, 1), (2.97, 0), (2.968, 1), (3.1, 0)):  # 0.1 + 1 % of 3.1
+        assert len(worse(before, on(after), fine)) == count
+    said = worse(before, on(3.3, 6.05, 2.5), fine)
     assert [text.split(" got")[0] for text in said] == ["the largest pressure", "the length of contact"]
     assert "3 on the given mesh, 3.3 after relocation, 3.1 on the refined" in said[0]
-    assert len(worse(before, Quantities(3.0, 6.2, 2.0), refined_values)) == 1
+    assert len(worse(before, on(3.0, 6.2), fine)) == 1
+    # beside another boundary a force at rounding level is none
+    rounding, other = ({"top": ContactResult(size, 0.0, size, 0.0)} for size in (1e-14, 9e-12))
+    assert not worse(before | rounding, fine | other, fine | rounding)
 
 
 def coefficient(x: Any, _: Any) -> Any:

@@ -36,12 +36,12 @@ MARKDOWN = """\
 
 ### Example 6.2: n = 12x6, delta = 0.15667 x 0.07333, midpoint rule
 
-| formulation       | J given, own rule | J relocated, own rule |    u min |    u max | least area ratio |
-|:------------------|------------------:|----------------------:|---------:|---------:|-----------------:|
-| paper, given grid |           -4.8541 |                     - |        - |        - |                - |
-| paper, relocated  |           -4.8541 |               -4.9188 |        - |        - |                - |
-| joint             |         -4.854190 |             -4.910330 | -0.05358 | 0.009488 |            0.132 |
-| mpcc              |                 - |                     - |        - |        - |                - |
+| formulation       | J given, own rule | J relocated, own rule |    u min |    u max | normal force | peak pressure | least area ratio |
+|:------------------|------------------:|----------------------:|---------:|---------:|-------------:|--------------:|-----------------:|
+| paper, given grid |           -4.8541 |                     - |        - |        - |            - |             - |                - |
+| paper, relocated  |           -4.8541 |               -4.9188 |        - |        - |            - |             - |                - |
+| joint             |         -4.854190 |             -4.910330 | -0.05358 | 0.009488 |        132.2 |         171.5 |            0.132 |
+| mpcc              |                 - |                     - |        - |        - |            - |             - |                - |
 
 | formulation | start | contact solves, cold + warm | factorisations, contact; KKT | build [s] | solve [s] | audit [s] | cost [contact solves] |
 |:------------|------:|----------------------------:|-----------------------------:|----------:|----------:|----------:|----------------------:|

@@ -136,7 +136,7 @@ def test_no_conclusion_contradicts_itself(said: Status, measured: dict[str, Any]
         assert word in LEGITIMATE
         assert np.max([residuals.equilibrium, residuals.complementarity]) <= 1e-6
         assert found.final.min_area_ratio > 0
-        assert found.final.contact is Status.CONVERGED
+        assert found.final.contact_status is Status.CONVERGED
         assert np.all(np.isfinite((found.gain, found.gain_audited, found.decrease)))
         assert found.decrease >= -rounding
         assert not found.is_energy or found.gain < 0 or found.gain_audited >= -rounding

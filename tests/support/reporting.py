@@ -32,6 +32,7 @@ JOINT_62: Record = {
     **{"own_equilibrium_residual": 3.1e-9, "assessed_equilibrium_residual": 4.7e-13},
     **{"own_complementarity_residual": 2e-10, "assessed_complementarity_residual": 0.0},
     **{"biactive_nodes": [], "u_min": -0.053583, "u_max": 0.0094881, "min_area_ratio": 0.13213},
+    **{"resultant": 132.25, "peak_pressure": 171.5},
     **{"iterations": 44, "contact_solves": 3, "cold_contact_solves": 1, "contact_factorisations": 7},
     **{"kkt_factorisations": 44, "contact_time_s": 0.004, "stationarity": "KKT"},
     **{"stationarity_residual": 2.94e-6},
