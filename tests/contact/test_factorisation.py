@@ -17,7 +17,7 @@ def by_cholmod(request, monkeypatch) -> bool:
 
 def stiffness(n: int, seed: int = 0) -> sp.csc_array:
     """A sparse symmetric positive definite matrix."""
-    half = sp.random_array((n, n), density=0.1, rng=np.random.default_rng(seed))
+    half = sp.csr_array(sp.random(n, n, density=0.1, random_state=seed))
     return sp.csc_array(half @ half.T + sp.eye_array(n))
 
 
