@@ -26,7 +26,7 @@ from skfem import (
     ElementTriP1,
     ElementTriP2,
     ElementVector,
-    FacetBasis,
+    Functional,
     LinearForm,
     MeshTri,
 )
@@ -69,9 +69,7 @@ class Equations:
     given : callable
         The values of u where it is held.
     slope : callable, optional
-        Gradients (2, ...) of the exact solution. Errors are then half squares of that in the energy norm, and
-        else those of the energy, against ``exact``.
-    exact : float
+        Gradients (2, ...) of the exact solution.
     components : int
     stress : callable
         Of gradients (components, 2, ...).
@@ -86,7 +84,6 @@ class Equations:
     above: OnPoints = nothing
     given: OnPoints = nothing
     slope: OnPoints | None = None
-    exact: float = float("nan")
     components: int = 1
     stress: Callable[[NDArray], NDArray] = lambda gradient: gradient
     traction: OnPoints = nothing
@@ -111,11 +108,6 @@ class Solved:
     seconds: float
 
     @property
-    def mesh(self) -> MeshTri:
-        """Of the basis."""
-        return self.basis.mesh
-
-    @property
     def nodes(self) -> int:
         """Their number."""
         return int(self.dofs.shape[1])
@@ -135,14 +127,12 @@ def solve(
     basis = Basis(mesh, element if problem.components == 1 else ElementVector(element), intorder=RULE)
     dofs = np.hstack([basis.nodal_dofs, basis.facet_dofs][:order])
     x, n, nodes = basis.doflocs[:, dofs[0]], mesh.p.shape[1], dofs.shape[1]
-    rim, sides = np.zeros(nodes, dtype=bool), mesh.boundary_facets()
-    rim[mesh.facets[:, sides]] = rim[(n + sides)[: nodes - n]] = True
+    rim = np.isin(dofs[0], basis.get_dofs().flatten())
     held = rim & np.broadcast_to(problem.held(x) > 0, dofs.shape)
     above = (problem.above(x) > 0) & ~held[-1]
     matrix = BilinearForm(lambda u, v, _: _dot(problem.stress(grad(u)), grad(v))).assemble(basis)
     load = LinearForm(lambda v, w: _dot(problem.source(w.x), v)).assemble(basis)
-    frame = FacetBasis(mesh, basis.elem, facets=sides, intorder=RULE)
-    load += LinearForm(lambda v, w: _dot(problem.traction(w.x), v)).assemble(frame)
+    load += LinearForm(lambda v, w: _dot(problem.traction(w.x), v)).assemble(basis.boundary())
     # values from Bernstein's coefficients, at contact edges
     to_values = sp.identity(basis.N, format="csr")
     if order == 2:
@@ -156,9 +146,8 @@ def solve(
     bound = np.zeros(nodes)
     if problem.friction is not None:
         on = LinearForm(lambda v, w: _dot(np.stack([problem.friction(w.x), 0 * w.x[1]]), v))
-        facets = sides[problem.above(mesh.p[:, mesh.facets[:, sides]].mean(axis=1)) > 0]
-        frame = FacetBasis(mesh, basis.elem, facets=facets, intorder=RULE)
-        bound = (to_values.T @ on.assemble(frame))[dofs[0]]
+        facets = mesh.facets_satisfying(lambda x: problem.above(x) > 0, boundaries_only=True)
+        bound = (to_values.T @ on.assemble(basis.boundary(facets)))[dofs[0]]
     rough = bound > 0
     c, offset = np.zeros(dofs.shape), problem.offset(x)
     c[held] = np.broadcast_to(problem.given(x), dofs.shape)[held]
@@ -193,11 +182,11 @@ def solve(
 
 def half_square(basis: Basis, u: NDArray, slope: OnPoints) -> float:
     """Half the square of the error in the energy norm, for the gradient of the exact solution."""
+    density = Functional(lambda w: ((w["u"].grad - slope(np.asarray(w.x))) ** 2).sum(axis=0) / 2)
 
     def integrals(elements: NDArray | None, **rule: Any) -> NDArray:
         fine = Basis(basis.mesh, basis.elem, elements=elements, **rule)
-        away = fine.interpolate(u).grad - slope(np.asarray(fine.global_coordinates()))
-        return np.asarray(((away**2).sum(axis=0) * fine.dx).sum(axis=1)) / 2
+        return np.asarray(density.elemental(fine, u=fine.interpolate(u)))
 
     result = integrals(None, intorder=FINE)
     doubtful = np.flatnonzero(abs(result - integrals(None, intorder=RULE)) > DOUBT * result.sum())
@@ -227,7 +216,7 @@ def indicators(problem: Equations, solved: Solved) -> NDArray:
     On the boundary jumps are those to the tractions, where neither displacement nor contact is given. Where
     all nodes touch, the obstacle bears the source.
     """
-    mesh, basis, components = solved.mesh, solved.basis, problem.components
+    mesh, basis, components = solved.basis.mesh, solved.basis, problem.components
     dx, number = basis.dx, np.zeros(basis.N, dtype=int)
     number[solved.dofs] = np.arange(solved.nodes)
     corners, weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.full(3, 1 / 6)

@@ -48,10 +48,10 @@ class Across:
     reserve: NDArray[np.float64]
 
 
-def problem(n: int) -> rm.ContactProblem:
+def problem(n: int, coulomb: float = 1.0) -> rm.ContactProblem:
     """Example 6.3 on ``2 n`` x ``n`` squares, with Coulomb's coefficient in the place of its bound."""
     slab = rm.EXAMPLES["6.3"](n=(2 * n, n))
-    return replace(slab, obstacle=replace(slab.obstacle, friction=0.0, coulomb=1.0))
+    return replace(slab, obstacle=replace(slab.obstacle, friction=0.0, coulomb=coulomb))
 
 
 def main(n: int = 6) -> dict[str, rm.Solution]:

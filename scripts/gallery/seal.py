@@ -19,7 +19,7 @@ unknowns. Both end at the best edge with a label.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -40,9 +40,8 @@ HEIGHT = 0.02
 STEP = 1e-4
 """Step of the one-sided differences, in units of ``HEIGHT``."""
 
-"""Outer solvers of ``nested`` that are tried, and a limit of iterations: at a kink some never stop."""
-
 LIMITS = rm.Limits(iterations=200)
+"""Of ``nested``."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class Kink:
     gradient: float
 
 
-def problem(n: int) -> rm.ContactProblem:
+def problem(n: int, coulomb: float = 0.0) -> rm.ContactProblem:
     """The block on ``2 n`` x ``n`` squares; only nodes of the seal move, and they up and down."""
     mesh = rm.shapes.rectangle(2 * n, n, x=(0, 2))
     mesh = named(mesh, {"seal": lambda x: (x[1] == 0) & (x[0] > 0.5) & (x[0] < 1.5)})
@@ -75,7 +74,7 @@ def problem(n: int) -> rm.ContactProblem:
         mesh=mesh,
         law=rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet=(rm.Dirichlet("left", (0.0, None)),),
-        obstacle=rm.Obstacle.graph("bottom", 0.0),
+        obstacle=replace(rm.Obstacle.graph("bottom", 0.0), coulomb=coulomb),
         motion=rm.Motion(
             (1e-6, HEIGHT),
             pinned=tuple(int(node) for node in np.flatnonzero(~seal)),
