@@ -61,11 +61,12 @@ def by_scikit_fem(
 
 
 def refined(case: Case, size: int, order: int, most: int) -> Rows:
-    """Local refinement by the package to a number of nodes, without a time."""
+    """Local refinement by the package to at least a number of nodes, without a time."""
     problem = case.problem(size, order)
-    while unknowns(problem) <= most:
-        yield _row(case, problem)
+    yield _row(case, problem)
+    while unknowns(problem) < most:
         problem = next_mesh(problem)
+        yield _row(case, problem)
 
 
 def uniform(case: Case, size: int, order: int = 1) -> Rows:
