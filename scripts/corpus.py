@@ -15,7 +15,6 @@ down alike. A case that takes more than ``--limit`` seconds of wall time is stop
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gzip
 import hashlib
@@ -42,6 +41,7 @@ import rmesh_nlp as rm  # noqa: E402
 from baseline.cases import FORMULATIONS, Case, cases  # noqa: E402
 from baseline.comparison import CRASHED, OVERTIME, REFUSED, Row, compare, compare_seconds  # noqa: E402
 from isolated import Failed, isolated  # noqa: E402
+from rows import command_line  # noqa: E402
 
 BASELINE = Path(__file__).parent / "baseline" / "baseline.json.gz"
 
@@ -192,9 +192,7 @@ def _is_steady(rows: Sequence[Row | None]) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the cases; the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--freeze", type=Path, metavar="FILE", help="add the run to a baseline")
     parser.add_argument("--against", type=Path, nargs="?", const=BASELINE, metavar="FILE")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="compare its last run, and solve nothing")

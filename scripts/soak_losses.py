@@ -11,7 +11,6 @@ a solve runs, and is started again. After each round the folder is read by this 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -26,6 +25,8 @@ from collections import Counter
 from collections.abc import Set
 from contextlib import suppress
 from pathlib import Path
+
+from rows import command_line
 
 COMPARISON = """
 import resource, sys
@@ -162,7 +163,7 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
 
 def main(arguments: list[str] | None = None) -> None:
     """Read the command line, soak, say what was seen."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__)
     parser.add_argument(
         "--kills", type=int, default=50, help="of comparisons, and a third as many of a study"
     )

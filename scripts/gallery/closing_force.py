@@ -27,8 +27,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import SEEDS, Designed, command_line, designed
+from common import command_line, save
+from designs import SEEDS, Designed, designed
 
 import rmesh_nlp as rm
 from rmesh_nlp.meshes import named

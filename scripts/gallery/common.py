@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,9 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 AGREEMENT = 1e-4
@@ -92,6 +94,14 @@ def exact_errors(problem: ContactProblem, nodes: np.ndarray, values: np.ndarray)
 def energy_norm(solution: Solution) -> float:
     """I1 of (4.1), half the squared energy norm of the error against the exact solution."""
     return float(exact_errors(solution.problem, np.asarray(solution.mesh.p), solution.displacement).sum())
+
+
+def shifted(outer: Outer, q: np.ndarray, row: int, shifts: Iterable[float]) -> Iterator[ReducedPoint]:
+    """The points that ``outer.function`` has as one outer variable is changed."""
+    for shift in shifts:
+        moved = q.copy()
+        moved[row] += shift
+        yield outer.function(moved)
 
 
 def draw(case: Case, path: Path) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import command_line, save
+from common import command_line, save, shifted
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -78,15 +78,11 @@ def across(solution: rm.Solution, points: int = 41) -> Across:
     row, q = positions.index[0, node], outer.variables(np.asarray(solution.mesh.p))
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     x, rows = [], []
-    for shift in np.linspace(-REACH, REACH, points):
-        moved = q.copy()
-        moved[row] += shift
-        point = outer.function(moved)
+    for point in shifted(outer, q, row, np.linspace(-REACH, REACH, points)):
         state, system = point.equilibrium, point.system
-        bound = system.bound(state.normal_force)[place]
-        slip = abs((system.tangents @ state.u)[place])
-        x.append(outer.nodes(moved)[0, node])
-        rows.append((point.value, slip, bound - abs(state.tangential_force[place])))
+        reserve = system.bound(state.normal_force) - np.abs(state.tangential_force)
+        x.append(outer.nodes(point.q)[0, node])
+        rows.append((point.value, abs((system.tangents @ state.u)[place]), reserve[place]))
     return Across(float(solution.mesh.p[0, node]), np.array(x), *np.array(rows).T)
 
 

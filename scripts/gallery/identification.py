@@ -28,8 +28,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import FINER, SEEDS, Starts, along, command_line, five_starts, on_finer_meshes, surviving
+from common import command_line, save
+from designs import FINER, SEEDS, Starts, along, five_starts, on_finer_meshes, surviving
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm

@@ -26,8 +26,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import COLORS, SEEDS, Designed, along, command_line, designed
+from common import command_line, save
+from designs import COLORS, SEEDS, Designed, along, designed
 
 import rmesh_nlp as rm
 

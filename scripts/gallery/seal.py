@@ -24,7 +24,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import command_line, save
+from common import command_line, save, shifted
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -88,34 +88,26 @@ def problem(n: int, coulomb: float = 0.0) -> rm.ContactProblem:
 def kinks(solution: rm.Solution) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
     outer = Outer.of(solution.problem, OBJECTIVE)
-    function, free = outer.function, outer.relocation.mesh_map
+    free, result = outer.relocation.mesh_map, []
     q = free.q_of(np.asarray(solution.mesh.p))
-    here = function(q)
-    value, gradient = here.value, here.gradient
-    found = []
+    end = outer.function(q)
     for node in seal_nodes(solution.problem):
         row = free.positions.index[1, node]
-        rates = []
-        for sign in (1, -1):
-            moved = q.copy()
-            moved[row] += sign * STEP
-            rates.append((function(moved).value - value) / (STEP * HEIGHT))
+        ends = shifted(outer, q, row, (STEP, -STEP))
+        up, down = ((point.value - end.value) / (STEP * HEIGHT) for point in ends)
         x = float(solution.problem.mesh.p[0, node])
-        found.append(Kink(x, rates[0], rates[1], float(gradient[row]) / HEIGHT))
-    return found
+        result.append(Kink(x, up, down, float(end.gradient[row]) / HEIGHT))
+    return result
 
 
 def along(solution: rm.Solution, node: int, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
     """The objective, the gap and the contact force at ``node`` as that node alone is moved by ``shifts``."""
     outer = Outer.of(solution.problem, OBJECTIVE)
-    function, free = outer.function, outer.relocation.mesh_map
+    free = outer.relocation.mesh_map
     q, row = free.q_of(np.asarray(solution.mesh.p)), free.positions.index[1, node]
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     rows = []
-    for shift in shifts:
-        moved = q.copy()
-        moved[row] += shift / HEIGHT
-        point = function(moved)
+    for point in shifted(outer, q, row, shifts / HEIGHT):
         gap = point.system.normals @ point.equilibrium.u + point.system.offset
         rows.append((point.value, gap[place], point.equilibrium.normal_force[place]))
     return np.array(rows).T

@@ -29,8 +29,8 @@ from typing import Any
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-from common import exact_errors, save
-from designs import SEEDS, Starts, command_line, five_starts
+from common import command_line, exact_errors, save
+from designs import SEEDS, Starts, five_starts
 
 import rmesh_nlp as rm
 from rmesh_nlp.problem import ExactSolution
