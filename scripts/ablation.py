@@ -86,121 +86,88 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
 
 
 LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
+ENERGY, ALL = (*LIMITED, *FREE), (*LIMITED, *OTHERS)
+JOINT, MPCC, NESTED, AUTO, CONTACT = "joint", "mpcc", "nested", "auto", ("fixed", "nested")
+UNSCALED = {"nlp_scaling_method": "none"}
+SMALL_SHIFTS = {**UNSCALED, "mu_init": 2.0, "bound_mult_init_method": "mu-based"}
+PLAIN_FINISH = {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}
+WARM = {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}
+ABOVE = {"formulations.joint:is_above": lambda *_: False}
+ACTIVE_SET = "rmesh_nlp.contact.active_set"
+
 RULES = (
     Rule(
-        "joint: barrier 2 in units of the pull",
-        ("joint",),
-        LIMITED,
-        {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none"}},
+        "joint: barrier 2 in units of the pull", (JOINT,), LIMITED, {"formulations.joint:_BARRIER": UNSCALED}
     ),
     Rule(
         "joint: shifts of the Hessian by small factors",
-        ("joint",),
+        (JOINT,),
         LIMITED,
-        {
-            "formulations.joint:_BARRIER": {
-                "nlp_scaling_method": "none",
-                "mu_init": 2.0,
-                "bound_mult_init_method": "mu-based",
-            }
-        },
+        {"formulations.joint:_BARRIER": SMALL_SHIFTS},
     ),
     Rule(
         "joint, mpcc: alternating start on fine meshes",
-        ("joint", "mpcc"),
+        (JOINT, MPCC),
         ("fine",),
         {"formulations.joint:FINE": 10**9},
     ),
-    Rule(
-        "joint: Newton steps from near an end",
-        ("joint",),
-        (*LIMITED, *FREE),
-        {"formulations.joint:NEAR": 0.0},
-    ),
+    Rule("joint: Newton steps from near an end", (JOINT,), ENERGY, {"formulations.joint:NEAR": 0.0}),
     Rule(
         "joint: units of displacements far from one",
-        ("joint",),
-        (*LIMITED, *FREE),
+        (JOINT,),
+        ENERGY,
         {"formulations.joint:ORDINARY": (0.0, np.inf)},
     ),
-    Rule(
-        "joint, mpcc: again where the end is above the start",
-        ("joint", "mpcc"),
-        (*LIMITED, *FREE),
-        {"formulations.joint:is_above": lambda *_: False},
-    ),
-    Rule("mpcc: barrier of the energy as in joint", ("mpcc",), LIMITED, {"formulations.mpcc:CENTRED": {}}),
+    Rule("joint, mpcc: again where the end is above the start", (JOINT, MPCC), ENERGY, ABOVE),
+    Rule("mpcc: barrier of the energy as in joint", (MPCC,), LIMITED, {"formulations.mpcc:CENTRED": {}}),
     Rule(
         "mpcc: t falls by 0.01 for other objectives",
-        ("mpcc",),
+        (MPCC,),
         OTHERS,
         {"formulations.mpcc:FACTOR_OTHERS": 0.1},
     ),
     Rule(
         "mpcc: tolerance 1e-12 for other objectives",
-        ("mpcc",),
+        (MPCC,),
         OTHERS,
         {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10},
     ),
-    Rule("mpcc: second path of designs", ("mpcc",), ("design",), settings={"twice": False}),
-    Rule("nested: exact finish at kinks", ("nested",), OTHERS, {"formulations.nested:ROUNDS": 1}),
+    Rule("mpcc: second path of designs", (MPCC,), ("design",), settings={"twice": False}),
+    Rule("nested: exact finish at kinks", (NESTED,), OTHERS, {"formulations.nested:ROUNDS": 1}),
     Rule(
         "nested: barrier of the finish at kinks",
-        ("nested",),
+        (NESTED,),
         OTHERS,
-        {"formulations.kinks:FINISH": {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}},
+        {"formulations.kinks:FINISH": PLAIN_FINISH},
     ),
-    Rule(
-        "nested: warm barrier",
-        ("nested",),
-        (*LIMITED, *OTHERS),
-        {
-            "rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1,
-            "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01,
-        },
-    ),
+    Rule("nested: warm barrier", (NESTED,), ALL, WARM),
     Rule(
         "Newton: last round worthwhile",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
+        (NESTED, AUTO),
+        ENERGY,
         {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
     ),
     Rule(
         "Newton: a first radius of half the gradient step",
-        ("nested",),
+        (NESTED,),
         LIMITED,
         settings={"newton": {"first_radius": 1.0}},
     ),
     Rule(
         "Newton: all products at once up to 200 variables",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
+        (NESTED, AUTO),
+        ENERGY,
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
     Rule(
         "Newton: factorised second derivatives near the end",
-        ("auto",),
+        (AUTO,),
         FREE,
         {"rmesh_nlp.models.regularised_descent:NEAR": 0.0},
     ),
-    Rule(
-        "contact: patience with blocks",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:PATIENCE": 10**6},
-    ),
-    Rule(
-        "contact: guess by the dual",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:FEW": 10**6},
-    ),
-    Rule(
-        "contact: refinement of linear solves",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:EXACT": 1.0},
-    ),
+    Rule("contact: patience with blocks", CONTACT, ALL, {f"{ACTIVE_SET}:PATIENCE": 10**6}),
+    Rule("contact: guess by the dual", CONTACT, ALL, {f"{ACTIVE_SET}:FEW": 10**6}),
+    Rule("contact: refinement of linear solves", CONTACT, ALL, {f"{ACTIVE_SET}:EXACT": 1.0}),
 )
 
 
