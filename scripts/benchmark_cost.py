@@ -54,13 +54,13 @@ def problem(text: str, order: int = 1) -> ContactProblem:
     """``NAME:SIZE`` or a file, without move limits and without its exact solution."""
     name, _, size = text.partition(":")
     if name in EXAMPLES:
-        found = EXAMPLES[name](int(size) if name == "6.1" else (2 * int(size), int(size)))
+        given = EXAMPLES[name](int(size) if name == "6.1" else (2 * int(size), int(size)))
     elif name in CASES or name in MORE:
-        found = {**CASES, **MORE}[name].problem(int(size))
+        given = {**CASES, **MORE}[name].problem(int(size))
     else:
-        found = load_problem(Path(text).resolve())
-    motion = replace(found.motion, delta=None)
-    return replace(found, motion=motion, exact=None, reference=None, order=order)
+        given = load_problem(Path(text).resolve())
+    motion = replace(given.motion, delta=None)
+    return replace(given, motion=motion, exact=None, reference=None, order=order)
 
 
 def units(text: str, order: int = 1) -> list[float]:
@@ -99,8 +99,8 @@ def parts() -> Iterator[dict[str, float]]:
             for path, last in (name.split(":") for name in names.split()):
                 module = path if path.startswith("formulations") else f"rmesh_nlp.{path}"
                 inner = getattr(import_module(module), last)
-                known = [m for n, m in sys.modules.items() if n.startswith(("rmesh_nlp", "formulations"))]
-                owners = [(m, key) for m in known for key, one in vars(m).items() if one is inner]
+                modules = [m for n, m in sys.modules.items() if n.startswith(("rmesh_nlp", "formulations"))]
+                owners = [(m, key) for m in modules for key, value in vars(m).items() if value is inner]
                 for owner, key in [(inner, "__init__")] if isinstance(inner, type) else owners:
                     stack.enter_context(patch.object(owner, key, measured(part, getattr(owner, key))))
         yield seconds

@@ -99,11 +99,11 @@ class StickZone:
         middle, pressure, friction = (x[ends][:-1] + x[ends][1:]) / 2, means(normal), means(tangential)
         held = sticks[ends][:-1] & sticks[ends][1:] & (sticks[inner] if per_edge == 2 else True)
         pressed = (normal[ends][:-1] > 0) & (normal[ends][1:] > 0)
-        left = COEFFICIENT * pressure - np.abs(friction)
+        spare = COEFFICIENT * pressure - np.abs(friction)
         first, last = np.flatnonzero(sticks)[[0, -1]]
         return StickZone(
             tangential_load(state),
-            half_width(middle[held], left[held]),
+            half_width(middle[held], spare[held]),
             half_width(middle[pressed], pressure[pressed]),
             ((x[last] - x[first]) / 2, (x[last + 1] - x[first - 1]) / 2),
             state.iterations,

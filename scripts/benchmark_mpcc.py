@@ -50,9 +50,9 @@ def read_collection(path: Path) -> Iterator[Problem]:
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # dataclasses look there
     spec.loader.exec_module(module)
     for name in module.names():
-        found = module.get(name)
-        program = {key: found[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
-        x0, target = np.asarray(found["x0"], dtype=float), float(found.get("target", math.nan))
+        values = module.get(name)
+        program = {key: values[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
+        x0, target = np.asarray(values["x0"], dtype=float), float(values.get("target", math.nan))
         yield Problem(name, MPCC(**program), x0, target=target)
 
 
@@ -67,19 +67,19 @@ def problems(
         files = (
             [p for p in sorted(path.rglob("*")) if p.suffix.lower() in READERS] if path.is_dir() else [path]
         )
-        yield from ((one.parent.name, read(one)) for one in files)
+        yield from ((file.parent.name, read(file)) for file in files)
     for name in list(FAMILIES) if list(families) == ["all"] else families:
         if name not in (known_families := {**FAMILIES, **LARGE}):
             raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *known_families])}")
-        make, known = known_families[name]
-        yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
+        make, sizes_of = known_families[name]
+        yield from ((name, make(size, seed)) for size in sizes_of[:sizes] for seed in range(seeds))
 
 
 def measured(problem: Problem, x: Array) -> tuple[float, float]:
     """Objective of a point, and the largest of its constraint violation and its products."""
     mpcc = problem.mpcc
-    found = ca.Function("all", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
-    f, g, G, H = (np.asarray(v.full()).ravel() for v in found(x, mpcc.parameters(problem.p0)))
+    values = ca.Function("all", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
+    f, g, G, H = (np.asarray(v.full()).ravel() for v in values(x, mpcc.parameters(problem.p0)))
     excess = [mpcc.lbx - x, x - mpcc.ubx, mpcc.lbg - g, g - mpcc.ubg, -G, -H, np.abs(G * H)]
     return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
 

@@ -57,12 +57,12 @@ def steepest(outer: Outer, q: Array, most: int = MOST) -> Steepest | None:
     every = list(islice(nodes.combinations(), MOST + 1))
     if len(every) > min(most, MOST):
         return None
-    found, systems = Steepest(0.0, np.zeros(q.size), len(every)), _Systems(outer)
+    best, systems = Steepest(0.0, np.zeros(q.size), len(every)), _Systems(outer)
     for active in every:
         rate, direction = _on_branch(outer, point, nodes, active, systems)
-        if rate < found.rate:
-            found = replace(found, rate=rate, direction=direction)
-    return found
+        if rate < best.rate:
+            best = replace(best, rate=rate, direction=direction)
+    return best
 
 
 class _Nodes:
@@ -125,9 +125,9 @@ class _Nodes:
             bound = system.slip_bound + coulomb * state.normal_force
             holds = self.slides & touching if system.coulomb is not None else self.slides
             along, against = bound + state.tangential_force, bound - state.tangential_force
-            one = np.where(sliding != 0, sliding * slip, np.where(self.sign > 0, along, against))
-            two = np.where(self.bare & (sliding == 0), np.where(self.sign > 0, against, along), one)
-            rows += [np.where(holds, part, 0.0)[self.slides] for part in (one, two)]
+            first = np.where(sliding != 0, sliding * slip, np.where(self.sign > 0, along, against))
+            second = np.where(self.bare & (sliding == 0), np.where(self.sign > 0, against, along), first)
+            rows += [np.where(holds, part, 0.0)[self.slides] for part in (first, second)]
         return np.concatenate(rows)
 
 
@@ -151,19 +151,19 @@ def _on_branch(
     function, energy, q, free = outer.function, outer.energy, point.q, outer.discretisation.mesh_map
     assert isinstance(function, ReducedObjective)
 
-    def at(there: Array) -> tuple[ContactSystem, Equilibrium]:
-        system = systems(there)
+    def at(trial: Array) -> tuple[ContactSystem, Equilibrium]:
+        system = systems(trial)
         return system, system.equilibrium(active)
 
-    here = function.of(energy.at(q, *at(q)))
-    gradient = here.gradient / outer.residual.unit
-    slopes = _differences(lambda there: nodes.signs(*at(there)), q)
+    end = function.of(energy.at(q, *at(q)))
+    gradient = end.gradient / outer.residual.unit
+    slopes = _differences(lambda trial: nodes.signs(*at(trial)), q)
     rows = [-_unit_rows(slopes)]
     if outer.relocation.n_valid:
         areas = energy.validity.at(q)
         rows.append(-areas.jacobian[areas.slack <= outer.tolerance].toarray())
     if outer.constraints is not None:
-        bounds = outer.constraints.linearised(here)
+        bounds = outer.constraints.linearised(end)
         active = bounds.slack <= outer.tolerance
         rows.append(-_unit_rows(bounds.jacobian[active].toarray()))
     stacked = np.vstack(rows)
@@ -195,6 +195,9 @@ def _differences(function: Callable[[Array], Array], q: Array) -> Array:
     """Derivatives (rows, n) by central differences of the fourth order."""
     columns: list[NDArray[np.float64]] = []
     for step in STEP * np.eye(q.size):
-        one, two = function(q + step) - function(q - step), function(q + 2 * step) - function(q - 2 * step)
-        columns.append((8 * one - two) / (12 * STEP))
+        first, second = (
+            function(q + step) - function(q - step),
+            function(q + 2 * step) - function(q - 2 * step),
+        )
+        columns.append((8 * first - second) / (12 * STEP))
     return np.array(columns).T.reshape(-1, q.size)

@@ -112,27 +112,27 @@ def run(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
     warnings.simplefilter("ignore")
     warm_up()
     context = multiprocessing.get_context("fork")
-    found = {}
+    ends = {}
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         answers = pool.map(partial(isolated_row, limit=limit), chosen)
         for number, (case, answer) in enumerate(zip(chosen, answers, strict=True), start=1):
-            found[case.name] = answer
+            ends[case.name] = answer
             if number % 50 == 0:
                 print(f"{number} of {len(chosen)} cases", file=sys.stderr, flush=True)
     kernel = os.environ.get("OPENBLAS_CORETYPE", "default")
     return Run(
         kernel=kernel,
-        rows={name: row for name, (row, _) in found.items()},
-        units={name: unit for name, (_, unit) in found.items()},
+        rows={name: row for name, (row, _) in ends.items()},
+        units={name: unit for name, (_, unit) in ends.items()},
     )
 
 
-def seconds(one: Run, chosen: Sequence[Case]) -> dict[str, float]:
+def seconds(single: Run, chosen: Sequence[Case]) -> dict[str, float]:
     """Processor seconds of cases by formulation, at the speed at which the fixed work takes ``UNIT``."""
-    speed = UNIT / median(one["units"][case.name] for case in chosen)
+    speed = UNIT / median(single["units"][case.name] for case in chosen)
     sums: dict[str, float] = defaultdict(float)
     for case in chosen:
-        sums[case.formulation] += speed * one["rows"][case.name]["seconds"]
+        sums[case.formulation] += speed * single["rows"][case.name]["seconds"]
     return sums
 
 
@@ -146,9 +146,9 @@ def write(path: Path, runs: Sequence[Run]) -> None:
         return key
 
     packed = []
-    for one in runs:
+    for single in runs:
         rows: dict[str, Mapping[str, object]] = {}
-        for name, row in one["rows"].items():
+        for name, row in single["rows"].items():
             numbers = [float(f"{value:.{DIGITS}g}") for _, value in sorted(row["numbers"].items())]
             rows[name] = {
                 **row,
@@ -156,8 +156,8 @@ def write(path: Path, runs: Sequence[Run]) -> None:
                 "keys": short(row["keys"]),
                 "numbers": [short(sorted(row["numbers"])), *numbers],
             }
-        units = {name: round(unit, 5) for name, unit in one["units"].items()}
-        packed.append({"kernel": one["kernel"], "rows": rows, "units": units})
+        units = {name: round(unit, 5) for name, unit in single["units"].items()}
+        packed.append({"kernel": single["kernel"], "rows": rows, "units": units})
     text = json.dumps({"names": names, "runs": packed}, sort_keys=True)
     path.write_bytes(gzip.compress(text.encode(), mtime=0))
 
@@ -166,20 +166,20 @@ def read(path: Path) -> list[Run]:
     """The runs of a file."""
     stored = json.loads(gzip.decompress(path.read_bytes()))
     names = stored["names"]
-    for one in stored["runs"]:
-        for row in one["rows"].values():
+    for single in stored["runs"]:
+        for row in single["rows"].values():
             row["keys"] = names[row["keys"]]
             key, *numbers = row["numbers"]
             row["numbers"] = dict(zip(names[key], numbers, strict=True))
     return cast(list[Run], stored["runs"])
 
 
-def against(runs: Sequence[Run], one: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
+def against(runs: Sequence[Run], single: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
     """Print how a run differs from those of a baseline; the exit code."""
-    rows = {case.name: one["rows"][case.name] for case in chosen}
+    rows = {case.name: single["rows"][case.name] for case in chosen}
     result = compare([old["rows"] for old in runs], rows, allowed)
     steady = [case for case in chosen if _is_steady([old["rows"].get(case.name) for old in runs])]
-    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(one, steady))
+    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(single, steady))
     print(result)
     return 1 if result.faults else 0
 
@@ -204,11 +204,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [case for case in cases() if (case.quick or not options.quick) and options.only in case.name]
     print(f"{len(chosen)} cases with {Path(rm.__file__).parent}", file=sys.stderr)
-    one = read(options.rows)[-1] if options.rows else run(chosen, options.jobs, options.limit)
-    chosen = [case for case in chosen if case.name in one["rows"]]
+    single = read(options.rows)[-1] if options.rows else run(chosen, options.jobs, options.limit)
+    chosen = [case for case in chosen if case.name in single["rows"]]
     if options.freeze:
-        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), one])
-    return against(read(options.against), one, chosen, options.allow_missing) if options.against else 0
+        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), single])
+    return against(read(options.against), single, chosen, options.allow_missing) if options.against else 0
 
 
 if __name__ == "__main__":

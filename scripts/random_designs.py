@@ -95,11 +95,11 @@ def random_design(seed: int) -> RandomDesign:
         draw = _Draw(rng)
         try:
             problem = _membrane(draw) if rng.random() < 0.2 else _body(draw)
-            found = _stated(draw, _designed(draw, problem))
+            result = _stated(draw, _designed(draw, problem))
         except ProblemError:  # the foundation cuts a support at the first or at the feasible design
             continue
-        if found is not None:
-            return found
+        if result is not None:
+            return result
 
 
 def _mesh(draw: _Draw) -> MeshTri:
@@ -227,60 +227,60 @@ class _Known:
 def _stated(draw: _Draw, problem: ContactProblem) -> RandomDesign | None:
     """With an objective and constraints; None if nothing is in contact at the feasible design."""
     feasible = {variable.name: float(draw.rng.uniform(*variable.bounds)) for variable in problem.design}
-    there = problem.at_design(feasible)
-    solver = ContactSolver(discretise(there))
+    at_feasible = problem.at_design(feasible)
+    solver = ContactSolver(discretise(at_feasible))
     energy = ReducedEnergy.of(solver)
     point = energy(np.zeros(energy.relocation.n_q))
     state = point.equilibrium
     if state.status is not Status.CONVERGED or not np.any(state.normal_force > 0):
         return None
-    contact, scalar = there.contact_sets[0].obstacle.boundary, there.components == 1
-    known = _Known(
+    contact, scalar = at_feasible.contact_sets[0].obstacle.boundary, at_feasible.components == 1
+    solved = _Known(
         solver,
         energy,
         point,
         contact if isinstance(contact, str) else None,
-        "right" if scalar or there.supports[0].boundary == "top" else "top",
+        "right" if scalar or at_feasible.supports[0].boundary == "top" else "top",
         "u" if scalar else draw.one_of(["ux", "uy"]),
     )
-    objective = _objective(draw, known)
-    constraints = _constraints(draw, known, objective)
+    objective = _objective(draw, solved)
+    constraints = _constraints(draw, solved, objective)
     return RandomDesign(replace(problem, constraints=constraints), objective, feasible)
 
 
-def _objective(draw: _Draw, known: _Known) -> str:
-    free, u, contact = known.free, known.u, known.contact
+def _objective(draw: _Draw, solved: _Known) -> str:
+    free, u, contact = solved.free, solved.u, solved.contact
     shift = draw.rng.uniform(0.8, 1.2)
-    mean = known.value(f"mean({free}, {u})")
+    mean = solved.value(f"mean({free}, {u})")
     objectives = [f"mean({free}, ({u} - {shift * mean:.4g})**2)", "compliance"]
     objectives += [f"boundary({free}, {u}**2) + mean({free}, (x - 1)*{u})"]
     if u == "u":
         objectives.append("body(u_x**2 + u_y**2)")
     if contact is not None:
-        total = shift * known.value(f"resultant({contact})")
+        total = shift * solved.value(f"resultant({contact})")
         objectives += [f"level-pressure({contact})", f"square(resultant({contact}) - {total:.4g})"]
         if u != "u":  # a gap that costs more than what closes it
             objectives.append(f"boundary({contact}, {draw.rng.uniform(1.1, 2.0):.2f}*(y + uy) - y)")
     return str(draw.one_of(objectives))
 
 
-def _constraints(draw: _Draw, known: _Known, objective: str) -> tuple[Constraint, ...]:
+def _constraints(draw: _Draw, solved: _Known, objective: str) -> tuple[Constraint, ...]:
     """Up to three quantities in half of the problems, and a least force where the pressure is levelled."""
-    contact, constraints, chosen = known.contact, [], []
+    contact, constraints, chosen = solved.contact, [], []
     force = f"resultant({contact})"
-    quantities = [f"mean({known.free}, {known.u})", "area"]
+    quantities = [f"mean({solved.free}, {solved.u})", "area"]
     if contact is not None:
         quantities += [force, f"max-pressure({contact})"]
     if draw.rng.random() < 0.5:
         chosen = draw.rng.permutation(quantities)[: draw.rng.integers(1, 4)].tolist()
     if objective == f"level-pressure({contact})":  # else no contact is the best
-        constraints.append(Constraint(force, ((1 - RELAXED) * known.value(force), np.inf)))
+        constraints.append(Constraint(force, ((1 - RELAXED) * solved.value(force), np.inf)))
         chosen = [text for text in chosen if text != force]
     for text in chosen:
         if text.startswith("max"):
-            bounds = (-np.inf, (1 + RELAXED) * known.largest_pressure())
+            bounds = (-np.inf, (1 + RELAXED) * solved.largest_pressure())
         else:
-            at = known.value(text)
+            at = solved.value(text)
             low, high = at - RELAXED * abs(at), at + RELAXED * abs(at)
             bounds = draw.one_of([(low, high), (low, np.inf), (-np.inf, high)])
         constraints.append(Constraint(text, bounds))

@@ -68,21 +68,23 @@ def solved(data: Data, formulation: str, **options: Any) -> Any:
 
 def claimed_factor(record: Row) -> float | None:
     """The factor by which the record says at least that the error fell; None if it claims nothing."""
-    found = record.get("error_reduction") or {}
-    factor = next((found[key] for key in ("factor_lower", "factor") if found.get(key) is not None), None)
+    reduction = record.get("error_reduction") or {}
+    factor = next(
+        (reduction[key] for key in ("factor_lower", "factor") if reduction.get(key) is not None), None
+    )
     return float(factor[0] if isinstance(factor, (list, tuple)) else factor) if factor is not None else None
 
 
 def certificate(solution: Any) -> Row:
     """Bounds of the package's certificate and whether it prints a percentage, or why there is none."""
     try:
-        found = rm.certify(solution)
+        bounds = rm.certify(solution)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"remark": str(error)[:200]}
-    record = {"energy_lower_bound": found.lower, "energy_upper_bound": found.upper}
-    record |= {"error_bound": found.error_bound, "why": found.why}
-    record |= {name: getattr(found, name) for name in ("guaranteed_lower", "guaranteed_upper")}
-    return {**record, "percent": "%" in found.sentence}
+    record = {"energy_lower_bound": bounds.lower, "energy_upper_bound": bounds.upper}
+    record |= {"error_bound": bounds.error_bound, "why": bounds.why}
+    record |= {name: getattr(bounds, name) for name in ("guaranteed_lower", "guaranteed_upper")}
+    return {**record, "percent": "%" in bounds.sentence}
 
 
 def contradiction(record: Row) -> bool:
@@ -172,16 +174,16 @@ def found_faults(row: Row) -> list[str]:
         "overclaimed": (row["claimed"] or 0) > OVERCLAIM * most,
         "audited below truth": any(value is not None and value < J - slack for value in row["audited"]),
     }
-    found = row.get("certificate", {})
-    if "percent" in found:
-        lower, upper = found["energy_lower_bound"], found["energy_upper_bound"]
+    bounds = row.get("certificate", {})
+    if "percent" in bounds:
+        lower, upper = bounds["energy_lower_bound"], bounds["energy_upper_bound"]
         unsure = math.sqrt(2 * (max(row["fine_error"], 0) + bar))  # of the reference in the energy norm
-        both = found["guaranteed_lower"] and found["guaranteed_upper"]
+        both = bounds["guaranteed_lower"] and bounds["guaranteed_upper"]
         wrong |= {
-            "lower bound": found["guaranteed_lower"] and lower > J + slack,
-            "upper bound": found["guaranteed_upper"] and upper < J - slack,
-            "error bound": both and found["error_bound"] < row["own"][-1]["norm"] - unsure,
-            "crossed bounds": found["percent"] and upper < lower,
+            "lower bound": bounds["guaranteed_lower"] and lower > J + slack,
+            "upper bound": bounds["guaranteed_upper"] and upper < J - slack,
+            "error bound": both and bounds["error_bound"] < row["own"][-1]["norm"] - unsure,
+            "crossed bounds": bounds["percent"] and upper < lower,
         }
     return [fault for fault, bad in wrong.items() if bad]
 

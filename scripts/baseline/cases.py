@@ -142,8 +142,8 @@ def mpcc(program: Callable[[], tuple[rm.MPCC, object]]) -> End:
 
 
 def _of_family(name: str, size: int, seed: int) -> tuple[rm.MPCC, object]:
-    found = {**FAMILIES, **LARGE}[name][0](size, seed)
-    return found.mpcc, found.x0
+    problem = {**FAMILIES, **LARGE}[name][0](size, seed)
+    return problem.mpcc, problem.x0
 
 
 def _of_bilevel(name: str) -> tuple[rm.MPCC, object]:

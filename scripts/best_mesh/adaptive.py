@@ -245,13 +245,13 @@ def indicators(problem: Equations, solved: Solved) -> NDArray:
     ends, place = mesh.facets[:, rim.find], np.asarray(rim.global_coordinates())
     middle = mesh.p[:, ends].mean(axis=1)
     jump = traction(rim, rim.interpolate(solved.u).grad) - problem.traction(place)
-    known = np.broadcast_to(problem.held(middle) > 0, (components, middle.shape[1])).copy()
-    known[-1] |= solved.touching[ends].any(axis=0)
+    is_given = np.broadcast_to(problem.held(middle) > 0, (components, middle.shape[1])).copy()
+    is_given[-1] |= solved.touching[ends].any(axis=0)
     if problem.friction is not None:
         contact, slip = problem.above(middle) > 0, solved.slip[ends]
-        known[0] |= contact & (slip == 0).any(axis=0)
+        is_given[0] |= contact & (slip == 0).any(axis=0)
         jump[0] += (contact * slip.mean(axis=0))[:, None] * problem.friction(place)
-    jump = np.where(known[..., None], 0.0, jump)
+    jump = np.where(is_given[..., None], 0.0, jump)
     return result + np.bincount(mesh.f2t[0, rim.find], weighted(rim, jump), mesh.nelements)
 
 

@@ -47,7 +47,7 @@ class Case:
 
     def __str__(self) -> str:
         before, after, problem = self.before, self.after, self.before.problem
-        audited = [one.energy_audited for one in (before, after)]
+        audited = [solution.energy_audited for solution in (before, after)]
         return (
             f"{problem.name}: {np.sum(~problem.held()[0])} unknowns\n"
             f"  energy       {before.energy:.8g} -> {after.energy:.8g} (joint), "
@@ -72,7 +72,7 @@ def run(problem: ContactProblem, error: Error) -> Case:
         assert solution.success, f"{solution.formulation}: {solution.status.message}"
         assert solution.assessment.final.min_area_ratio > 0
     # of the continuous problem: one of them may have been solved again by a safe discretisation
-    given, best, second = (one.energy_audited for one in solutions)
+    given, best, second = (solution.energy_audited for solution in solutions)
     assert best <= given
     difference = abs(best - second) / max(abs(best), 1e-300)
     assert difference <= AGREEMENT, f"joint and nested differ by {difference:.1e}"
@@ -126,8 +126,8 @@ def command_line(main: Callable[[int], Any], n: int, draw: Callable[[Any, Path],
     parser.add_argument("--n", type=int, default=n, help=f"size of the grid (default {n})")
     parser.add_argument("--picture", type=Path, help="file to draw to")
     options = parser.parse_args()
-    found = main(options.n)
-    if isinstance(found, Case):
-        print(found)
+    result = main(options.n)
+    if isinstance(result, Case):
+        print(result)
     if options.picture is not None:
-        draw(found, options.picture)
+        draw(result, options.picture)

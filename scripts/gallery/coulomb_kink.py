@@ -86,9 +86,9 @@ def across(solution: rm.Solution, points: int = 41) -> Across:
     return Across(float(solution.mesh.p[0, node]), np.array(x), *np.array(rows).T)
 
 
-def slopes(found: Across) -> tuple[float, float]:
+def slopes(kink: Across) -> tuple[float, float]:
     """Of the objective per unit of length, on either side of where the solve ended."""
-    rates = np.diff(found.value) / np.diff(found.x)
+    rates = np.diff(kink.value) / np.diff(kink.x)
     middle = len(rates) // 2
     return float(rates[middle - 1]), float(rates[middle])
 
@@ -96,18 +96,18 @@ def slopes(found: Across) -> tuple[float, float]:
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
     """The objective across the kink, slip and reserve of friction there, and the whole contact at the end."""
     end = solutions["nested"]
-    found = across(end)
+    kink = across(end)
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    distance = 1e3 * (found.x - found.best)
-    axes[0].plot(distance, 1e6 * (found.value - found.value[len(distance) // 2]), color=BLUE)
+    distance = 1e3 * (kink.x - kink.best)
+    axes[0].plot(distance, 1e6 * (kink.value - kink.value[len(distance) // 2]), color=BLUE)
     axes[0].set(ylabel="objective, from its end [1e-6 m]", title="the objective has a kink")
-    axes[1].plot(distance, found.slip / found.slip.max(), color=ORANGE, label="slip")
-    reserve = found.reserve / found.reserve.max()
+    axes[1].plot(distance, kink.slip / kink.slip.max(), color=ORANGE, label="slip")
+    reserve = kink.reserve / kink.reserve.max()
     axes[1].plot(distance, reserve, "--", color=GREEN, label=r"$F p - |\tau|$")
     axes[1].set(ylabel="over the largest", title="where slip and reserve vanish")
     axes[1].legend(frameon=False)
     for axis in axes[:2]:
-        axis.set_xlabel(f"the node at x = {found.best:.3f} moved by [1e-3 m]")
+        axis.set_xlabel(f"the node at x = {kink.best:.3f} moved by [1e-3 m]")
         axis.axvspan(0.0, distance[-1], color="0.92", zorder=0)
     axes[0].text(0.75, 0.9, "beyond its\nmove limit", transform=axes[0].transAxes, ha="center", va="top")
     _contact(axes[2], end)

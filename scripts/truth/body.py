@@ -97,11 +97,11 @@ class Body:
         yield every, middles, np.repeat(self.polygon[:, None] / 3, 3, axis=1)
         (s, w), (r, v) = composite(1, 8), composite(1, 4)
         for name, (x, y, radius) in self.data.circles.items():
-            one, two = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
-            length, away = np.linalg.norm(two - one, axis=0), (one + two) / 2 - [[[x]], [[y]]]
+            first, second = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
+            length, away = np.linalg.norm(second - first, axis=0), (first + second) / 2 - [[[x]], [[y]]]
             high = np.sqrt(radius**2 - ((s - 0.5) * length) ** 2) - np.sqrt(radius**2 - length**2 / 4)
             up = np.multiply.outer(high, r) * (away / np.linalg.norm(away, axis=0))[..., None]
-            points = (one * (1 - s) + two * s)[..., None] + up
+            points = (first * (1 - s) + second * s)[..., None] + up
             weights = np.multiply.outer(self.outward(name)[:, None] * length * high * w, v)
             n = length.size
             yield self.mesh.f2t[0, self.facets(name)], points.reshape(2, n, -1), weights.reshape(n, -1)
@@ -140,25 +140,25 @@ class Body:
     def locate(self, points: np.ndarray) -> np.ndarray:
         """Triangles of points (2, n); of points beyond the mesh those that they are least outside of."""
         tree = cKDTree(self.p[:, self.t].mean(axis=1).T)
-        found, inside = np.zeros(points.shape[1], dtype=int), np.full(points.shape[1], -np.inf)
+        triangle, inside = np.zeros(points.shape[1], dtype=int), np.full(points.shape[1], -np.inf)
         for elements in np.atleast_2d(tree.query(points.T, min(40, self.t.shape[1]))[1].T):
             todo = np.flatnonzero(inside < -1e-9)
             least = self.hats(elements[todo], points[:, todo, None]).min(axis=0)[:, 0]
             better = least > inside[todo]
-            found[todo[better]], inside[todo[better]] = elements[todo][better], least[better]
-        return found
+            triangle[todo[better]], inside[todo[better]] = elements[todo][better], least[better]
+        return triangle
 
     def trace(self, name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, csr_matrix]:
         """Points (2, n, m) at parameters t of a boundary's edges or arcs, lengths (n, 1), and :meth:`at`."""
-        one, two = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
+        first, second = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
         if name in self.data.circles:
             x, y, radius = self.data.circles[name]
-            first, last = (np.arctan2(end[1] - y, end[0] - x) for end in (one, two))
+            first, last = (np.arctan2(end[1] - y, end[0] - x) for end in (first, second))
             turn = (last - first + np.pi) % (2 * np.pi) - np.pi
             points = np.stack([x + radius * np.cos(first + turn * t), y + radius * np.sin(first + turn * t)])
             length = radius * np.abs(turn)
         else:
-            points, length = one * (1 - t) + two * t, np.linalg.norm(two - one, axis=0)
+            points, length = first * (1 - t) + second * t, np.linalg.norm(second - first, axis=0)
         return points, length, self.at(self.mesh.f2t[0, self.facets(name)], points)
 
     def loads(self, n: int) -> np.ndarray:
@@ -170,8 +170,8 @@ class Body:
         X, W = np.stack([a.ravel(), (b * (1 - a)).ravel()]), (v * w * (1 - a)).ravel()  # collapsed square
         every, corners = self.cut()
         points = corners[:, 0, :, None] + np.einsum("iae,aq->ieq", corners[:, 1:] - corners[:, :1], X)
-        one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area, material_of = np.abs(one[0] * two[1] - one[1] * two[0]) / 2, self.material[every]
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area, material_of = np.abs(first[0] * second[1] - first[1] * second[0]) / 2, self.material[every]
         shapes, F = self.values(every, points), np.zeros(self.c * self.size)
         for number, material in enumerate(self.data.materials):
             weights = 2 * W * (area * (material_of == number))[:, None]
