@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import contextlib
 import gzip
-import hashlib
 import json
 import multiprocessing
 import os
@@ -25,7 +24,7 @@ import sys
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -107,7 +106,7 @@ def warm_up() -> None:
         rm.solve(rm.EXAMPLES["6.1"](n=3), formulation)
 
 
-def run(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
+def solved(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
     """Run cases in a pool of processes."""
     warnings.simplefilter("ignore")
     warm_up()
@@ -127,59 +126,44 @@ def run(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
     )
 
 
-def seconds(single: Run, chosen: Sequence[Case]) -> dict[str, float]:
+def seconds(run: Run, chosen: Sequence[Case]) -> dict[str, float]:
     """Processor seconds of cases by formulation, at the speed at which the fixed work takes ``UNIT``."""
-    speed = UNIT / median(single["units"][case.name] for case in chosen)
+    speed = UNIT / median(run["units"][case.name] for case in chosen)
     sums: dict[str, float] = defaultdict(float)
     for case in chosen:
-        sums[case.formulation] += speed * single["rows"][case.name]["seconds"]
+        sums[case.formulation] += speed * run["rows"][case.name]["seconds"]
     return sums
 
 
 def write(path: Path, runs: Sequence[Run]) -> None:
-    """Write runs, each set of names once and under its hash."""
-    names: dict[str, list[str]] = {}
+    """Write runs, their numbers with ``DIGITS`` digits."""
 
-    def short(keys: list[str]) -> str:
-        key = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:8]
-        names[key] = keys
-        return key
+    def short(row: Row) -> Row:
+        numbers = {key: float(f"{value:.{DIGITS}g}") for key, value in row["numbers"].items()}
+        return {**row, "seconds": round(row["seconds"], 4), "numbers": numbers}
 
-    packed = []
-    for single in runs:
-        rows: dict[str, Mapping[str, object]] = {}
-        for name, row in single["rows"].items():
-            numbers = [float(f"{value:.{DIGITS}g}") for _, value in sorted(row["numbers"].items())]
-            rows[name] = {
-                **row,
-                "seconds": round(row["seconds"], 4),
-                "keys": short(row["keys"]),
-                "numbers": [short(sorted(row["numbers"])), *numbers],
-            }
-        units = {name: round(unit, 5) for name, unit in single["units"].items()}
-        packed.append({"kernel": single["kernel"], "rows": rows, "units": units})
-    text = json.dumps({"names": names, "runs": packed}, sort_keys=True)
-    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+    rounded = [
+        Run(
+            kernel=run["kernel"],
+            rows={name: short(row) for name, row in run["rows"].items()},
+            units={name: round(unit, 5) for name, unit in run["units"].items()},
+        )
+        for run in runs
+    ]
+    path.write_bytes(gzip.compress(json.dumps(rounded, sort_keys=True).encode(), mtime=0))
 
 
 def read(path: Path) -> list[Run]:
     """The runs of a file."""
-    stored = json.loads(gzip.decompress(path.read_bytes()))
-    names = stored["names"]
-    for single in stored["runs"]:
-        for row in single["rows"].values():
-            row["keys"] = names[row["keys"]]
-            key, *numbers = row["numbers"]
-            row["numbers"] = dict(zip(names[key], numbers, strict=True))
-    return cast(list[Run], stored["runs"])
+    return cast(list[Run], json.loads(gzip.decompress(path.read_bytes())))
 
 
-def against(runs: Sequence[Run], single: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
+def against(runs: Sequence[Run], latest: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
     """Print how a run differs from those of a baseline; the exit code."""
-    rows = {case.name: single["rows"][case.name] for case in chosen}
+    rows = {case.name: latest["rows"][case.name] for case in chosen}
     result = compare([old["rows"] for old in runs], rows, allowed)
     steady = [case for case in chosen if _is_steady([old["rows"].get(case.name) for old in runs])]
-    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(single, steady))
+    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(latest, steady))
     print(result)
     return 1 if result.faults else 0
 
@@ -204,11 +188,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [case for case in cases() if (case.quick or not options.quick) and options.only in case.name]
     print(f"{len(chosen)} cases with {Path(rm.__file__).parent}", file=sys.stderr)
-    single = read(options.rows)[-1] if options.rows else run(chosen, options.jobs, options.limit)
-    chosen = [case for case in chosen if case.name in single["rows"]]
+    latest = read(options.rows)[-1] if options.rows else solved(chosen, options.jobs, options.limit)
+    chosen = [case for case in chosen if case.name in latest["rows"]]
     if options.freeze:
-        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), single])
-    return against(read(options.against), single, chosen, options.allow_missing) if options.against else 0
+        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), latest])
+    return against(read(options.against), latest, chosen, options.allow_missing) if options.against else 0
 
 
 if __name__ == "__main__":
