@@ -12,7 +12,7 @@ violation and products G H are at most 1e-6, lowest one whose objective is also 
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
 build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
 DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure (not
-in "all") also DIR/size.png, time against pairs. ``--resume`` keeps the rows in DIR.
+in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
 """
 
 from __future__ import annotations
@@ -181,7 +181,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
     parser.add_argument("--together", action="store_true", help="in this process, without a limit")
-    parser.add_argument("--resume", action="store_true", help="solve only what --out has no row of")
     options = parser.parse_args(arguments)
     families = options.families.split(",") if options.families else []
     try:
@@ -193,10 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     installed = [name for name in options.solvers if all(map(importlib.util.find_spec, NEEDS.get(name, ())))]
     warm = ca.SX.sym("warm")  # loading Ipopt's library is nobody's cost
     ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": {"print_level": 0, "sb": "yes"}})(x0=1)
-    path = options.out / "rows.jsonl"
-    if not options.resume:
-        path.unlink(missing_ok=True)
-    store = Store(path)
+    store = Store(options.out / "rows.jsonl")
     for (group, problem), solver in product(chosen, installed):
         if not store.has(problem=problem.name, solver=solver):
             row = solved(group, problem, solver, options.limit, options.together)

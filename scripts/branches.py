@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice, product
 
 import numpy as np
@@ -32,6 +33,8 @@ STEP = 1e-4
 
 MOST = 1 << 12
 """Branches beyond which none are searched."""
+
+Systems = Callable[[Array], ContactSystem]
 
 State = tuple[bool, int]
 """Whether a node touches, and how it slides."""
@@ -57,7 +60,7 @@ def steepest(outer: Outer, q: Array, most: int = MOST) -> Steepest | None:
     every = list(islice(nodes.combinations(), MOST + 1))
     if len(every) > min(most, MOST):
         return None
-    best, systems = Steepest(0.0, np.zeros(q.size), len(every)), _Systems(outer)
+    best, systems = Steepest(0.0, np.zeros(q.size), len(every)), _systems(outer)
     for active in every:
         rate, direction = _on_branch(outer, point, nodes, active, systems)
         if rate < best.rate:
@@ -131,22 +134,14 @@ class _Nodes:
         return np.concatenate(rows)
 
 
-class _Systems(dict[bytes, ContactSystem]):
+def _systems(outer: Outer) -> Systems:
     """Contact systems by outer variables: those of the differences are the same on every branch."""
-
-    def __init__(self, outer: Outer) -> None:
-        self._outer = outer
-
-    def __call__(self, q: Array) -> ContactSystem:
-        """The system at outer variables."""
-        key = q.tobytes()
-        if key not in self:
-            self[key] = self._outer.system(q)
-        return self[key]
+    kept = cache(lambda key: outer.system(np.frombuffer(key)))
+    return lambda q: kept(q.tobytes())
 
 
 def _on_branch(
-    outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet, systems: _Systems
+    outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet, systems: Systems
 ) -> tuple[float, Array]:
     function, energy, q, free = outer.function, outer.energy, point.q, outer.discretisation.mesh_map
     assert isinstance(function, ReducedObjective)

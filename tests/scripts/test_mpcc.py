@@ -125,7 +125,7 @@ def test_resumed_run_solves_only_what_is_missing(tmp_path, capsys):
     rows = tmp_path / "rows.jsonl"
     assert benchmark.main([*same, "--solvers", "rmesh_nlp.mpcc"]) == 0
     (first,) = rows.read_text(encoding="utf-8").splitlines()
-    both = ["--solvers", "rmesh_nlp.mpcc", "plain Scholtes loop", "--resume"]
+    both = ["--solvers", "rmesh_nlp.mpcc", "plain Scholtes loop"]
     assert benchmark.main([*same, *both]) == 0
     again, added = rows.read_text(encoding="utf-8").splitlines()
     assert again == first
