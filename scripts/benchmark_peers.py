@@ -132,8 +132,9 @@ def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each solver on each problem, in Markdown; ratios of times are medians, run by run."""
-    lines = []
-    for problem, of_problem in pd.DataFrame(rows).groupby("problem", sort=False):
+    columns = ["problem", "solver", "status", "value", "least area", "iterations", "seconds"]
+    frame, lines = pd.DataFrame(rows, columns=columns), []
+    for problem, of_problem in frame.groupby("problem", sort=False):
         first = of_problem[of_problem.solver == of_problem.solver.iloc[0]].seconds.to_numpy()
         for solver, own in of_problem.groupby("solver", sort=False):
             seconds, last = own.seconds.to_numpy(), own.iloc[-1]
