@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 
 from best_mesh import adaptive as plain
 from best_mesh import methods
-from best_mesh.cases import CASES, MORE, Case
+from best_mesh.cases import CASES, MORE, Case, extrapolated
 from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
 from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
 from rmesh_nlp.models.remeshing import Solved, metric_start
@@ -102,9 +102,7 @@ def limit(rows: Sequence[Row], case: str, method: str, size: int) -> tuple[float
     meshes = of(rows, case, method, 2).query("size == @size")
     if len(meshes) < 2:
         return float("nan"), float("nan")
-    coarse, fine = meshes.itertuples()
-    rest = (coarse.error - fine.error) / ((fine.nodes / coarse.nodes) ** 2 - 1)
-    return fine.error - rest, abs(rest)
+    return extrapolated(*zip(meshes.nodes, meshes.error, strict=True), rate=2)
 
 
 def measured(store: Store, case: Case, levels: int | None) -> None:

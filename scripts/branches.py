@@ -102,16 +102,20 @@ class _Nodes:
         return [(touch, slide) for touch in touches for slide in (0, int(self.sign[node]))]
 
     @property
+    def weak(self) -> NDArray[np.intp]:
+        """Their places among the contact nodes."""
+        return np.flatnonzero(self.opens | self.slides)
+
+    @property
     def sliding(self) -> bool:
         """Whether there is friction at all."""
         return self.active.sliding.size > 0
 
     def combinations(self) -> Iterator[ActiveSet]:
         """The active sets of all branches."""
-        weak = np.flatnonzero(self.opens | self.slides)
-        for states in product(*(self._states(int(node)) for node in weak)):
+        for states in product(*(self._states(int(node)) for node in self.weak)):
             touching, sliding = self.active.touching.copy(), self.active.sliding.copy()
-            for node, (touch, slide) in zip(weak, states, strict=True):
+            for node, (touch, slide) in zip(self.weak, states, strict=True):
                 touching[node] = touch
                 if self.sliding:
                     sliding[node] = slide
@@ -152,8 +156,9 @@ def _on_branch(
 
     end = function.of(energy.at(q, *at(q)))
     gradient = end.gradient / outer.residual.unit
-    slopes = _differences(lambda trial: nodes.signs(*at(trial)), q)
-    rows = [-_unit_rows(slopes)]
+    rows = [np.zeros((0, q.size))]
+    if nodes.weak.size:
+        rows.append(-_unit_rows(_differences(lambda trial: nodes.signs(*at(trial)), q)))
     if outer.relocation.n_valid:
         areas = energy.validity.at(q)
         rows.append(-areas.jacobian[areas.slack <= outer.tolerance].toarray())

@@ -62,11 +62,20 @@ def reference(problem: ContactProblem, nodes: int) -> Reference:
     meshes = [replace(problem, exact=None, reference=None)]
     while meshes[-1].mesh.p.shape[1] < nodes:
         meshes.append(next_mesh(meshes[-1]))
-    counts = [int(one.mesh.p.shape[1]) for one in meshes]
+    counts = [int(mesh.mesh.p.shape[1]) for mesh in meshes]
     half = next(k for k in reversed(range(len(counts))) if counts[k] <= counts[-1] / 2 or k == 0)
-    higher, least = (admissible(meshes[k]).energy for k in (half, -1))
-    doubt = (higher - least) * counts[half] / (counts[-1] - counts[half])
-    return Reference(meshes[-1], least - doubt, abs(doubt))
+    energies = ((counts[k], admissible(meshes[k]).energy) for k in (half, -1))
+    return Reference(meshes[-1], *extrapolated(*energies))
+
+
+def extrapolated(coarse: tuple[int, float], fine: tuple[int, float], rate: int = 1) -> tuple[float, float]:
+    """The energy that two meshes tend to, by their nodes and energies, and how far it is from the second.
+
+    Errors fall like the number of nodes to the power of ``-rate``.
+    """
+    (before, higher), (last, least) = coarse, fine
+    rest = (higher - least) / ((last / before) ** rate - 1)
+    return least - rest, abs(rest)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from best_mesh.cases import RULE
+from best_mesh.cases import RULE, extrapolated
 from best_mesh.methods import by_default, unknowns
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.examples.random_problems import random_problem
@@ -46,9 +46,7 @@ def reference(problem: ContactProblem) -> tuple[float, float]:
     for nodes in FINE_NODES:
         start = metric_start(start, nodes).solved
         meshes.append((unknowns(start.problem), admissible(start.problem).energy))
-    (before, higher), (last, least) = meshes
-    doubt = (higher - least) * before / (last - before)
-    return least - doubt, abs(doubt)
+    return extrapolated(*meshes)
 
 
 def compared(seed: int) -> Row:
