@@ -1,6 +1,6 @@
 """Which special rules earn their place: each is switched off in turn, on problems that chose none of them.
 
-``python scripts/ablation.py ROWS.jsonl`` solves the problems as they are and then without each rule, adds a
+``python scripts/ablation.py --out DIR`` solves the problems as they are and then without each rule, adds a
 row for each solve (a run that was stopped goes on), and prints a table: change of the gain, failures, and
 cost. The problems are random ones of seeds that no other script has, meshes of gmsh and random designs. A
 rule is a number or a table of options in a module, beside the plain value that takes its place.
@@ -8,19 +8,17 @@ rule is a number or a table of options in a module, beside the plain value that 
 
 from __future__ import annotations
 
-import argparse
 import importlib
-import json
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from statistics import median
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
+import pandas as pd
 
 import rmesh_nlp as rm
 from random_designs import random_design
@@ -28,13 +26,11 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS
 from rmesh_nlp.problem import Relative
+from rows import Row, Store, command_line, markdown
 
 SEEDS, DESIGN_SEEDS = range(91_000, 91_012), range(92_000, 92_008)
 SECONDS = 60.0
 """Of each solve."""
-
-SAME = 0.02
-"""Change of a median that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +78,7 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
     for name, problem in shaped():
         cases[f"limits {name}"] = "limits", limited(0.5)(problem), "energy"
         cases[f"free {name}"] = "free", unlimited(problem), "energy"
-    for n in (40,):
-        cases[f"fine {n}"] = "fine", rm.EXAMPLES["6.1"](n), "energy"
+    cases["fine 40"] = "fine", rm.EXAMPLES["6.1"](40), "energy"
     for seed in DESIGN_SEEDS:
         drawn = random_design(seed)
         cases[f"design {seed}"] = "design", drawn.problem, drawn.objective
@@ -91,147 +86,110 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
 
 
 LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
+ENERGY, ALL = (*LIMITED, *FREE), (*LIMITED, *OTHERS)
+JOINT, MPCC, NESTED, AUTO, CONTACT = "joint", "mpcc", "nested", "auto", ("fixed", "nested")
+UNSCALED = {"nlp_scaling_method": "none"}
+SMALL_SHIFTS = {**UNSCALED, "mu_init": 2.0, "bound_mult_init_method": "mu-based"}
+PLAIN_FINISH = {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}
+WARM = {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}
+ABOVE = {"formulations.joint:is_above": lambda *_: False}
+ACTIVE_SET = "rmesh_nlp.contact.active_set"
+
 RULES = (
     Rule(
-        "joint: barrier 2 in units of the pull",
-        ("joint",),
-        LIMITED,
-        {"formulations.joint:_BARRIER": {"nlp_scaling_method": "none"}},
+        "joint: barrier 2 in units of the pull", (JOINT,), LIMITED, {"formulations.joint:_BARRIER": UNSCALED}
     ),
     Rule(
         "joint: shifts of the Hessian by small factors",
-        ("joint",),
+        (JOINT,),
         LIMITED,
-        {
-            "formulations.joint:_BARRIER": {
-                "nlp_scaling_method": "none",
-                "mu_init": 2.0,
-                "bound_mult_init_method": "mu-based",
-            }
-        },
+        {"formulations.joint:_BARRIER": SMALL_SHIFTS},
     ),
     Rule(
         "joint, mpcc: alternating start on fine meshes",
-        ("joint", "mpcc"),
+        (JOINT, MPCC),
         ("fine",),
         {"formulations.joint:FINE": 10**9},
     ),
-    Rule(
-        "joint: Newton steps from near an end",
-        ("joint",),
-        (*LIMITED, *FREE),
-        {"formulations.joint:NEAR": 0.0},
-    ),
+    Rule("joint: Newton steps from near an end", (JOINT,), ENERGY, {"formulations.joint:NEAR": 0.0}),
     Rule(
         "joint: units of displacements far from one",
-        ("joint",),
-        (*LIMITED, *FREE),
+        (JOINT,),
+        ENERGY,
         {"formulations.joint:ORDINARY": (0.0, np.inf)},
     ),
-    Rule(
-        "joint, mpcc: again where the end is above the start",
-        ("joint", "mpcc"),
-        (*LIMITED, *FREE),
-        {"formulations.joint:is_above": lambda *_: False},
-    ),
-    Rule("mpcc: barrier of the energy as in joint", ("mpcc",), LIMITED, {"formulations.mpcc:CENTRED": {}}),
+    Rule("joint, mpcc: again where the end is above the start", (JOINT, MPCC), ENERGY, ABOVE),
+    Rule("mpcc: barrier of the energy as in joint", (MPCC,), LIMITED, {"formulations.mpcc:CENTRED": {}}),
     Rule(
         "mpcc: t falls by 0.01 for other objectives",
-        ("mpcc",),
+        (MPCC,),
         OTHERS,
         {"formulations.mpcc:FACTOR_OTHERS": 0.1},
     ),
     Rule(
         "mpcc: tolerance 1e-12 for other objectives",
-        ("mpcc",),
+        (MPCC,),
         OTHERS,
         {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10},
     ),
-    Rule("mpcc: second path of designs", ("mpcc",), ("design",), settings={"twice": False}),
-    Rule("nested: exact finish at kinks", ("nested",), OTHERS, {"formulations.nested:ROUNDS": 1}),
+    Rule("mpcc: second path of designs", (MPCC,), ("design",), settings={"twice": False}),
+    Rule("nested: exact finish at kinks", (NESTED,), OTHERS, {"formulations.nested:ROUNDS": 1}),
     Rule(
         "nested: barrier of the finish at kinks",
-        ("nested",),
+        (NESTED,),
         OTHERS,
-        {"formulations.kinks:FINISH": {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}},
+        {"formulations.kinks:FINISH": PLAIN_FINISH},
     ),
-    Rule(
-        "nested: warm barrier",
-        ("nested",),
-        (*LIMITED, *OTHERS),
-        {
-            "rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1,
-            "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01,
-        },
-    ),
+    Rule("nested: warm barrier", (NESTED,), ALL, WARM),
     Rule(
         "Newton: last round worthwhile",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
+        (NESTED, AUTO),
+        ENERGY,
         {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
     ),
     Rule(
         "Newton: a first radius of half the gradient step",
-        ("nested",),
+        (NESTED,),
         LIMITED,
         settings={"newton": {"first_radius": 1.0}},
     ),
     Rule(
         "Newton: all products at once up to 200 variables",
-        ("nested", "auto"),
-        (*LIMITED, *FREE),
+        (NESTED, AUTO),
+        ENERGY,
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
     Rule(
         "Newton: factorised second derivatives near the end",
-        ("auto",),
+        (AUTO,),
         FREE,
         {"rmesh_nlp.models.regularised_descent:NEAR": 0.0},
     ),
-    Rule(
-        "contact: patience with blocks",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:PATIENCE": 10**6},
-    ),
-    Rule(
-        "contact: guess by the dual",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:FEW": 10**6},
-    ),
-    Rule(
-        "contact: refinement of linear solves",
-        ("fixed", "nested"),
-        (*LIMITED, *OTHERS),
-        {"rmesh_nlp.contact.active_set:EXACT": 1.0},
-    ),
+    Rule("contact: patience with blocks", CONTACT, ALL, {f"{ACTIVE_SET}:PATIENCE": 10**6}),
+    Rule("contact: guess by the dual", CONTACT, ALL, {f"{ACTIVE_SET}:FEW": 10**6}),
+    Rule("contact: refinement of linear solves", CONTACT, ALL, {f"{ACTIVE_SET}:EXACT": 1.0}),
 )
 
 
 @contextmanager
 def without(rule: Rule) -> Iterator[None]:
     """The plain values in every module that has the rule's."""
-    changed: list[tuple[Any, str, Any]] = []
-    for place, plain in rule.values.items():
-        module, name = place.split(":")
-        value = getattr(importlib.import_module(module), name)
-        for other in list(sys.modules.values()):
-            if other.__name__.startswith(("rmesh_nlp", "formulations")) and vars(other).get(name) is value:
-                changed.append((other, name, value))
-                setattr(other, name, plain)
-    try:
+    with ExitStack() as stack:
+        for place, plain in rule.values.items():
+            module, name = place.split(":")
+            value = getattr(importlib.import_module(module), name)
+            for other in list(sys.modules.values()):
+                of_package = other.__name__.startswith(("rmesh_nlp", "formulations"))
+                if of_package and vars(other).get(name) is value:
+                    stack.enter_context(patch.object(other, name, plain))
         yield
-    finally:
-        for other, name, value in reversed(changed):
-            setattr(other, name, value)
 
 
 PLAIN = Rule("as it is", ("fixed", "joint", "mpcc", "nested", "auto"), (*LIMITED, *FREE, *OTHERS))
 NOT_FOR = {("joint", "other"), ("joint", "design"), ("auto", "limits"), ("auto", "fine"), ("fixed", "free")}
 
 
-def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: str) -> dict[str, Any]:
+def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: str) -> Row:
     """Gain in what is minimised, success and cost in contact solves and factorisations."""
     with without(rule), warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -249,65 +207,43 @@ def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: 
     return {"success": record["success"], "status": record["status"], "gain": gain, "cost": cost}
 
 
-def missing(rows: Mapping[tuple[str, str, str], Any]) -> Iterator[tuple[Rule, str, str]]:
-    """Solves that no row has yet: as it is first."""
-    for rule in (PLAIN, *RULES):
-        for name, (kind, _, _) in CASES.items():
-            for formulation in rule.formulations if kind in rule.kinds else ():
-                if (formulation, kind) not in NOT_FOR and (rule.name, formulation, name) not in rows:
-                    yield rule, formulation, name
-
-
-def table(rows: Mapping[tuple[str, str, str], dict[str, Any]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Per rule: cases, median and least gain over that with the rule, how many ended otherwise, and cost."""
-    lines = [
-        "| rule | solves | median gain without | least | successes lost, won | converged lost, won | cost |",
-        "|---|--:|--:|--:|--:|--:|--:|",
-    ]
-    for rule in RULES:
-        pairs = [
-            (rows["as it is", formulation, case], row)
-            for (name, formulation, case), row in rows.items()
-            if name == rule.name and ("as it is", formulation, case) in rows
-        ]
-        if not pairs:
-            continue
-        both = [(old, new) for old, new in pairs if old["success"] and new["success"] and old["gain"] > 0]
-        ratios = [new["gain"] / old["gain"] for old, new in both] or [np.nan]
-        cost = sum(new["cost"] for _, new in both) / max(sum(old["cost"] for old, _ in both), 1)
-        ends = [
-            f"{sum(a and not b for a, b in marks)}, {sum(b and not a for a, b in marks)}"
-            for marks in (
-                [(old["success"], new["success"]) for old, new in pairs],
-                [(old["status"] == "converged", new["status"] == "converged") for old, new in pairs],
-            )
-        ]
-        figures = f"{median(ratios):.4f} | {min(ratios):.3f} | {' | '.join(ends)} | {cost:.2f}"
-        lines.append(f"| {rule.name} | {len(pairs)} | {figures} |")
-    return "\n".join(lines)
+    frame = pd.DataFrame(rows)
+    plain = frame[frame.rule == PLAIN.name]
+    pairs = frame.merge(plain, on=["formulation", "case"], suffixes=("", "_before"))
+    lines = []
+    for rule, own in pairs[pairs.rule != PLAIN.name].groupby("rule", sort=False):
+        both = own[own.success & own.success_before & (own.gain_before > 0)]
+        line = {"rule": rule, "solves": len(own)}
+        ratios = both.gain / both.gain_before
+        line |= {"median gain without": f"{ratios.median():.4f}", "least": f"{ratios.min():.3f}"}
+        for name, before, now in (
+            ("successes", own.success_before, own.success),
+            ("converged", own.status_before == "converged", own.status == "converged"),
+        ):
+            line[f"{name} lost, won"] = f"{(before & ~now).sum()}, {(now & ~before).sum()}"
+        line["cost"] = f"{both.cost.sum() / max(both.cost_before.sum(), 1):.2f}"
+        lines.append(line)
+    return markdown(pd.DataFrame(lines))
 
 
-CASES: dict[str, tuple[str, rm.ContactProblem, str]] = {}
-
-
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Solve what is missing and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("rows", type=Path)
+    parser = command_line(__doc__, out="results/ablation")
     parser.add_argument("--table", action="store_true", help="of the rows that are there, without solving")
-    given = parser.parse_args()
-    CASES.update(problems())
-    lines = given.rows.read_text().splitlines() if given.rows.exists() else []
-    rows = {tuple(row.pop("key")): row for row in map(json.loads, lines)}
-    for rule, formulation, name in () if given.table else missing(dict(rows)):
-        _, problem, objective = CASES[name]
-        row = solved(rule, formulation, problem, objective)
-        rows[rule.name, formulation, name] = row
-        with given.rows.open("a") as file:
-            file.write(json.dumps({"key": [rule.name, formulation, name], **row}) + "\n")
-        print(f"{rule.name}; {formulation}; {name}: {row['status']}, {row['gain']:.4g}", file=sys.stderr)
-    print(table(rows))
+    options = parser.parse_args(arguments)
+    store, cases = Store(options.out / "rows.jsonl"), {} if options.table else problems()
+    for rule in (PLAIN, *RULES):
+        for name, (kind, problem, objective) in cases.items():
+            for formulation in rule.formulations if kind in rule.kinds else ():
+                key = {"rule": rule.name, "formulation": formulation, "case": name}
+                if (formulation, kind) not in NOT_FOR and not store.has(**key):
+                    store.add(key | solved(rule, formulation, problem, objective))
+                    print(*store.rows[-1].values(), sep="; ", file=sys.stderr)
+    print(table(store.rows))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -1,35 +1,37 @@
-"""Outer objectives with kinks: ``nested`` and ``mpcc`` on 68 small contact problems, judged alike.
+"""Outer objectives with kinks: ``nested`` and ``mpcc`` on small contact problems and random designs.
 
-Ten slabs of Example 6.3 with Coulomb friction, four errors of Example 6.1, eight seals whose best edges
-just lose contact (``scripts/gallery/seal.py``), problems of random kind, half with Coulomb friction, and
-random foundations of five to twelve pads, each of which is best where it just touches. Of
-every end that is called stationary all branches of its biactive pairs are searched for a direction of descent
-(:mod:`branches`), with none of the code that gave the label.
-
-    python scripts/benchmark_branches.py --out rows.jsonl
+    python scripts/benchmark_branches.py                     68 problems with kinks, from the given mesh
     python scripts/benchmark_branches.py --only seal
-    python scripts/benchmark_branches.py --read rows.jsonl
+    python scripts/benchmark_branches.py --designs 200 300   design problems of these seeds, from two starts
+    python scripts/benchmark_branches.py --out rows          keeps DIR/rows.jsonl, and solves what it lacks
+
+The 68 are ten slabs of Example 6.3 with Coulomb friction, four errors of Example 6.1, eight seals whose best
+edges just lose contact (``gallery/seal.py``), problems of random kind, half with Coulomb friction, and
+random foundations of five to twelve pads, each of which is best where it just touches. Design problems are
+those of :mod:`random_designs`, solved from the design as given and from a random one. Of every end that is
+called stationary all branches of its biactive pairs are searched for a direction of descent
+(:mod:`branches`), with none of the code that gave the label. Prints a row for each solve, and counts by
+formulation.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import casadi as ca
 import numpy as np
+import pandas as pd
 
 import rmesh_nlp as rm
-from branches import steepest
+from branches import MOST, steepest
+from gallery import coulomb_kink, seal
+from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.meshes import named
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
+from rows import Row, Store, command_line, markdown, timed
 
 SAG = "mean(top, -uy)"
 
@@ -64,39 +66,22 @@ PADS = tuple((seed, pads, 0.0) for seed in range(2) for pads in range(5, 13)) + 
 )
 """Seed, number of pads, Coulomb's coefficient."""
 
+DESIGN_WORK = 6_000
+"""Branches times outer variables of a design beyond which no branch is searched."""
+
+REACHED, OF_GAIN = 1e-4, 1e-6
+"""An end has reached the best if it is above it by less than these parts of its value and of the gain."""
+
 
 @dataclass(frozen=True)
 class Case:
-    """A problem and what is minimised."""
+    """A problem, what is minimised, seeds of its starts (None is the given one), and branches to search."""
 
     name: str
     problem: ContactProblem
     objective: str
-
-
-def slab(coulomb: float, n: tuple[int, int]) -> ContactProblem:
-    """Example 6.3 with Coulomb's coefficient in the place of its bound."""
-    problem = rm.EXAMPLES["6.3"](n=n)
-    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=coulomb))
-
-
-def seal(n: int, coulomb: float) -> ContactProblem:
-    """A block on ``2 n`` x ``n`` squares whose lower edge moves up and down in the middle."""
-    mesh = named(
-        rm.shapes.rectangle(2 * n, n, x=(0, 2)), {"seal": lambda x: (x[1] == 0) & (abs(x[0] - 1) < 0.5)}
-    )
-    x, y = mesh.p
-    moves = (y == 0) & (abs(x - 1) < 0.5)
-    free, pinned = (tuple(int(node) for node in np.flatnonzero(which)) for which in (moves, ~moves))
-    return rm.ContactProblem(
-        mesh=mesh,
-        law=rm.PlaneStrain.from_young(1000.0, 0.3),
-        dirichlet=(rm.Dirichlet("left", (0.0, None)),),
-        obstacle=replace(rm.Obstacle.graph("bottom", 0.0), coulomb=coulomb),
-        motion=rm.Motion((1e-6, 0.02), pinned=pinned, free=free),
-        tractions=(rm.Traction("top", (0.0, -10.0)),),
-        name="seal",
-    )
+    seeds: tuple[int | None, ...] = (None,)
+    branches: int = MOST
 
 
 def pads(seed: int, n: int, coulomb: float) -> Case:
@@ -112,7 +97,7 @@ def pads(seed: int, n: int, coulomb: float) -> Case:
     def height(x: Any, y: Any) -> Any:
         return sum(one.symbol * ca.exp(-((4 * x - k) ** 2) * 4) for k, one in enumerate(heights))
 
-    gains = ", ".join(f"{gain:.3f}" for gain in rng.uniform(0.2, 1.0, n)).split(", ")
+    gains = [f"{gain:.3f}" for gain in rng.uniform(0.2, 1.0, n)]
     load = (float(rng.uniform(-5.0, 5.0)), float(rng.uniform(-30.0, -5.0)))
     problem = rm.ContactProblem(
         mesh=mesh,
@@ -130,17 +115,16 @@ def pads(seed: int, n: int, coulomb: float) -> Case:
 def cases() -> Iterator[Case]:
     """The 68 problems, the same ones every time."""
     for k, coulomb in enumerate(COEFFICIENTS):
-        n, objective = [(6, 4), (12, 6), (8, 4)][k % 3], QUANTITIES[0 if k % 2 == 0 else k % len(QUANTITIES)]
+        n, objective = [3, 6, 4][k % 3], QUANTITIES[0 if k % 2 == 0 else k % len(QUANTITIES)]
         if k == 6:  # where outer solvers zigzagged for 500 iterations
-            n, objective = (12, 6), SAG
-        objective = objective.replace("bottom", "contact")
-        yield Case(f"slab-{k}-F{coulomb:g}", slab(coulomb, n), objective)
+            n, objective = 6, SAG
+        slab = coulomb_kink.problem(n, coulomb)
+        yield Case(f"slab-{k}-F{coulomb:g}", slab, objective.replace("bottom", "contact"))
     for n, objective in ERRORS:
         yield Case(f"6.1-{n}-{objective}", rm.EXAMPLES["6.1"](n=n), objective)
     for n, cost, coulomb in SEALS:
-        yield Case(
-            f"seal-{n}-{cost:g}-F{coulomb:g}", seal(n, coulomb), f"boundary(seal, {cost}*(y + uy) - y)"
-        )
+        objective = f"boundary(seal, {cost}*(y + uy) - y)"
+        yield Case(f"seal-{n}-{cost:g}-F{coulomb:g}", seal.problem(n, coulomb), objective)
     for seed in range(RANDOM):
         rng = np.random.default_rng(1000 + seed)
         problem = random_problem(100 + seed, kind="elastic" if seed % 2 else "rough")
@@ -154,81 +138,99 @@ def cases() -> Iterator[Case]:
         yield pads(*given)
 
 
-NAMES = (
-    *("status", "solver_status", "stationarity", "label", "b_stationary", "biactive_nodes", "descent_rate"),
-    *("stationarity_residual", "objective_initial", "objective_value", "outer"),
-    *("iterations", "contact_solves", "kkt_factorisations"),
-)
+def designs(first: int, last: int) -> Iterator[Case]:
+    """Random design problems, from the given design and from a random one."""
+    for seed in range(first, last):
+        drawn = random_design(seed)
+        work = DESIGN_WORK // Outer.of(drawn.problem, drawn.objective).n
+        yield Case(f"design-{seed}", drawn.problem, drawn.objective, (None, 1), work)
+
+
+NAMES = ("status", "valid", "success", "stationarity", "b_stationary", "stationarity_residual", "iterations")
+COUNTS = ("objective_initial", "objective_value", "contact_solves", "kkt_factorisations", "biactive")
 """Entries of the record that rows have."""
 
 
-def row(case: Case, formulation: str, seconds: float) -> dict[str, Any]:
+def row(case: Case, formulation: str, seed: int | None, seconds: float) -> Row:
     """One solve: how it ended, what it cost, and the steepest descent of all branches there.
 
-    ``processor_s`` is the time of the whole solve, assessment and label included, ``search_s`` that of the
-    search, which is no part of it.
+    ``processor_s`` is the time of the whole solve, assessment and label included, without that of the search.
     """
-    found: dict[str, Any] = {"case": case.name, "objective": case.objective, "formulation": formulation}
-    began = time.process_time()
+    key: Row = {"case": case.name, "formulation": formulation, "seed": seed}
+    how = {"objective": case.objective, "seed": seed, "limits": rm.Limits(seconds=seconds)}
     try:
-        limits = rm.Limits(seconds=seconds)
-        solution = rm.solve(case.problem, formulation, objective=case.objective, limits=limits)
+        solution, spent = timed(rm.solve, case.problem, formulation, **how)
     except Exception as error:  # whatever happens leaves a row
-        return {**found, "status": type(error).__name__, "message": str(error)}
+        return {**key, "status": type(error).__name__, "message": str(error), "valid": False}
     record = solution.record()
-    found |= {name: record.get(name) for name in NAMES}
-    found["processor_s"] = time.process_time() - began
+    key |= {name: record.get(name) for name in (*NAMES, *COUNTS)} | {"processor_s": spent}
     outer = Outer.of(case.problem, case.objective)
-    steep = steepest(outer, outer.variables(np.asarray(solution.mesh.p), design=solution.design))
-    found["search_s"] = time.process_time() - began - found["processor_s"]
-    if steep is not None:
-        found |= {"searched": steep.branches, "steepest": steep.rate}
-    return found
+    q = outer.variables(np.asarray(solution.mesh.p), design=solution.design)
+    searched = steepest(outer, q, case.branches) if key["b_stationary"] else None
+    return key | ({"steepest": searched.rate, "branches": searched.branches} if searched else {})
 
 
-def table(rows: Sequence[Mapping[str, Any]]) -> str:
+def table(rows: Sequence[Row]) -> str:
     """Both formulations of each problem side by side, in Markdown."""
-    lines = [
-        "| problem | formulation | status | label, biactive nodes | objective | steepest of all branches "
-        "| iterations | contact solves | KKT factorisations | processor time [s] |",
-        "|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for one in rows:
-        if "objective_value" not in one:
-            lines.append(f"| {one['case']} | {one['formulation']} | {one['status']}" + " |" * 8)
-            continue
-        cells = (
-            *(one["case"], one["formulation"], one["status"]),
-            f"{one['stationarity'] or 'none'}, {len(one['biactive_nodes'] or [])}",
-            f"{one['objective_value']:.8g}",
-            f"{one['steepest']:.0e} of {one['searched']}" if "steepest" in one else "not searched",
-            *(one["iterations"], one["contact_solves"], one["kkt_factorisations"] or 0),
-            f"{one['processor_s']:.1f}",
+    columns = ["case", "formulation", "seed", "status", "stationarity", "biactive", "objective_value"]
+    columns += ["steepest", "branches", "iterations", "contact_solves", "kkt_factorisations", "processor_s"]
+    frame = pd.DataFrame(rows, columns=columns)
+    digits = {"objective_value": "{:.8g}", "steepest": "{:.0e}", "processor_s": "{:.1f}"}
+    digits |= dict.fromkeys((*columns[8:12], "seed", "biactive"), "{:.0f}")
+    for name, form in digits.items():
+        frame[name] = [form.format(value) if pd.notna(value) else None for value in frame[name]]
+    return markdown(frame)
+
+
+def best_reached(frame: pd.DataFrame) -> pd.DataFrame:
+    """By problem and formulation: whether the better of its ends reaches the best of all of the problem."""
+    valid = frame[frame.valid.astype(bool)]
+    ends = valid.pivot_table(values="objective_value", index="case", columns="formulation", aggfunc="min")
+    best, first = ends.min(axis=1), valid.groupby("case").objective_initial.first()
+    return ends.le(best + REACHED * best.abs() + OF_GAIN * (first - best).abs(), axis=0)
+
+
+def counts(rows: Sequence[Row]) -> str:
+    """How the solves of each formulation ended, and what they cost, in Markdown."""
+    frame = pd.DataFrame(rows, columns=["case", "formulation", "steepest", "processor_s", *NAMES, *COUNTS])
+    groups, reached = frame.groupby("formulation", sort=False), best_reached(frame).sum()
+    lines = []
+    for name, own in groups:
+        kinks = own[(own.biactive.astype(float) > 0) & (own.b_stationary == True)]  # noqa: E712
+        lines.append(
+            {
+                "formulation": name,
+                "solves": len(own),
+                "valid": int(own.valid.sum()),
+                "successes": int((own.success == True).sum()),  # noqa: E712
+                "S": int((own.stationarity == "S").sum()),
+                "best end, of problems": f"{reached.get(name, 0)} of {own.case.nunique()}",
+                "ends at kinks, searched": f"{len(kinks)}, {kinks.steepest.notna().sum()}",
+                "steepest descent": own.steepest.astype(float).min(),
+                "median iterations": own.iterations.median(),
+                "median contact solves": own.contact_solves.median(),
+                "median processor time [s]": own.processor_s.median(),
+            }
         )
-        lines.append("| " + " | ".join(map(str, cells)) + " |")
-    return "\n".join(lines)
+    return markdown(pd.DataFrame(lines))
 
 
-def main(given: Sequence[str] | None = None) -> int:
-    """Solve, or show what was solved."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--out", type=Path, help="rows as JSON lines")
-    parser.add_argument("--read", type=Path, help="show the rows of a file, and solve nothing")
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Solve what no row is kept of, and print the tables."""
+    parser = command_line(__doc__, out="results/branches")
+    parser.add_argument("--designs", type=int, nargs=2, metavar=("FIRST", "LAST"), help="seeds of designs")
     parser.add_argument("--only", default="", help="part of the names of the problems")
-    parser.add_argument("--formulations", default="nested,mpcc")
+    parser.add_argument("--formulations", nargs="+", default=["nested", "mpcc"])
     parser.add_argument("--seconds", type=float, default=60.0, help="limit of each solve")
-    asked = parser.parse_args(given)
-    if asked.read is not None:
-        print(table([json.loads(line) for line in asked.read.read_text().splitlines()]))
-        return 0
-    rows = []
-    for case in cases():
-        for formulation in asked.formulations.split(",") if asked.only in case.name else ():
-            rows.append(row(case, formulation, asked.seconds))
-            if asked.out is not None:
-                with asked.out.open("a") as file:
-                    file.write(json.dumps(rows[-1]) + "\n")
-    print(table(rows))
+    options = parser.parse_args(arguments)
+    store = Store(options.out / "rows.jsonl")
+    chosen = designs(*options.designs) if options.designs else cases()
+    for case in (case for case in chosen if options.only in case.name):
+        for formulation in options.formulations:
+            for seed in case.seeds:
+                if not store.has(case=case.name, formulation=formulation, seed=seed):
+                    store.add(row(case, formulation, seed, options.seconds))
+    print(f"{table(store.rows)}\n{counts(store.rows)}")
     return 0
 
 

@@ -1,7 +1,6 @@
 """What a whole solve costs, in contact solves of its mesh, and where that goes.
 
     python scripts/benchmark_cost.py                              Example 6.1 without move limits
-    python scripts/benchmark_cost.py 6.3:12 a.toml --unit OLD    the unit by the contact solver of a checkout
     python scripts/benchmark_cost.py 6.1:8 wedge:12 --order 2    also problems of the benchmarks of meshes
 
 Processor time of one thread. The unit is a contact solve of the mesh as given from nothing, assembly
@@ -10,34 +9,31 @@ included, measured before and after each solve. Libraries are loaded before. The
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
-import subprocess
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
 
 import numpy as np
+import pandas as pd
 
-SCRIPTS = Path(__file__).resolve().parent
-sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path) not in sys.path]
-
-import rmesh_nlp as rm  # noqa: E402
-from best_mesh.cases import CASES, MORE  # noqa: E402
-from rmesh_nlp.contact.solver import ContactSolver  # noqa: E402
-from rmesh_nlp.examples import EXAMPLES  # noqa: E402
-from rmesh_nlp.io.problem_file import load_problem  # noqa: E402
-from rmesh_nlp.problem import ContactProblem  # noqa: E402
+import rmesh_nlp as rm
+from best_mesh.cases import CASES, MORE
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.problem import ContactProblem
+from rows import command_line, markdown, timed
 
 PARTS = {
     "models": "contact.solver:ContactSolver models.reduced_model:ReducedEnergy "
@@ -58,46 +54,35 @@ def problem(text: str, order: int = 1) -> ContactProblem:
     """``NAME:SIZE`` or a file, without move limits and without its exact solution."""
     name, _, size = text.partition(":")
     if name in EXAMPLES:
-        found = EXAMPLES[name](int(size) if name == "6.1" else (2 * int(size), int(size)))
+        given = EXAMPLES[name](int(size) if name == "6.1" else (2 * int(size), int(size)))
     elif name in CASES or name in MORE:
-        found = {**CASES, **MORE}[name].problem(int(size))
+        given = {**CASES, **MORE}[name].problem(int(size))
     else:
-        found = load_problem(Path(text).resolve())
-    motion = replace(found.motion, delta=None)
-    return replace(found, motion=motion, exact=None, reference=None, order=order)
+        given = load_problem(Path(text).resolve())
+    motion = replace(given.motion, delta=None)
+    return replace(given, motion=motion, exact=None, reference=None, order=order)
 
 
 def units(text: str, order: int = 1) -> list[float]:
     """Processor times of contact solves from nothing."""
-    given, found = problem(text, order), []
+    given, seconds = problem(text, order), []
     solver = ContactSolver(given)
-    while len(found) < 5 or (sum(found) < 0.2 and len(found) < 50):
-        began = time.process_time()
-        solver.solve(np.asarray(given.mesh.p))
-        found.append(time.process_time() - began)
-    return found
-
-
-def units_of(checkout: str, text: str, order: int) -> list[float]:
-    """The same by another version of the package."""
-    code = f"import benchmark_cost; print(*benchmark_cost.units({text!r}, {order}))"
-    path = os.pathsep.join((checkout, str(Path(__file__).parent)))
-    command, environment = [sys.executable, "-c", code], {**os.environ, "PYTHONPATH": path}
-    found = subprocess.check_output(command, env=environment, cwd=checkout)
-    return [float(seconds) for seconds in found.split()]
+    while len(seconds) < 5 or (sum(seconds) < 0.2 and len(seconds) < 50):
+        seconds.append(timed(solver.solve, np.asarray(given.mesh.p))[1])
+    return seconds
 
 
 @contextmanager
 def parts() -> Iterator[dict[str, float]]:
     """Exclusive processor time of each part in this context; what is left is ``rest``."""
-    seconds, running, since, replaced = defaultdict(float), ["rest"], [time.process_time()], []
+    seconds, running, since = defaultdict(float), ["rest"], [time.process_time()]
 
     def switch() -> None:
         now = time.process_time()
         seconds[running[-1]] += now - since[0]
         since[0] = now
 
-    def timed(part: str, inner: Callable[..., Any]) -> Callable[..., Any]:
+    def measured(part: str, inner: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **named: Any) -> Any:
             switch()
             running.append(part)
@@ -109,46 +94,38 @@ def parts() -> Iterator[dict[str, float]]:
 
         return call
 
-    for part, names in PARTS.items():
-        for path, last in (name.split(":") for name in names.split()):
-            module = path if path.startswith("formulations") else f"rmesh_nlp.{path}"
-            inner = getattr(import_module(module), last)
-            known = [m for n, m in sys.modules.items() if n.startswith(("rmesh_nlp", "formulations"))]
-            owners = [(m, key) for m in known for key, one in vars(m).items() if one is inner]
-            for owner, key in [(inner, "__init__")] if isinstance(inner, type) else owners:
-                replaced.append((owner, key, getattr(owner, key)))
-                setattr(owner, key, timed(part, getattr(owner, key)))
-    try:
+    with ExitStack() as stack:
+        for part, names in PARTS.items():
+            for path, last in (name.split(":") for name in names.split()):
+                module = path if path.startswith("formulations") else f"rmesh_nlp.{path}"
+                inner = getattr(import_module(module), last)
+                modules = [m for n, m in sys.modules.items() if n.startswith(("rmesh_nlp", "formulations"))]
+                owners = [(m, key) for m in modules for key, value in vars(m).items() if value is inner]
+                for owner, key in [(inner, "__init__")] if isinstance(inner, type) else owners:
+                    stack.enter_context(patch.object(owner, key, measured(part, getattr(owner, key))))
         yield seconds
-    finally:
         switch()
-        for owner, key, inner in replaced:
-            setattr(owner, key, inner)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("problems", nargs="*", default=["6.1:8", "6.1:16", "6.1:32", "6.1:64"])
-    parser.add_argument("--unit", metavar="CHECKOUT", help="whose contact solver is the unit; default: this")
     parser.add_argument("--order", type=int, choices=(1, 2), default=1, help="of displacements")
     parser.add_argument("--remesh", action="store_true", help="begin on a mesh for the solution")
     options = parser.parse_args(arguments)
-    unit_of = units if options.unit is None else partial(units_of, options.unit)
     rm.solve(problem("6.1:8", options.order), remesh=options.remesh)
-    columns = ["problem", "nodes", "unit, ms", "factorisations", "energy", "whole", *PARTS, "rest"]
-    print(f"| {' | '.join(columns)} |\n|---{'|--:' * (len(columns) - 1)}|")
+    lines = []
     for text in options.problems:
-        measured, given = unit_of(text, options.order), problem(text, options.order)
+        given, measured = problem(text, options.order), units(text, options.order)
         with parts() as seconds:
             solution = rm.solve(given, remesh=options.remesh)
-        unit = statistics.median(measured + unit_of(text, options.order))
-        row: list[Any] = [text, given.mesh.p.shape[1], f"{1e3 * unit:.3g}"]
-        row += [solution.work.contact_factorisations, f"{solution.energy_audited:.8g}"]
-        cost = [sum(seconds.values()), *(seconds[part] for part in (*PARTS, "rest"))]
-        print(f"| {' | '.join(map(str, row))} | {' | '.join(f'{one / unit:.3g}' for one in cost)} |")
+        unit = statistics.median(measured + units(text, options.order))
+        line = {"problem": text, "nodes": given.mesh.p.shape[1], "unit, ms": 1e3 * unit}
+        line |= {"factorisations": solution.work.contact_factorisations}
+        line |= {"energy": f"{solution.energy_audited:.8g}", "whole": sum(seconds.values()) / unit}
+        lines.append(line | {part: seconds[part] / unit for part in (*PARTS, "rest")})
+    print(markdown(pd.DataFrame(lines)))
     return 0
 
 

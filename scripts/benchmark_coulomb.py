@@ -8,15 +8,16 @@ python scripts/benchmark_coulomb.py hard          all coefficients, orders and m
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import brentq
 from skfem import MeshTri
 
 import rmesh_nlp as rm
+from gallery import coulomb_kink
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
@@ -27,9 +28,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.report import table
-
-Table = tuple[list[str], Iterator[list[str]]]
+from rows import command_line, markdown
 
 COEFFICIENT, RADIUS, PRESS = 0.3, 10.0, 0.19
 """Of partial slip, Young's modulus one: F, the radius of the cylinder, and the approach at which the
@@ -100,11 +99,11 @@ class StickZone:
         middle, pressure, friction = (x[ends][:-1] + x[ends][1:]) / 2, means(normal), means(tangential)
         held = sticks[ends][:-1] & sticks[ends][1:] & (sticks[inner] if per_edge == 2 else True)
         pressed = (normal[ends][:-1] > 0) & (normal[ends][1:] > 0)
-        left = COEFFICIENT * pressure - np.abs(friction)
+        spare = COEFFICIENT * pressure - np.abs(friction)
         first, last = np.flatnonzero(sticks)[[0, -1]]
         return StickZone(
             tangential_load(state),
-            half_width(middle[held], left[held]),
+            half_width(middle[held], spare[held]),
             half_width(middle[pressed], pressure[pressed]),
             ((x[last] - x[first]) / 2, (x[last + 1] - x[first - 1]) / 2),
             state.iterations,
@@ -127,25 +126,28 @@ def half_width(x: Array, stress: Array) -> float:
     return float(abs(zeros[0] - zeros[1]) / 2)
 
 
-def partial_slip(
-    n: int = 16, loads: Sequence[float] = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
-) -> Table:
+def partial_slip(n: int = 16) -> pd.DataFrame:
     """c/a against ``sqrt(1 - Q/(F P))`` for several Q/(F P)."""
 
     def excess(shear: float, load: float) -> float:
-        state = ContactSolver(pressed_block(n, shear)).given
-        return tangential_load(state) - load
+        return tangential_load(ContactSolver(pressed_block(n, shear)).given) - load
 
-    def rows() -> Iterator[list[str]]:
-        for load in loads:
-            shear = brentq(excess, 1e-4, 0.15, args=(load,), rtol=1e-3)
-            found = StickZone.of(ContactSolver(pressed_block(n, shear)))
-            exact = np.sqrt(1 - found.load)
-            low, high = (f"{value / found.contact:.3f}" for value in found.bracket)
-            cells = [f"{found.load:.3f}", f"{exact:.4f}", f"{found.stick / found.contact:.4f}"]
-            yield [*cells, f"{100 * found.error:+.2f} %", f"{low} to {high}", str(found.sets)]
-
-    return ["Q/(F P)", "c/a exact", "computed", "error", "last node that sticks, next", "active sets"], rows()
+    lines = []
+    for load in np.arange(1, 10) / 10:
+        shear = brentq(excess, 1e-4, 0.15, args=(load,), rtol=1e-3)
+        zone = StickZone.of(ContactSolver(pressed_block(n, shear)))
+        low, high = (f"{value / zone.contact:.3f}" for value in zone.bracket)
+        lines.append(
+            {
+                "Q/(F P)": f"{zone.load:.3f}",
+                "c/a exact": f"{np.sqrt(1 - zone.load):.4f}",
+                "computed": f"{zone.stick / zone.contact:.4f}",
+                "error": f"{100 * zone.error:+.2f} %",
+                "last node that sticks, next": f"{low} to {high}",
+                "active sets": zone.sets,
+            }
+        )
+    return pd.DataFrame(lines)
 
 
 PLATE = {0.0: 2.86e-5, 0.00125: 2.72e-5, 0.005: 2.28e-5, 0.0075: 1.98e-5, 0.01125: 1.50e-5}
@@ -177,11 +179,11 @@ def plate_slips(problem: ContactProblem) -> Array:
     return np.interp(list(PLATE), nodes[0, along], u[along]) / np.array(list(PLATE.values()))
 
 
-def plates() -> Table:
+def plates() -> pd.DataFrame:
     """On 32 x 32 squares as in the test, and on finer ones."""
     sizes = [(32, 1), (32, 2), (64, 1), (64, 2), (128, 1)]
-    rows = ([f"{n} x {n}", str(k), *(f"{r:.3f}" for r in plate_slips(plate(n, k)))] for n, k in sizes)
-    return ["squares", "order", *(f"x = {1e3 * x:g} mm" for x in PLATE)], rows
+    lines = [(f"{n} x {n}", k, *(f"{r:.3f}" for r in plate_slips(plate(n, k)))) for n, k in sizes]
+    return pd.DataFrame(lines, columns=["squares", "order", *(f"x = {1e3 * x:g} mm" for x in PLATE)])
 
 
 def fixed_point(system: ContactSystem, tolerance: float = 1e-8) -> tuple[int, int]:
@@ -210,12 +212,6 @@ def system_of(problem: ContactProblem) -> ContactSystem:
     return ContactSolver(problem).system(np.asarray(problem.mesh.p))
 
 
-def slab(n: tuple[int, int], order: int = 1) -> ContactProblem:
-    """Example 6.3 with a coefficient of Coulomb."""
-    problem = rm.EXAMPLES["6.3"](n=n)
-    return replace(problem, obstacle=replace(problem.obstacle, friction=0.0, coulomb=0.5), order=order)
-
-
 def arch(n: int) -> ContactProblem:
     """A 3 x 1 block on ``3 n`` x ``n`` squares, pressed on a foundation that is highest in the middle."""
     return ContactProblem(
@@ -228,21 +224,19 @@ def arch(n: int) -> ContactProblem:
     )
 
 
-def iterations() -> Table:
+def iterations() -> pd.DataFrame:
     """Active sets, each a factorisation, by mesh and F."""
-    problems = [(f"slab {12 * k} x {6 * k}", slab((12 * k, 6 * k))) for k in (1, 2, 4, 8)]
-    problems += [(f"arch {3 * n} x {n}", arch(n)) for n in (10, 20, 40)]
-
-    def rows() -> Iterator[list[str]]:
-        for name, problem in problems:
-            system, cells = system_of(problem), []
-            for coefficient in (0.1, 0.5, 1.0, 2.0, 5.0):
-                here = with_coefficient(system, coefficient)
-                steps, sets = fixed_point(here)
-                cells.append(f"{solve(here).iterations} ({sets} in {steps or 'over 100'} steps)")
-            yield [name, *cells]
-
-    return ["", *(f"F = {value}" for value in (0.1, 0.5, 1, 2, 5))], rows()
+    problems = {f"slab {12 * k} x {6 * k}": coulomb_kink.problem(6 * k) for k in (1, 2, 4, 8)}
+    problems |= {f"arch {3 * n} x {n}": arch(n) for n in (10, 20, 40)}
+    lines = []
+    for name, problem in problems.items():
+        system, line = system_of(problem), {"": name}
+        for coefficient in (0.1, 0.5, 1, 2, 5):
+            own = with_coefficient(system, coefficient)
+            steps, sets = fixed_point(own)
+            line[f"F = {coefficient}"] = f"{solve(own).iterations} ({sets} in {steps or 'over 100'} steps)"
+        lines.append(line)
+    return pd.DataFrame(lines)
 
 
 def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
@@ -252,24 +246,21 @@ def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
     return state.status is Status.CONVERGED and exact
 
 
-def families() -> Iterator[tuple[str, Iterator[ContactSystem]]]:
-    """Contact systems of Example 6.3, of 30 random bodies and of the pressed block, by order."""
-    for order in (1, 2):
-        sizes = [(12 * k, 6 * k) for k in ((1, 2, 4, 8) if order == 1 else (1, 2, 4))]
-        yield f"Example 6.3, to {sizes[-1][0]} x {sizes[-1][1]}", (system_of(slab(n, order)) for n in sizes)
-        yield (
-            "random, refined up to twice",
-            (system_of(problem) for seed in range(30) for problem in refinements(seed, order)),
-        )
-        yield (
-            "pressed block, nu = 0.3 to 0.499",
-            (
-                system_of(pressed_block(n, shear, poisson, order))
-                for poisson in (0.3, 0.45, 0.49, 0.499)
-                for n in (8, 16)
-                for shear in (0.0, 0.006, 0.024, 0.06, 0.1)
-            ),
-        )
+def families(order: int) -> dict[str, Iterator[ContactProblem]]:
+    """Example 6.3, 30 random bodies and the pressed block, with Coulomb friction."""
+    sizes = (1, 2, 4, 8) if order == 1 else (1, 2, 4)
+    slabs = (replace(coulomb_kink.problem(6 * k), order=order) for k in sizes)
+    blocks = (
+        pressed_block(n, shear, poisson, order)
+        for poisson in (0.3, 0.45, 0.49, 0.499)
+        for n in (8, 16)
+        for shear in (0.0, 0.006, 0.024, 0.06, 0.1)
+    )
+    return {
+        f"Example 6.3, to {12 * sizes[-1]} x {6 * sizes[-1]}": slabs,
+        "random, refined up to twice": (one for seed in range(30) for one in refinements(seed, order)),
+        "pressed block, nu = 0.3 to 0.499": blocks,
+    }
 
 
 def refinements(seed: int, order: int) -> Iterator[ContactProblem]:
@@ -281,29 +272,21 @@ def refinements(seed: int, order: int) -> Iterator[ContactProblem]:
         problem = refined(problem)
 
 
-def hard() -> Table:
+def hard() -> pd.DataFrame:
     """How many are solved, in how many active sets."""
-    coefficients = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0)
-
-    def rows() -> Iterator[list[str]]:
-        for number, (name, systems) in enumerate(families()):
-            solved, counts = 0, []
-            for system in systems:
-                for value in coefficients:
-                    here = with_coefficient(system, value)  # it keeps its factors: one at a time
-                    state = solve(here)
-                    solved += is_solved(here, state)
-                    counts.append(state.iterations)
-            sets = np.array(counts)
-            cells = [
-                f"{solved} of {sets.size}",
-                f"{np.median(sets):g}",
-                f"{np.quantile(sets, 0.99):.0f}",
-                str(sets.max()),
-            ]
-            yield [name, str(1 + number // 3), *cells]
-
-    return ["", "order", "solved", "median of sets", "99 %", "most"], rows()
+    lines = []
+    for order in (1, 2):
+        for name, problems in families(order).items():
+            good, sets = 0, []
+            for system in map(system_of, problems):
+                for value in (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0):
+                    own = with_coefficient(system, value)  # it keeps its factors: one at a time
+                    state = solve(own)
+                    good += is_solved(own, state)
+                    sets.append(state.iterations)
+            middle, high, most = np.quantile(sets, (0.5, 0.99, 1))
+            lines.append((name, order, f"{good} of {len(sets)}", f"{middle:g}", f"{high:.0f}", f"{most:.0f}"))
+    return pd.DataFrame(lines, columns=["", "order", "solved", "median of sets", "99 %", "most"])
 
 
 TABLES = {"partial": partial_slip, "plate": plates, "iterations": iterations, "hard": hard}
@@ -311,13 +294,10 @@ TABLES = {"partial": partial_slip, "plate": plates, "iterations": iterations, "h
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("tables", nargs="*", metavar="TABLE", help="all by default")
+    parser = command_line(__doc__)
+    parser.add_argument("tables", nargs="*", metavar="TABLE", help=f"{', '.join(TABLES)}; default: all")
     for name in parser.parse_args(arguments).tables or TABLES:
-        head, rows = TABLES[name]()
-        print(table.Table(head, [("", list(rows))]).markdown())
+        print(markdown(TABLES[name]()))
     return 0
 
 

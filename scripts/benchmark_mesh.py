@@ -18,95 +18,127 @@ DIR/best_mesh.png.
 
 from __future__ import annotations
 
-import argparse
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from functools import partial
-from pathlib import Path
+from itertools import islice
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
-SCRIPTS = Path(__file__).resolve().parent
-sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path) not in sys.path]
-
-from best_mesh import methods, predict  # noqa: E402
-from best_mesh.cases import CASES, Case  # noqa: E402
-from best_mesh.rows import (  # noqa: E402
+from best_mesh import adaptive as plain
+from best_mesh import methods, predict
+from best_mesh.cases import CASES, Case
+from best_mesh.methods import (
     ADAPTIVE,
     ATTAINABLE,
-    GIVEN,
     LOOP,
     METRIC,
     RELOCATED,
     REMESHED,
-    Row,
-    Store,
-    picture,
-    table,
-    times,
+    UNIFORM,
+    Method,
+    by_scikit_fem,
+    measure,
 )
+from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
+from rows import Row, Store, command_line, figure, markdown
+
+MANY = 300
+"""Nodes from which on times are compared."""
 
 
-def tasks(case: Case, sizes: Sequence[int]) -> Iterator[tuple[str, int, Callable[[], Iterator[Row]]]]:
-    """Method, size and how to measure it."""
-    most = int(case.problem(max(sizes)).mesh.p.shape[1])
-    plain = case.equations is not None  # cheap, and followed to the errors of relocated meshes
-    yield ADAPTIVE, most, partial(methods.h_adaptive, case, max(8 * most, 10_000) if plain else most)
-    yield LOOP, most, partial(methods.metric_loop, case, max(2 * most, 6_000) if plain else most)
+def tasks(case: Case, sizes: Sequence[int]) -> Iterator[tuple[int, str, int, Method]]:
+    """Order, method, size and how to measure it."""
+    most, coarse = methods.unknowns(case.problem(max(sizes))), case.sizes[0]
+    if case.equations is None:
+        yield 1, ADAPTIVE, most, partial(methods.refined, case, coarse, 1, most)
+        yield 1, LOOP, most, partial(methods.metric_loop, case, most)
+    else:  # cheap, and followed to the errors of relocated meshes
+        many = max(8 * most, 10_000)
+        yield 1, ADAPTIVE, most, partial(by_scikit_fem, case, coarse, 1, plain.adaptive, many)
+        yield 1, LOOP, most, partial(methods.metric_loop, case, max(2 * most, 6_000))
     for size in sizes:
-        yield GIVEN, size, partial(methods.given, case, size)
-        yield ATTAINABLE, size, partial(methods.attainable, case, size)
-        yield METRIC, size, partial(methods.metric, case, size)
-        yield RELOCATED, size, partial(methods.relocated, case, RELOCATED, size, False)
-        yield REMESHED, size, partial(methods.relocated, case, REMESHED, size, True)
+        if case.equations is not None:
+            meshes = by_scikit_fem(case, size, 2, plain.uniform, 80_000)
+            yield 2, UNIFORM, size, partial(islice, meshes, 1)
+        yield 1, UNIFORM, size, partial(methods.uniform, case, size)
+        yield 1, ATTAINABLE, size, partial(methods.attainable, case, size)
+        yield 1, METRIC, size, partial(methods.metric, case, size)
+        for method in (RELOCATED, REMESHED):
+            yield 1, method, size, partial(methods.relocated, case, size, 1, method == REMESHED)
 
 
-def attempted(measure: Callable[[], Iterator[Row]], failed: Row) -> list[Row]:
-    """The rows, or one that says what went wrong."""
-    try:
-        return [replace(row, size=failed.size) for row in measure()]
-    except Exception as error:
-        return [replace(failed, status=f"{type(error).__name__}: {error}")]
+def factors(rows: Sequence[Row]) -> pd.DataFrame:
+    """Error of each given mesh over those of all methods, at equal nodes."""
+    lines = []
+    for name in cases(rows):
+        own = {method: of(rows, name, method) for method in (METRIC, RELOCATED, REMESHED, ATTAINABLE)}
+        for given in of(rows, name, UNIFORM).itertuples():
+            line = {"problem": name, "nodes": given.nodes}
+            for method, curve in (("P2", of(rows, name, UNIFORM, 2)), (ADAPTIVE, of(rows, name, ADAPTIVE))):
+                line[method] = given.error / error_at(curve, given.nodes)
+            for method, frame in own.items():
+                mesh = frame[frame["size"] == given.size]
+                line[method] = (given.error / mesh.error * given.nodes / mesh.nodes).min()
+                line[f"{method} [s]"] = mesh.seconds.min()
+            lines.append({**line, "share": line[REMESHED] / line[ATTAINABLE]})
+    columns = ["problem", "nodes", "P2", ADAPTIVE, METRIC, RELOCATED, REMESHED, ATTAINABLE, "share"]
+    return pd.DataFrame(lines)[[*columns, f"{RELOCATED} [s]", f"{REMESHED} [s]"]]
+
+
+def times(rows: Sequence[Row]) -> pd.DataFrame:
+    """Processor times over those of h-adaptive refinement at equal error."""
+    lines = []
+    for name in cases(rows):
+        peer = of(rows, name, ADAPTIVE)
+        for method in (LOOP, RELOCATED, REMESHED):
+            own = of(rows, name, method).query("nodes >= @MANY")
+            ratios = [mesh.seconds / seconds_at(peer, mesh.error) for mesh in own.itertuples()]
+            if np.any(np.isfinite(ratios)):
+                columns = {"nodes": own.nodes, "s": own.seconds, "over h-adaptive's": ratios}
+                cells = {key: ", ".join(map(figure, values)) for key, values in columns.items()}
+                lines.append({"problem": name, "method": method, **cells})
+    return pd.DataFrame(lines, columns=["problem", "method", "nodes", "s", "over h-adaptive's"])
+
+
+def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
+    """Error against nodes and against time."""
+    sheet = Figure(figsize=(11, 4.8), layout="constrained")
+    left, right = sheet.subplots(1, 2, sharey=True)
+    for axis, x in ((left, "nodes"), (right, "seconds")):
+        for method in (UNIFORM, ADAPTIVE, LOOP, RELOCATED, REMESHED):
+            draw(axis, of(rows, case, method), x, method, label=method)
+        second = {"color": "#E69F00", "marker": "x", "label": "second order, uniform"}
+        draw(axis, of(rows, case, UNIFORM, 2), x, UNIFORM, **second)
+    bound = of(rows, case, ATTAINABLE)
+    left.loglog(bound.nodes, bound.error, "k--", label="attainable with linear elements")
+    left.set(ylabel=f"error of the energy, Example {case}")
+    return finished(sheet, {"nodes": [left], "processor time [s]": [right]}, left)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is missing, and write the table and the figure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__, out="results/mesh")
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--levels", type=int, help="meshes of each problem, the coarsest ones; default: all")
-    parser.add_argument(
-        "--predict", action="store_true", help="compare predicted with measured factors instead"
-    )
-    parser.add_argument("--out", type=Path, default=Path("results/mesh"), help="folder")
+    parser.add_argument("--predict", action="store_true", help="compare predicted with measured factors")
     options = parser.parse_args(arguments)
     methods.warm_up()
     if options.predict:
-        store = Store(options.out / "predicted.jsonl")
-        for seed in predict.SEEDS:
-            if predict.known(store.rows) < predict.COUNT and not store.has(f"random {seed}", GIVEN, seed):
-                failed = Row(f"random {seed}", GIVEN, seed, 0, float("nan"))
-                store.keep(attempted(partial(predict.measured, seed), failed))
-        (options.out / "predicted.md").write_text(predict.summary(store.rows))
-        print(predict.summary(store.rows))
+        text = predict.summary(predict.measured(Store(options.out / "predicted.jsonl")))
+        (options.out / "predicted.md").write_text(text)
+        print(text)
         return 0
     store = Store(options.out / "rows.jsonl")
     for case in (CASES[name] for name in options.cases):
-        for method, size, measure in tasks(case, case.sizes[: options.levels]):
-            if not store.has(case.name, method, size):
-                store.keep(attempted(measure, Row(case.name, method, size, 0, float("nan"))))
-    goals = {
-        (case.name, size): goal
-        for case in CASES.values()
-        for size, goal in zip(case.sizes, case.goals, strict=False)
-    }
-    text = table(store.rows, goals) + "\n" + times(store.rows)
+        for task in tasks(case, case.sizes[: options.levels]):
+            measure(store, case.name, *task)
+    text = f"{markdown(factors(store.rows))}\n{markdown(times(store.rows))}"
     (options.out / "table.md").write_text(text)
     picture(store.rows).savefig(options.out / "best_mesh.png", dpi=110)
     print(text)
-    return 0 if all(np.isfinite(row.error) for row in store.rows) else 1
+    return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
 
 
 if __name__ == "__main__":

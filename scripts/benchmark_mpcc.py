@@ -12,24 +12,22 @@ violation and products G H are at most 1e-6, lowest one whose objective is also 
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
 build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
 DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure (not
-in "all") also DIR/size.png, time against pairs. ``--resume`` keeps the rows in DIR.
+in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
-import json
 import math
 import sys
-import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from itertools import product
 from pathlib import Path
 
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 
 from isolated import Failed, isolated
 from mpcc_library.families import FAMILIES
@@ -38,24 +36,10 @@ from mpcc_library.solvers import NEEDS, SOLVERS
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import MPCC, Problem, read
 from rmesh_nlp.mpcc.reading import READERS
+from rows import Row, Store, command_line, markdown, timed
 
 SOLVED, LOWEST = 1e-6, 1e-4
 COLOURS = ("#0072B2", "#D55E00", "#009E73")  # told apart by the colour-blind: Okabe and Ito (2008)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One solver on one problem; NaN where it did not come to an end."""
-
-    group: str
-    problem: str
-    solver: str
-    status: str
-    f: float = float("nan")
-    violation: float = float("inf")
-    target: float = float("nan")
-    iterations: int | None = None
-    seconds: float = float("nan")
 
 
 def read_collection(path: Path) -> Iterator[Problem]:
@@ -66,9 +50,9 @@ def read_collection(path: Path) -> Iterator[Problem]:
     module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)  # dataclasses look there
     spec.loader.exec_module(module)
     for name in module.names():
-        found = module.get(name)
-        program = {key: found[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
-        x0, target = np.asarray(found["x0"], dtype=float), float(found.get("target", math.nan))
+        values = module.get(name)
+        program = {key: values[key] for key in ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")}
+        x0, target = np.asarray(values["x0"], dtype=float), float(values.get("target", math.nan))
         yield Problem(name, MPCC(**program), x0, target=target)
 
 
@@ -83,19 +67,19 @@ def problems(
         files = (
             [p for p in sorted(path.rglob("*")) if p.suffix.lower() in READERS] if path.is_dir() else [path]
         )
-        yield from ((one.parent.name, read(one)) for one in files)
+        yield from ((file.parent.name, read(file)) for file in files)
     for name in list(FAMILIES) if list(families) == ["all"] else families:
         if name not in (known_families := {**FAMILIES, **LARGE}):
             raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *known_families])}")
-        make, known = known_families[name]
-        yield from ((name, make(size, seed)) for size in known[:sizes] for seed in range(seeds))
+        make, sizes_of = known_families[name]
+        yield from ((name, make(size, seed)) for size in sizes_of[:sizes] for seed in range(seeds))
 
 
 def measured(problem: Problem, x: Array) -> tuple[float, float]:
     """Objective of a point, and the largest of its constraint violation and its products."""
     mpcc = problem.mpcc
-    found = ca.Function("all", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
-    f, g, G, H = (np.asarray(v.full()).ravel() for v in found(x, mpcc.parameters(problem.p0)))
+    values = ca.Function("all", [mpcc.x, mpcc.p], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])
+    f, g, G, H = (np.asarray(v.full()).ravel() for v in values(x, mpcc.parameters(problem.p0)))
     excess = [mpcc.lbx - x, x - mpcc.ubx, mpcc.lbg - g, g - mpcc.ubg, -G, -H, np.abs(G * H)]
     return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
 
@@ -104,93 +88,80 @@ def solved(group: str, problem: Problem, solver: str, limit: float, together: bo
     """Solve one problem in a process of its own, or ``together`` with the others in this one."""
 
     def work() -> Row:
-        began = time.process_time()
-        end = SOLVERS[solver](problem)
-        seconds = time.process_time() - began
+        end, seconds = timed(SOLVERS[solver], problem)
         f, violation = measured(problem, end.x)
-        return Row(*key, end.status, f, violation, problem.target, end.iterations, seconds)
+        ending = {"status": end.status, "f": f, "violation": violation}
+        return ending | {"iterations": end.iterations, "seconds": seconds}
 
-    key = (group, problem.name, solver)
     row = work() if together else isolated(work, limit)
-    return Row(*key, row.why, seconds=limit) if isinstance(row, Failed) else row
+    row = {"status": row.why, "seconds": limit} if isinstance(row, Failed) else row
+    key = {"group": group, "problem": problem.name, "solver": solver, "pairs": problem.mpcc.n_pairs}
+    return {**key, "target": problem.target, **row}
+
+
+def judged(rows: Sequence[Row]) -> pd.DataFrame:
+    """Rows with ``solved`` and ``lowest``, see above; what did not come to an end is neither."""
+    columns = ["group", "problem", "solver", "pairs", "target", "f", "violation", "iterations", "seconds"]
+    frame = pd.DataFrame(rows, columns=columns)
+    frame["solved"] = frame.violation <= SOLVED
+    least = frame.f.where(frame.solved).groupby(frame.problem).transform("min")
+    best = frame.target.astype(float).fillna(least)
+    frame["lowest"] = frame.solved & (frame.f - best <= LOWEST * np.maximum(1.0, best.abs()))
+    return frame
 
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each group and solver, in Markdown."""
-    least = {row.problem: row.target for row in rows}
-    for row in rows:
-        if not np.isfinite(row.target) and row.violation <= SOLVED:
-            least[row.problem] = float(np.nanmin([least[row.problem], row.f]))
-    lines = [
-        "| problems | solver | solved | lowest | iterations | time [s] | over ours |",
-        "|:--|:--" + "|--:" * 5 + "|",
-    ]
-    groups = list(dict.fromkeys(row.group for row in rows))
-    for group in groups + (["all"] if len(groups) > 1 else []):
-        ours = 0.0
-        for solver in dict.fromkeys(row.solver for row in rows):
-            own = [row for row in rows if row.solver == solver and group in (row.group, "all")]
-            good = [row for row in own if row.violation <= SOLVED]
-            low = [r for r in good if r.f - least[r.problem] <= LOWEST * max(1.0, abs(least[r.problem]))]
-            seconds, counts = sum(row.seconds for row in own), [row.iterations for row in own]
-            ours = ours or seconds
-            iterations = "-" if None in counts else str(sum(count or 0 for count in counts))
-            cells = (
-                f"{group}, {len(own)}",
-                solver,
-                len(good),
-                len(low),
-                iterations,
-                f"{seconds:.2f}",
-                f"{seconds / ours:.2f}",
-            )
-            lines.append(f"| {' | '.join(map(str, cells))} |")
-    return "\n".join(lines) + "\n"
+    frame, parts = judged(rows), []
+    if frame.group.nunique() > 1:
+        frame = pd.concat([frame, frame.assign(group="all")])
+    for group, own in frame.groupby("group", sort=False):
+        sums = own.groupby("solver", sort=False).agg(
+            {"problem": "count", "solved": "sum", "lowest": "sum", "iterations": "sum", "seconds": "sum"}
+        )
+        counted = own.iterations.notna().groupby(own.solver, sort=False).all()
+        part = pd.DataFrame({"problems": f"{group}, " + sums.problem.astype(str), "solver": sums.index})
+        part[["solved", "lowest"]] = sums[["solved", "lowest"]]
+        part["iterations"] = [
+            f"{n:.0f}" if all_ else None for n, all_ in zip(sums.iterations, counted, strict=True)
+        ]
+        part["time [s]"] = [f"{seconds:.2f}" for seconds in sums.seconds]
+        part["over ours"] = [f"{ratio:.2f}" for ratio in sums.seconds / sums.seconds.iloc[0]]
+        parts.append(part)
+    return markdown(pd.concat(parts))
 
 
-def by_size(rows: Sequence[Row]) -> dict[tuple[str, str], dict[int, float]]:
-    """Of each large family and solver the median time for a number of pairs, of solved problems."""
-    found: dict[tuple[str, str], dict[int, list[float]]] = {}
-    for row in rows:
-        size = row.problem.split("-")[-2:-1]
-        if row.group in LARGE and size and row.violation <= SOLVED:
-            found.setdefault((row.group, row.solver), {}).setdefault(int(size[0]), []).append(row.seconds)
-    return {
-        key: {size: float(np.median(own[size])) for size in sorted(own)}
-        for key, own in sorted(found.items(), key=lambda item: list(LARGE).index(item[0][0]))
-    }
+def by_size(rows: Sequence[Row]) -> pd.DataFrame:
+    """Median time of the large families by family and pairs, a column for each solver; of solved problems."""
+    frame = judged(rows)
+    frame = frame[frame.solved & frame.group.isin(LARGE)]
+    return frame.pivot_table(
+        values="seconds", index=["group", "pairs"], columns="solver", aggfunc="median", sort=False
+    ).sort_index()
 
 
 def size_table(rows: Sequence[Row]) -> str:
     """Time against pairs, a line for each size and a column for each solver, in Markdown."""
     times = by_size(rows)
-    solvers = list(dict.fromkeys(row.solver for row in rows))
-    lines = [
-        f"| problem | pairs | {' | '.join(f'{s} [s]' for s in solvers)} |",
-        "|---|" + "--:|" * (len(solvers) + 1),
-    ]
-    for group in dict.fromkeys(group for group, _ in times):
-        own = [times.get((group, solver), {}) for solver in solvers]
-        for size in sorted(set().union(*own)):
-            cells = [f"{one[size]:.1f}" if size in one else "-" for one in own]
-            lines.append(f"| {group} | {size:,} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    return markdown(
+        times.apply(lambda column: column.map("{:.1f}".format, "ignore"))
+        .rename(columns="{} [s]".format)
+        .reset_index()
+    )
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:
     """Processor time against pairs: a colour for each family, solid for ours and dashed for others."""
     times = by_size(rows)
-    if not times:
+    if times.empty:
         return
     drawing, axes = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for (group, solver), own in times.items():
-        line, marker = ("-", "o") if solver == next(iter(SOLVERS)) else ("--", "s")
-        colour = COLOURS[list(LARGE).index(group) % len(COLOURS)]
-        fill = colour if line == "-" else "white"
-        axes.loglog(
-            list(own), list(own.values()), color=colour, linestyle=line, marker=marker, markerfacecolor=fill,
-            label=f"{group}, {solver}",
-        )  # fmt: skip
+    for solver in times:
+        is_ours = solver == next(iter(SOLVERS))
+        for colour, (group, own) in zip(COLOURS, times[solver].groupby("group"), strict=False):
+            pairs, fill = own.index.get_level_values("pairs"), colour if is_ours else "white"
+            look = {"color": colour, "linestyle": "-" if is_ours else "--", "marker": "o" if is_ours else "s"}
+            axes.loglog(pairs, own, markerfacecolor=fill, label=f"{group}, {solver}", **look)
     axes.set(xlabel="complementarity pairs", ylabel="processor time [s]")
     axes.grid(alpha=0.3)
     axes.legend(fontsize="small")
@@ -200,9 +171,7 @@ def figure(rows: Sequence[Row], path: Path) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, print, write; 0 if ours solved every problem."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__, out="results/mpcc")
     parser.add_argument(
         "paths", nargs="*", type=Path, metavar="FILE", help="collections, .nl, .json, folders"
     )
@@ -212,39 +181,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for one solve")
     parser.add_argument("--together", action="store_true", help="in this process, without a limit")
-    parser.add_argument("--out", type=Path, default=Path("results/mpcc"))
-    parser.add_argument("--resume", action="store_true", help="solve only what --out has no row of")
-    given = parser.parse_args(arguments)
-    names = given.families.split(",") if given.families else []
+    options = parser.parse_args(arguments)
+    families = options.families.split(",") if options.families else []
     try:
-        known = list(problems(given.paths, names, given.sizes, given.seeds))
+        chosen = list(problems(options.paths, families, options.sizes, options.seeds))
     except (AttributeError, ValueError, OSError) as error:
         parser.error(str(error))
-    if not known:
+    if not chosen:
         parser.error("no problems: give files or --families")
-    there = [name for name in given.solvers if all(map(importlib.util.find_spec, NEEDS.get(name, ())))]
+    installed = [name for name in options.solvers if all(map(importlib.util.find_spec, NEEDS.get(name, ())))]
     warm = ca.SX.sym("warm")  # loading Ipopt's library is nobody's cost
     ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": {"print_level": 0, "sb": "yes"}})(x0=1)
-    given.out.mkdir(parents=True, exist_ok=True)
-    path = given.out / "rows.jsonl"
-    kept = path.read_text(encoding="utf-8").splitlines() if given.resume and path.is_file() else []
-    rows = [Row(**json.loads(line)) for line in kept]
-    with path.open("a" if given.resume else "w", encoding="utf-8") as file:
-        done = {(row.problem, row.solver) for row in rows}
-        for (group, problem), solver in ((one, solver) for one in known for solver in there):
-            if (problem.name, solver) in done:
-                continue
-            rows.append(solved(group, problem, solver, given.limit, given.together))
-            file.write(json.dumps(asdict(rows[-1])) + "\n")
-            file.flush()
-            last = rows[-1]
-            print(f"{last.problem:26} {solver:20} {last.status[:24]:24} {last.f:<14.8g} {last.seconds:.2f} s")
-    tables = table(rows) + ("\n" + size_table(rows) if by_size(rows) else "")
-    (given.out / "table.md").write_text(tables, encoding="utf-8")
-    figure(rows, given.out / "size.png")
-    print("\n" + tables)
-    mine = [row for row in rows if row.solver == next(iter(SOLVERS))]
-    return 0 if all(row.violation <= SOLVED for row in mine) else 1
+    store = Store(options.out / "rows.jsonl")
+    for (group, problem), solver in product(chosen, installed):
+        if not store.has(problem=problem.name, solver=solver):
+            row = solved(group, problem, solver, options.limit, options.together)
+            store.add(row)
+            print(*(row.get(key) for key in ("problem", "solver", "status", "f", "seconds")), sep="; ")
+    text = table(store.rows) + ("" if by_size(store.rows).empty else "\n" + size_table(store.rows))
+    (options.out / "table.md").write_text(text, encoding="utf-8")
+    figure(store.rows, options.out / "size.png")
+    print("\n" + text)
+    frame = judged(store.rows)
+    return 0 if frame.solved[frame.solver == next(iter(SOLVERS))].all() else 1
 
 
 if __name__ == "__main__":

@@ -17,30 +17,22 @@ DIR/order.png.
 
 from __future__ import annotations
 
-import argparse
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
 
-SCRIPTS = Path(__file__).resolve().parent
-sys.path[:0] = [str(path) for path in (SCRIPTS, SCRIPTS / "gallery") if str(path) not in sys.path]
-
-from skfem import MeshTri  # noqa: E402
-
-from benchmark_mesh import attempted  # noqa: E402
-from best_mesh import adaptive as plain  # noqa: E402
-from best_mesh import methods, order_tables  # noqa: E402
-from best_mesh.cases import CASES, MORE, Case, next_mesh  # noqa: E402
-from best_mesh.order_tables import ADAPTIVE, POLYGON, REFERENCE, RELOCATED, REMESHED, UNIFORM  # noqa: E402
-from best_mesh.rows import Row, Store  # noqa: E402
-from rmesh_nlp.fem.space import DisplacementSpace  # noqa: E402
-from rmesh_nlp.models.remeshing import Solved, metric_start  # noqa: E402
-from rmesh_nlp.problem import ContactProblem, Motion  # noqa: E402
+from best_mesh import adaptive as plain
+from best_mesh import methods
+from best_mesh.cases import CASES, MORE, Case, extrapolated
+from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
+from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
+from rmesh_nlp.models.remeshing import Solved, metric_start
+from rmesh_nlp.problem import ContactProblem, Motion
+from rows import Row, Store, command_line, figure, markdown
 
 SIZES = {
     "L-shape r^(2/3)": (4, 8, 16, 32),
@@ -59,76 +51,42 @@ SIZES = {
 }
 """Sizes of the meshes. That of order 1 with as many unknowns is one finer than that of order 2."""
 
+SHOWN = {"L-shape r^(2/3)": r"L-shape, $r^{2/3}$", "6.1": "Example 6.1", "wedge": "wedge with friction"}
+"""Cases of the figure, and what they are called there."""
+
+METHODS = (UNIFORM, ADAPTIVE, RELOCATED, REMESHED)
+REFERENCE, POLYGON = "reference", "polygon"
+
 MOST = {UNIFORM: 80_000, ADAPTIVE: 30_000}
 """Nodes up to which meshes of scikit-fem go."""
 
 FINE = (1500, 3000)
 """Vertices of the meshes that an energy is extrapolated from."""
 
+MANY = 1000
+"""Nodes from which on times are compared."""
 
-def tasks(case: Case, levels: int | None) -> Iterator[tuple[str, int, Callable[[], Iterator[Row]]]]:
-    """Method, size and how to measure it."""
+
+def tasks(case: Case, levels: int | None) -> Iterator[tuple[int, str, int, Method]]:
+    """Order, method, size and how to measure it."""
     sizes = SIZES[case.name]
     for order in (2, 1):
-        here = sizes[2 - order : len(sizes) + 1 - order][:levels]
+        own = sizes[2 - order : len(sizes) + 1 - order][:levels]
         if case.equations is not None:
             for method, loop in ((UNIFORM, plain.uniform), (ADAPTIVE, plain.adaptive)):
-                yield f"P{order} {method}", 0, partial(by_scikit_fem, case, here[0], order, method, loop)
+                run = partial(methods.by_scikit_fem, case, own[0], order, loop, MOST[method])
+                yield order, method, 0, run
         else:
-            yield f"P{order} {ADAPTIVE}", 0, partial(refined, case, here, order)
-            for size in (*here, *sizes[len(here) + 2 - order :][:1]):
-                yield f"P{order} {UNIFORM}", size, partial(uniform, case, size, order)
-        for size in here:
+            most = unknowns(case.problem(own[-1], order))
+            yield order, ADAPTIVE, 0, partial(methods.refined, case, own[0], order, most)
+            for size in (*own, *sizes[len(own) + 2 - order :][:1]):
+                yield order, UNIFORM, size, partial(methods.uniform, case, size, order)
+        for size in own:
             for method in (RELOCATED, REMESHED):
-                yield f"P{order} {method}", size, partial(relocated, case, size, order, method)
+                yield order, method, size, partial(methods.relocated, case, size, order, method == REMESHED)
 
 
-def by_scikit_fem(
-    case: Case, size: int, order: int, method: str, loop: Callable[..., Iterator[plain.Solved]]
-) -> Iterator[Row]:
-    """Uniform or h-adaptive refinement of the coarsest mesh."""
-    mesh = case.problem(size).mesh
-    assert case.equations is not None
-    for found in loop(case.equations, MeshTri(mesh.p, mesh.t), order, MOST[method]):
-        yield Row(case.name, f"P{order} {method}", 0, found.nodes, case.error_of(found), found.seconds)
-
-
-def refined(case: Case, sizes: Sequence[int], order: int) -> Iterator[Row]:
-    """Local refinement by the package to as many nodes as the finest mesh has, without a time."""
-    problem, enough = of_order(case, sizes[0], order), unknowns(of_order(case, sizes[-1], order))
-    while True:
-        yield Row(case.name, f"P{order} {ADAPTIVE}", 0, unknowns(problem), case.error(problem))
-        if unknowns(problem) >= enough:
-            return
-        problem = next_mesh(problem)
-
-
-def uniform(case: Case, size: int, order: int) -> Iterator[Row]:
-    """The mesh as given, solved by the package."""
-    problem = of_order(case, size, order)
-    began = time.process_time()
-    Solved.of(problem)
-    seconds = time.process_time() - began
-    yield Row(case.name, f"P{order} {UNIFORM}", size, unknowns(problem), case.error(problem), seconds)
-
-
-def relocated(case: Case, size: int, order: int, method: str) -> Iterator[Row]:
-    """By ``auto`` on the mesh as given, or on one for the solution."""
-    final, seconds, status = methods.by_default(of_order(case, size, order), method == REMESHED)
-    yield Row(case.name, f"P{order} {method}", size, unknowns(final), case.error(final), seconds, status)
-
-
-def of_order(case: Case, size: int, order: int) -> ContactProblem:
-    """The problem of a case, with displacements of an order."""
-    return replace(case.problem(size), order=order)
-
-
-def unknowns(problem: ContactProblem) -> int:
-    """Number of displacement nodes."""
-    return int(DisplacementSpace.of(problem).n_nodes)
-
-
-def energies(name: str, problem: ContactProblem, method: str) -> Iterator[Row]:
+def energies(problem: ContactProblem) -> Iterator[Row]:
     """Energies of the contact solutions of two meshes made for order 2.
 
     Not the assessed ones: over a curved obstacle in the interior, stand-offs are the larger error there.
@@ -136,50 +94,148 @@ def energies(name: str, problem: ContactProblem, method: str) -> Iterator[Row]:
     solved = Solved.of(replace(problem, order=2, exact=None, reference=None))
     for vertices in FINE:
         solved = metric_start(solved, vertices).solved
-        energy = solved.state.energy
-        yield Row(name, method, vertices, unknowns(solved.problem), energy, status="energy")
+        yield {"nodes": unknowns(solved.problem), "error": solved.state.energy, "status": "energy"}
+
+
+def limit(rows: Sequence[Row], case: str, method: str, size: int) -> tuple[float, float]:
+    """The energy that those of two meshes tend to like one over the square of the nodes, and its doubt."""
+    meshes = of(rows, case, method, 2).query("size == @size")
+    if len(meshes) < 2:
+        return float("nan"), float("nan")
+    return extrapolated(*zip(meshes.nodes, meshes.error, strict=True), rate=2)
+
+
+def measured(store: Store, case: Case, levels: int | None) -> None:
+    """Measure what is missing of a case, its energy first."""
+    sizes = SIZES[case.name]
+    if case.slope is None and np.isnan(case.known):
+        measure(store, case.name, 2, REFERENCE, 0, partial(energies, case.problem(sizes[0])))
+        case = replace(case, known=limit(store.rows, case.name, REFERENCE, 0)[0])
+    if case.problem(sizes[0]).motion.curves:
+        for size in sizes[:-1][:levels]:
+            polygon = replace(case.problem(size), motion=Motion(None))
+            measure(store, case.name, 2, POLYGON, size, partial(energies, polygon))
+    for task in tasks(case, levels):
+        measure(store, case.name, *task)
+
+
+def at_equal_unknowns(rows: Sequence[Row], case: str, order: int) -> pd.DataFrame:
+    """By nodes of the relocated meshes of order 2: errors of as many by all methods at an order.
+
+    New meshes have a few more or less: as if errors fell by the power of the order.
+    """
+    nodes = of(rows, case, RELOCATED, 2).nodes
+    result = pd.DataFrame(index=nodes, columns=METHODS, dtype=float)
+    for method in METHODS:
+        own = of(rows, case, method, order)
+        if method in (UNIFORM, ADAPTIVE):
+            result[method] = [error_at(own, count) for count in nodes]
+        else:
+            same = own.reindex(range(len(nodes)))
+            result[method] = (same.error * (same.nodes / nodes) ** order).to_numpy()
+    return result
+
+
+def factors(rows: Sequence[Row]) -> pd.DataFrame:
+    """Error of uniform meshes over that of the others with as many unknowns, and rates, at order 2."""
+    parts = []
+    for case in cases(rows):
+        errors = at_equal_unknowns(rows, case, 2)
+        part = pd.DataFrame({"problem": case, "nodes": errors.index, "error, uniform": [*errors[UNIFORM]]})
+        part["known to"] = limit(rows, case, REFERENCE, 0)[1]
+        finer = np.log(part.nodes / part.nodes.shift()).to_numpy()
+        for method in METHODS[1:]:
+            part[method] = (errors[UNIFORM] / errors[method]).to_numpy()
+        for method in (UNIFORM, RELOCATED, REMESHED):
+            part[f"rate, {method}"] = -np.log(errors[method] / errors[method].shift()).to_numpy() / finer
+        parts.append(part)
+    return pd.concat(parts)
+
+
+def orders(rows: Sequence[Row]) -> pd.DataFrame:
+    """Errors of order 1 over those of order 2, with as many unknowns."""
+    parts = []
+    for case in cases(rows):
+        first, second = (at_equal_unknowns(rows, case, order) for order in (1, 2))
+        part = first / second
+        part["order 1 uniform over order 2 remeshed, relocated"] = first[UNIFORM] / second[REMESHED]
+        part.insert(0, "problem", case)
+        part.insert(1, "nodes", part.index)
+        parts.append(part)
+    return pd.concat(parts)
+
+
+def times(rows: Sequence[Row]) -> pd.DataFrame:
+    """Processor times over those of uniform and h-adaptive meshes of scikit-fem at equal error, at order 2.
+
+    Where no mesh that was measured reaches the error, the last ones are continued: with the rate of the
+    error, and with a time in proportion to the nodes, so that the ratio is a bound.
+    """
+    lines = []
+    for case in cases(rows):
+        for method in (RELOCATED, REMESHED):
+            for mesh in of(rows, case, method, 2).query("nodes >= @MANY").itertuples():
+                line = {"problem": case, "method": method, "nodes": mesh.nodes}
+                for peer in (UNIFORM, ADAPTIVE):
+                    own = of(rows, case, peer, 2).dropna(subset="seconds")
+                    line[f"over {peer}"] = figure(mesh.seconds / seconds_at(own, mesh.error))
+                    if len(own) > 1 and mesh.error < own.error.iloc[-1]:
+                        (_, before), (_, last) = own[-2:].iterrows()
+                        rate = np.log(before.error / last.error) / np.log(last.nodes / before.nodes)
+                        least = last.seconds * (last.error / mesh.error) ** (1 / rate)
+                        line[f"over {peer}"] = f"< {figure(mesh.seconds / least)}"
+                lines.append(line)
+    columns = ["problem", "method", "nodes", f"over {UNIFORM}", f"over {ADAPTIVE}"]
+    return pd.DataFrame(lines, columns=columns)
+
+
+def polygons(rows: Sequence[Row]) -> pd.DataFrame:
+    """What the energy changes by if a curved boundary is replaced by the polygon of a mesh."""
+    lines = []
+    for case in cases(rows):
+        exact = limit(rows, case, REFERENCE, 0)[0]
+        sizes = sorted(set(of(rows, case, POLYGON, 2)["size"]))
+        for size, given in zip(sizes, of(rows, case, UNIFORM, 2).itertuples(), strict=False):
+            own = abs(limit(rows, case, POLYGON, size)[0] - exact)
+            lines.append((case, given.nodes, own, own / given.error))
+    columns = ["problem", "nodes", "the polygon's own error", "over that of the elements, uniform"]
+    return pd.DataFrame(lines, columns=columns)
+
+
+def picture(rows: Sequence[Row]) -> Figure:
+    """Error against unknowns and against time: orders 1 (open, dashed) and 2 of all methods."""
+    sheet = Figure(figsize=(12, 8.2), layout="constrained")
+    axes = sheet.subplots(2, len(SHOWN), sharey="col")
+    for column, (case, title) in enumerate(SHOWN.items()):
+        for row, x in enumerate(("nodes", "seconds")):
+            for method in METHODS:
+                for order, look in ((1, {"markerfacecolor": "white", "linestyle": "--"}), (2, {})):
+                    label = f"order {order}, {method}"
+                    own = of(rows, case, method, order)
+                    draw(axes[row, column], own, x, method, label=label, **look)
+        axes[0, column].set(title=title)
+    for axis in axes[:, 0]:
+        axis.set_ylabel("error (squared energy norm)")
+    return finished(sheet, {"unknown nodes": axes[0], "processor time [s]": axes[1]}, axes[0, 0])
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure what is missing, and write the tables and the figure."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__, out="results/order")
     parser.add_argument("--cases", nargs="+", choices=list(SIZES), default=list(SIZES))
     parser.add_argument("--levels", type=int, help="meshes of each problem, the coarsest ones; default: all")
     parser.add_argument("--tables", action="store_true", help="of what was measured")
-    parser.add_argument("--out", type=Path, default=Path("results/order"), help="folder")
     options = parser.parse_args(arguments)
     store = Store(options.out / "rows.jsonl")
     if not options.tables:
         methods.warm_up()
         for name in options.cases:
-            measure(store, {**CASES, **MORE}[name], options.levels)
-    text = order_tables.tables(store.rows)
+            measured(store, {**CASES, **MORE}[name], options.levels)
+    text = "\n".join(markdown(table(store.rows)) for table in (factors, orders, times, polygons))
     (options.out / "table.md").write_text(text)
-    order_tables.picture(store.rows).savefig(options.out / "order.png", dpi=110)
+    picture(store.rows).savefig(options.out / "order.png", dpi=110)
     print(text)
-    return 0 if all(np.isfinite(row.error) for row in store.rows) else 1
-
-
-def measure(store: Store, case: Case, levels: int | None) -> None:
-    """What is missing of a case, its energy first."""
-
-    def keep(method: str, size: int, one: Callable[[], Iterator[Row]]) -> None:
-        if not store.has(case.name, method, size):
-            store.keep(attempted(one, Row(case.name, method, size, 0, float("nan"))))
-
-    sizes = SIZES[case.name]
-    if case.slope is None and case.name != "6.1":
-        keep(REFERENCE, 0, partial(energies, case.name, case.problem(sizes[0]), REFERENCE))
-        limit = order_tables.limit(store.rows, case.name, REFERENCE, 0)[0]
-        case = replace(case, exact=lambda: limit)
-    if case.problem(sizes[0]).motion.curves:
-        for size in sizes[:-1][:levels]:
-            polygon = replace(case.problem(size), motion=Motion(None))
-            keep(POLYGON, size, partial(energies, case.name, polygon, POLYGON))
-    for method, size, one in tasks(case, levels):
-        keep(method, size, one)
+    return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
 
 
 if __name__ == "__main__":

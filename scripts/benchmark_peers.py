@@ -20,46 +20,57 @@ needs, is built against the Ipopt in CasADi's wheel, and so is the very Ipopt th
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from statistics import median
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+import pandas as pd
 
+import rmesh_nlp as rm
+from best_mesh.methods import unassessed
 from isolated import Failed, isolated
-from peer_solvers import Case, Finish, nlpsol_mapped, nlpsol_written_out, scipy_minimize
+from peer_solvers import End, nlpsol_mapped, nlpsol_written_out, scipy_minimize
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import RELAXATIONS
 from rmesh_nlp.problem import ContactProblem, signed_areas
-from rmesh_nlp.report.columns import shown
+from rows import Row, Store, command_line, figure, markdown, timed
 
-Solver = Callable[[Case], Finish]
 LONG = 20.0
 """Seconds from which on a solve is not repeated."""
 
 PATIENCE = 6
 """Times the limit, by the clock, after which a process is ended: others may use the machine."""
 
+Solver = Callable[[ContactProblem, str, float], End]
+"""Of a problem, what is minimised, and the seconds it may take."""
 
-def _by(formulation: str, **settings: object) -> Solver:
-    return lambda case: case.solve(formulation, **settings)
+
+def ours(problem: ContactProblem, objective: str, limit: float, formulation: str, **settings: str) -> End:
+    """One of our formulations; the assessment is no part of its time."""
+    limits = rm.Limits(limit)
+    solution, seconds = timed(rm.solve, problem, formulation, objective=objective, limits=limits, **settings)
+    status = solution.status.value if solution.success else f"{solution.status.value}, no success"
+    value = None if objective == "energy" else solution.record()["objective_value"]
+    nodes = np.asarray(solution.mesh.p)
+    return End(nodes, status, unassessed(seconds, solution), solution.iterations, value)
 
 
-FORMULATIONS: dict[str, Solver] = {name: _by(name) for name in ("joint", "mpcc", "nested")}
-OTHERS: dict[str, Solver] = {
-    f"mpcc, {name}": _by("mpcc", relaxation=name) for name in RELAXATIONS if name != "scholtes"
+FORMULATIONS: Mapping[str, Solver] = {
+    name: partial(ours, formulation=name) for name in ("joint", "mpcc", "nested")
 }
-PEERS: dict[str, Solver] = {
+OTHERS: Mapping[str, Solver] = {
+    f"mpcc, {name}": partial(ours, formulation="mpcc", relaxation=name)
+    for name in RELAXATIONS
+    if name != "scholtes"
+}
+PEERS: Mapping[str, Solver] = {
     "CasADi nlpsol, our expressions": nlpsol_mapped,
     "CasADi nlpsol, written out": nlpsol_written_out,
-    "SciPy L-BFGS-B, our gradient": scipy_minimize("L-BFGS-B"),
-    "SciPy trust-constr, our gradient": scipy_minimize("trust-constr"),
-    "SciPy SLSQP, our gradient": scipy_minimize("SLSQP"),
+    "SciPy L-BFGS-B, our gradient": partial(scipy_minimize, method="L-BFGS-B"),
+    "SciPy trust-constr, our gradient": partial(scipy_minimize, method="trust-constr"),
+    "SciPy SLSQP, our gradient": partial(scipy_minimize, method="SLSQP"),
 }
 
 
@@ -69,45 +80,25 @@ class Task:
 
     name: str
     problem: Callable[[], ContactProblem]
-    solvers: dict[str, Solver]
+    solvers: Mapping[str, Solver]
     objective: str = "energy"
 
 
-def _paper(n: int) -> Callable[[], ContactProblem]:
-    return lambda: EXAMPLES["6.1"](n)
+def _refined(sizes: Sequence[int], what: str, solvers: Mapping[str, Solver], *objective: str) -> list[Task]:
+    return [Task(f"6.1, n = {n}{what}", partial(EXAMPLES["6.1"], n), solvers, *objective) for n in sizes]
 
 
-GROUPS: dict[str, tuple[Task, ...]] = {
-    "examples": (
-        Task("6.1, n = 8", _paper(8), FORMULATIONS | OTHERS),
-        Task("6.2", EXAMPLES["6.2"], FORMULATIONS | OTHERS),
-        Task("6.3", EXAMPLES["6.3"], FORMULATIONS | OTHERS),
-    ),
-    "refined": tuple(Task(f"6.1, n = {n}", _paper(n), FORMULATIONS) for n in (16, 32, 64)),
-    "objective": tuple(
-        Task(
-            f"6.1, n = {n}, error-l2", _paper(n), {k: FORMULATIONS[k] for k in ("nested", "mpcc")}, "error-l2"
-        )
-        for n in (8, 16)
-    ),
-    "peers": tuple(
-        Task(f"6.1, n = {n}, peers", _paper(n), {k: FORMULATIONS[k] for k in ("joint", "nested")} | PEERS)
-        for n in (8, 16)
-    ),
+WITHOUT_ENERGY = {name: FORMULATIONS[name] for name in ("nested", "mpcc")}
+BESIDE_PEERS = {name: FORMULATIONS[name] for name in ("joint", "nested")} | PEERS
+GROUPS: Mapping[str, Sequence[Task]] = {
+    "examples": [
+        *_refined([8], "", FORMULATIONS | OTHERS),
+        *(Task(name, EXAMPLES[name], FORMULATIONS | OTHERS) for name in ("6.2", "6.3")),
+    ],
+    "refined": _refined([16, 32, 64], "", FORMULATIONS),
+    "objective": _refined([8, 16], ", error-l2", WITHOUT_ENERGY, "error-l2"),
+    "peers": _refined([8, 16], ", peers", BESIDE_PEERS),
 }
-
-
-@dataclass(frozen=True)
-class Row:
-    """One run; None where there is no such figure."""
-
-    problem: str
-    solver: str
-    status: str
-    value: float | None = None
-    least_area: float | None = None
-    iterations: int | None = None
-    seconds: float | None = None
 
 
 def run(task: Task, solver: str, limit: float) -> Row:
@@ -115,16 +106,17 @@ def run(task: Task, solver: str, limit: float) -> Row:
 
     def work() -> Row:
         problem = task.problem()
-        end = task.solvers[solver](Case(problem, task.objective, limit))
-        given = signed_areas(problem.mesh.p, problem.triangles)
-        least = float(np.min(signed_areas(end.nodes, problem.triangles) / given))
-        value = end.value
+        end = task.solvers[solver](problem, task.objective, limit)
+        areas = (signed_areas(nodes, problem.triangles) for nodes in (end.nodes, problem.mesh.p))
+        least, value = float(np.min(np.divide(*areas))), end.value
         if value is None and least > 0:
             value = float(ContactSolver(problem).solve(end.nodes).energy)
-        return Row(task.name, solver, end.status, value, least, end.iterations, end.seconds)
+        ending = {"status": end.status, "value": value, "least area": least}
+        return ending | {"iterations": end.iterations, "seconds": end.seconds}
 
-    found = isolated(work, PATIENCE * limit)
-    return Row(task.name, solver, found.why) if isinstance(found, Failed) else found
+    row = isolated(work, PATIENCE * limit)
+    row = {"status": row.why} if isinstance(row, Failed) else row
+    return {"problem": task.name, "solver": solver, **row}
 
 
 def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
@@ -133,67 +125,62 @@ def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
     for _ in range(repeat):
         for solver in (name for name in task.solvers if name not in done):
             row = run(task, solver, limit)
-            if row.seconds is None or row.seconds > LONG:
+            if row.get("seconds", np.inf) > LONG:
                 done.add(solver)
             yield row
 
 
 def table(rows: Sequence[Row]) -> str:
-    """A line for each solver on each problem, in Markdown."""
-    lines = [
-        "| problem | solver | status | energy, error | least area | iterations | time [s] | over the first |",
-        "|:--|:--|:--|--:|--:|--:|--:|--:|",
-    ]
-    first: list[float] = []
-    for problem, solver in dict.fromkeys((row.problem, row.solver) for row in rows):
-        own = [row for row in rows if (row.problem, row.solver) == (problem, solver)]
-        seconds = [row.seconds for row in own if row.seconds is not None]
-        if (problem, solver) == next((r.problem, r.solver) for r in rows if r.problem == problem):
-            first = seconds
-        last = own[-1]
-        text, ratio = "-", "-"
-        if seconds:
-            spread = f" ({min(seconds):.2g} to {max(seconds):.2g})" if len(seconds) > 1 else ""
-            text = f"{median(seconds):.2g}{spread}"
-            ratios = [a / b for a, b in zip(seconds, first, strict=False)]
-            ratio = f"{median(ratios):.2g}" if ratios else "-"
-        lines.append(
-            f"| {problem} | {solver} | {last.status.replace('|', '/')[:60]} | {shown(last.value, '.7g')} "
-            f"| {shown(last.least_area, '.2g')} | {shown(last.iterations, 'd')} | {text} | {ratio} |"
-        )
-    return "\n".join(lines) + "\n"
+    """A line for each solver on each problem, in Markdown; ratios of times are medians, run by run."""
+    columns = ["problem", "solver", "status", "value", "least area", "iterations", "seconds"]
+    frame, lines = pd.DataFrame(rows, columns=columns), []
+    for problem, of_problem in frame.groupby("problem", sort=False):
+        first = of_problem[of_problem.solver == of_problem.solver.iloc[0]].seconds.to_numpy()
+        for solver, own in of_problem.groupby("solver", sort=False):
+            seconds, last = own.seconds.to_numpy(), own.iloc[-1]
+            both = min(seconds.size, first.size)
+            low, middle, high = (f"{np.quantile(seconds, q):.2g}" for q in (0, 0.5, 1))
+            time = f"{middle} ({low} to {high})" if seconds.size > 1 else middle
+            lines.append(
+                {
+                    "problem": problem,
+                    "solver": solver,
+                    "status": last.status[:60],
+                    "energy, error": f"{last.value:.7g}",
+                    "least area": f"{last['least area']:.2g}",
+                    "iterations": f"{last.iterations:.0f}",
+                    "time [s]": time,
+                    "over the first": f"{np.median(seconds[:both] / first[:both]):.2g}",
+                }
+            )
+    return markdown(pd.DataFrame(lines).replace("nan", None))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; 0 if each of our formulations succeeded."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__, out="results/peers")
     parser.add_argument("--groups", nargs="+", default=list(GROUPS), choices=list(GROUPS))
     parser.add_argument("--largest", type=int, default=64, help="squares a side up to which 6.1 is refined")
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds that a solver may take")
-    parser.add_argument("--out", type=Path, default=Path("results/peers"))
     options = parser.parse_args(arguments)
-    options.out.mkdir(parents=True, exist_ok=True)
     for solver in FORMULATIONS.values():  # loading libraries is nobody's cost
-        solver(Case(EXAMPLES["6.1"](3)))
-    rows: list[Row] = []
-    with (options.out / "rows.jsonl").open("w", encoding="utf-8") as file:
-        for task in (task for group in options.groups for task in GROUPS[group]):
-            if task.problem().mesh.p.shape[1] > (options.largest + 1) ** 2:
-                continue
-            for row in runs(task, options.repeat, options.limit):
-                rows.append(row)
-                print(json.dumps(asdict(row)), file=file, flush=True)
-                print(
-                    f"{row.problem:24} {row.solver:36} {row.status:20} {row.seconds or 0:.3f} s", flush=True
-                )
-            (options.out / "formulations.md").write_text(table(rows), encoding="utf-8")
-    print(table(rows))
-    ours = [row for row in rows if row.solver in FORMULATIONS]
-    return 0 if all("no success" not in row.status and row.value is not None for row in ours) else 1
+        solver(EXAMPLES["6.1"](3), "energy", options.limit)
+    path = options.out / "rows.jsonl"
+    path.unlink(missing_ok=True)
+    store = Store(path)
+    for task in (task for group in options.groups for task in GROUPS[group]):
+        if task.problem().mesh.p.shape[1] > (options.largest + 1) ** 2:
+            continue
+        for row in runs(task, options.repeat, options.limit):
+            store.add(row)
+            print(*map(figure, row.values()), sep="; ", flush=True)
+    text = table(store.rows)
+    (options.out / "formulations.md").write_text(text, encoding="utf-8")
+    print(text)
+    own = [row for row in store.rows if row["solver"] in FORMULATIONS]
+    return 0 if all("no success" not in row["status"] and row.get("value") is not None for row in own) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    raise SystemExit(main())

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import islice, product
 
 import numpy as np
@@ -32,6 +33,8 @@ STEP = 1e-4
 
 MOST = 1 << 12
 """Branches beyond which none are searched."""
+
+Systems = Callable[[Array], ContactSystem]
 
 State = tuple[bool, int]
 """Whether a node touches, and how it slides."""
@@ -57,12 +60,12 @@ def steepest(outer: Outer, q: Array, most: int = MOST) -> Steepest | None:
     every = list(islice(nodes.combinations(), MOST + 1))
     if len(every) > min(most, MOST):
         return None
-    found, systems = Steepest(0.0, np.zeros(q.size), len(every)), _Systems(outer)
+    best, systems = Steepest(0.0, np.zeros(q.size), len(every)), _systems(outer)
     for active in every:
         rate, direction = _on_branch(outer, point, nodes, active, systems)
-        if rate < found.rate:
-            found = replace(found, rate=rate, direction=direction)
-    return found
+        if rate < best.rate:
+            best = replace(best, rate=rate, direction=direction)
+    return best
 
 
 class _Nodes:
@@ -99,16 +102,20 @@ class _Nodes:
         return [(touch, slide) for touch in touches for slide in (0, int(self.sign[node]))]
 
     @property
+    def weak(self) -> NDArray[np.intp]:
+        """Their places among the contact nodes."""
+        return np.flatnonzero(self.opens | self.slides)
+
+    @property
     def sliding(self) -> bool:
         """Whether there is friction at all."""
         return self.active.sliding.size > 0
 
     def combinations(self) -> Iterator[ActiveSet]:
         """The active sets of all branches."""
-        weak = np.flatnonzero(self.opens | self.slides)
-        for states in product(*(self._states(int(node)) for node in weak)):
+        for states in product(*(self._states(int(node)) for node in self.weak)):
             touching, sliding = self.active.touching.copy(), self.active.sliding.copy()
-            for node, (touch, slide) in zip(weak, states, strict=True):
+            for node, (touch, slide) in zip(self.weak, states, strict=True):
                 touching[node] = touch
                 if self.sliding:
                     sliding[node] = slide
@@ -125,45 +132,38 @@ class _Nodes:
             bound = system.slip_bound + coulomb * state.normal_force
             holds = self.slides & touching if system.coulomb is not None else self.slides
             along, against = bound + state.tangential_force, bound - state.tangential_force
-            one = np.where(sliding != 0, sliding * slip, np.where(self.sign > 0, along, against))
-            two = np.where(self.bare & (sliding == 0), np.where(self.sign > 0, against, along), one)
-            rows += [np.where(holds, part, 0.0)[self.slides] for part in (one, two)]
+            first = np.where(sliding != 0, sliding * slip, np.where(self.sign > 0, along, against))
+            second = np.where(self.bare & (sliding == 0), np.where(self.sign > 0, against, along), first)
+            rows += [np.where(holds, part, 0.0)[self.slides] for part in (first, second)]
         return np.concatenate(rows)
 
 
-class _Systems(dict[bytes, ContactSystem]):
+def _systems(outer: Outer) -> Systems:
     """Contact systems by outer variables: those of the differences are the same on every branch."""
-
-    def __init__(self, outer: Outer) -> None:
-        self._outer = outer
-
-    def __call__(self, q: Array) -> ContactSystem:
-        """The system at outer variables."""
-        key = q.tobytes()
-        if key not in self:
-            self[key] = self._outer.system(q)
-        return self[key]
+    kept = cache(lambda key: outer.system(np.frombuffer(key)))
+    return lambda q: kept(q.tobytes())
 
 
 def _on_branch(
-    outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet, systems: _Systems
+    outer: Outer, point: ReducedPoint, nodes: _Nodes, active: ActiveSet, systems: Systems
 ) -> tuple[float, Array]:
     function, energy, q, free = outer.function, outer.energy, point.q, outer.discretisation.mesh_map
     assert isinstance(function, ReducedObjective)
 
-    def at(there: Array) -> tuple[ContactSystem, Equilibrium]:
-        system = systems(there)
+    def at(trial: Array) -> tuple[ContactSystem, Equilibrium]:
+        system = systems(trial)
         return system, system.equilibrium(active)
 
-    here = function.of(energy.at(q, *at(q)))
-    gradient = here.gradient / outer.residual.unit
-    slopes = _differences(lambda there: nodes.signs(*at(there)), q)
-    rows = [-_unit_rows(slopes)]
+    end = function.of(energy.at(q, *at(q)))
+    gradient = end.gradient / outer.residual.unit
+    rows = [np.zeros((0, q.size))]
+    if nodes.weak.size:
+        rows.append(-_unit_rows(_differences(lambda trial: nodes.signs(*at(trial)), q)))
     if outer.relocation.n_valid:
         areas = energy.validity.at(q)
         rows.append(-areas.jacobian[areas.slack <= outer.tolerance].toarray())
     if outer.constraints is not None:
-        bounds = outer.constraints.linearised(here)
+        bounds = outer.constraints.linearised(end)
         active = bounds.slack <= outer.tolerance
         rows.append(-_unit_rows(bounds.jacobian[active].toarray()))
     stacked = np.vstack(rows)
@@ -195,6 +195,9 @@ def _differences(function: Callable[[Array], Array], q: Array) -> Array:
     """Derivatives (rows, n) by central differences of the fourth order."""
     columns: list[NDArray[np.float64]] = []
     for step in STEP * np.eye(q.size):
-        one, two = function(q + step) - function(q - step), function(q + 2 * step) - function(q - 2 * step)
-        columns.append((8 * one - two) / (12 * STEP))
+        first, second = (
+            function(q + step) - function(q - step),
+            function(q + 2 * step) - function(q - 2 * step),
+        )
+        columns.append((8 * first - second) / (12 * STEP))
     return np.array(columns).T.reshape(-1, q.size)

@@ -10,18 +10,19 @@ Returns 1 if a label is wrong.
 
 from __future__ import annotations
 
-import argparse
 import sys
-import time
-from collections import Counter
 from collections.abc import Sequence
+
+import pandas as pd
 
 from mpcc_library.labels import LABELS, Point, dependent, regular, tangled
 from rmesh_nlp.mpcc import classify
 from rmesh_nlp.mpcc.stationarity import AT_LEAST
+from rows import command_line, markdown, timed
 
-FEW, MANY = (1, 7), (8, 24)
-B_WORDS = {"True": "yes", "False": "no", "None": "unknown"}
+PAIRS = {"few": (1, 7), "many": (8, 24)}
+B_WORDS = {True: "yes", False: "no", None: "unknown"}
+WORDS = ["right", "undecided", "wrong"]
 KINDS = (regular, dependent, tangled)
 
 
@@ -40,40 +41,28 @@ def verdict(point: Point, label: str, b_stationary: bool | None) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Check, print a table; 1 if a label is wrong."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--few", type=int, default=1124, help="points of 1 to 7 biactive pairs")
     parser.add_argument("--many", type=int, default=200, help="points of 8 to 24")
     parser.add_argument("--first", type=int, default=0, help="first seed")
-    given = parser.parse_args(arguments)
-    words = ("right", "undecided", "wrong")
-    print("| biactive pairs | label | B | points | " + " | ".join(words) + " | processor time [s] |")
-    print("|:--|:--|:--" + "|--:" * 5 + "|")
-    total: Counter[str] = Counter()
-    for (least, most), number in ((FEW, given.few), (MANY, given.many)):
-        found: dict[tuple[str, str], Counter[str]] = {}
-        seconds: Counter[tuple[str, str]] = Counter()
-        for seed in range(given.first, given.first + number):
+    options = parser.parse_args(arguments)
+    rows = []
+    for name, (least, most) in PAIRS.items():
+        for seed in range(options.first, options.first + getattr(options, name)):
             point = KINDS[seed % len(KINDS)](seed, least, most)
-            began = time.process_time()
-            said = classify(point.mpcc, point.x)
-            key = (point.label, str(point.b_stationary))
-            word = verdict(point, said.stationarity, said.b_stationary)
-            seconds[key] += time.process_time() - began  # type: ignore[assignment]
-            found.setdefault(key, Counter())[word] += 1
+            end, seconds = timed(classify, point.mpcc, point.x)
+            word = verdict(point, end.stationarity, end.b_stationary)
+            key = f"{least} to {most}", point.label, B_WORDS[point.b_stationary]
+            rows.append((*key, 1, *(int(word == each) for each in WORDS), seconds))
             if word != "right":
-                known = f"{point.label}, B {point.b_stationary}"
-                said_ = f"{said.stationarity}, B {said.b_stationary}"
-                print(f"{word}: {point.name}, {point.n_biactive} pairs: {said_} for {known}", file=sys.stderr)
-        for key in sorted(found, key=lambda key: (LABELS.index(key[0]), key[1])):
-            counts = found[key]
-            total += counts
-            cells = (f"{least} to {most}", key[0], B_WORDS[key[1]], counts.total(),
-                     *(counts[word] for word in words), f"{seconds[key]:.1f}")  # fmt: skip
-            print("| " + " | ".join(map(str, cells)) + " |")
-    print(", ".join(f"{total[word]} {word}" for word in words))
-    return 1 if total["wrong"] else 0
+                ending = f"{end.stationarity}, B {end.b_stationary}"
+                print(f"{word}: {point}: {ending}", file=sys.stderr)
+    columns = ["biactive pairs", "label", "B"]
+    frame = pd.DataFrame(rows, columns=[*columns, "points", *WORDS, "processor time [s]"])
+    frame["label"] = pd.Categorical(frame.label, LABELS)
+    print(markdown(frame.groupby(columns, observed=True).sum().reset_index()))
+    print(", ".join(f"{frame[word].sum()} {word}" for word in WORDS))
+    return 1 if frame.wrong.any() else 0
 
 
 if __name__ == "__main__":

@@ -15,10 +15,8 @@ down alike. A case that takes more than ``--limit`` seconds of wall time is stop
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import gzip
-import hashlib
 import json
 import multiprocessing
 import os
@@ -26,7 +24,7 @@ import sys
 import time
 import warnings
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -42,6 +40,7 @@ import rmesh_nlp as rm  # noqa: E402
 from baseline.cases import FORMULATIONS, Case, cases  # noqa: E402
 from baseline.comparison import CRASHED, OVERTIME, REFUSED, Row, compare, compare_seconds  # noqa: E402
 from isolated import Failed, isolated  # noqa: E402
+from rows import command_line  # noqa: E402
 
 BASELINE = Path(__file__).parent / "baseline" / "baseline.json.gz"
 
@@ -107,79 +106,64 @@ def warm_up() -> None:
         rm.solve(rm.EXAMPLES["6.1"](n=3), formulation)
 
 
-def run(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
+def solved(chosen: Sequence[Case], jobs: int, limit: float) -> Run:
     """Run cases in a pool of processes."""
     warnings.simplefilter("ignore")
     warm_up()
     context = multiprocessing.get_context("fork")
-    found = {}
+    ends = {}
     with ProcessPoolExecutor(jobs, mp_context=context) as pool:
         answers = pool.map(partial(isolated_row, limit=limit), chosen)
         for number, (case, answer) in enumerate(zip(chosen, answers, strict=True), start=1):
-            found[case.name] = answer
+            ends[case.name] = answer
             if number % 50 == 0:
                 print(f"{number} of {len(chosen)} cases", file=sys.stderr, flush=True)
     kernel = os.environ.get("OPENBLAS_CORETYPE", "default")
     return Run(
         kernel=kernel,
-        rows={name: row for name, (row, _) in found.items()},
-        units={name: unit for name, (_, unit) in found.items()},
+        rows={name: row for name, (row, _) in ends.items()},
+        units={name: unit for name, (_, unit) in ends.items()},
     )
 
 
-def seconds(one: Run, chosen: Sequence[Case]) -> dict[str, float]:
+def seconds(run: Run, chosen: Sequence[Case]) -> dict[str, float]:
     """Processor seconds of cases by formulation, at the speed at which the fixed work takes ``UNIT``."""
-    speed = UNIT / median(one["units"][case.name] for case in chosen)
+    speed = UNIT / median(run["units"][case.name] for case in chosen)
     sums: dict[str, float] = defaultdict(float)
     for case in chosen:
-        sums[case.formulation] += speed * one["rows"][case.name]["seconds"]
+        sums[case.formulation] += speed * run["rows"][case.name]["seconds"]
     return sums
 
 
 def write(path: Path, runs: Sequence[Run]) -> None:
-    """Write runs, each set of names once and under its hash."""
-    names: dict[str, list[str]] = {}
+    """Write runs, their numbers with ``DIGITS`` digits."""
 
-    def short(keys: list[str]) -> str:
-        key = hashlib.sha256("\n".join(keys).encode()).hexdigest()[:8]
-        names[key] = keys
-        return key
+    def short(row: Row) -> Row:
+        numbers = {key: float(f"{value:.{DIGITS}g}") for key, value in row["numbers"].items()}
+        return {**row, "seconds": round(row["seconds"], 4), "numbers": numbers}
 
-    packed = []
-    for one in runs:
-        rows: dict[str, Mapping[str, object]] = {}
-        for name, row in one["rows"].items():
-            numbers = [float(f"{value:.{DIGITS}g}") for _, value in sorted(row["numbers"].items())]
-            rows[name] = {
-                **row,
-                "seconds": round(row["seconds"], 4),
-                "keys": short(row["keys"]),
-                "numbers": [short(sorted(row["numbers"])), *numbers],
-            }
-        units = {name: round(unit, 5) for name, unit in one["units"].items()}
-        packed.append({"kernel": one["kernel"], "rows": rows, "units": units})
-    text = json.dumps({"names": names, "runs": packed}, sort_keys=True)
-    path.write_bytes(gzip.compress(text.encode(), mtime=0))
+    rounded = [
+        Run(
+            kernel=run["kernel"],
+            rows={name: short(row) for name, row in run["rows"].items()},
+            units={name: round(unit, 5) for name, unit in run["units"].items()},
+        )
+        for run in runs
+    ]
+    path.write_bytes(gzip.compress(json.dumps(rounded, sort_keys=True).encode(), mtime=0))
 
 
 def read(path: Path) -> list[Run]:
     """The runs of a file."""
-    stored = json.loads(gzip.decompress(path.read_bytes()))
-    names = stored["names"]
-    for one in stored["runs"]:
-        for row in one["rows"].values():
-            row["keys"] = names[row["keys"]]
-            key, *numbers = row["numbers"]
-            row["numbers"] = dict(zip(names[key], numbers, strict=True))
-    return cast(list[Run], stored["runs"])
+    return cast(list[Run], json.loads(gzip.decompress(path.read_bytes())))
 
 
-def against(runs: Sequence[Run], one: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
+def against(runs: Sequence[Run], latest: Run, chosen: Sequence[Case], allowed: Sequence[str]) -> int:
     """Print how a run differs from those of a baseline; the exit code."""
-    rows = {case.name: one["rows"][case.name] for case in chosen}
+    rows = {case.name: latest["rows"][case.name] for case in chosen}
     result = compare([old["rows"] for old in runs], rows, allowed)
     steady = [case for case in chosen if _is_steady([old["rows"].get(case.name) for old in runs])]
-    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(one, steady))
+    compare_seconds(result, [seconds(old, steady) for old in runs], seconds(latest, steady))
     print(result)
     return 1 if result.faults else 0
 
@@ -192,9 +176,7 @@ def _is_steady(rows: Sequence[Row | None]) -> bool:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the cases; the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = command_line(__doc__)
     parser.add_argument("--freeze", type=Path, metavar="FILE", help="add the run to a baseline")
     parser.add_argument("--against", type=Path, nargs="?", const=BASELINE, metavar="FILE")
     parser.add_argument("--rows", type=Path, metavar="FILE", help="compare its last run, and solve nothing")
@@ -206,11 +188,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     chosen = [case for case in cases() if (case.quick or not options.quick) and options.only in case.name]
     print(f"{len(chosen)} cases with {Path(rm.__file__).parent}", file=sys.stderr)
-    one = read(options.rows)[-1] if options.rows else run(chosen, options.jobs, options.limit)
-    chosen = [case for case in chosen if case.name in one["rows"]]
+    latest = read(options.rows)[-1] if options.rows else solved(chosen, options.jobs, options.limit)
+    chosen = [case for case in chosen if case.name in latest["rows"]]
     if options.freeze:
-        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), one])
-    return against(read(options.against), one, chosen, options.allow_missing) if options.against else 0
+        write(options.freeze, [*(read(options.freeze) if options.freeze.exists() else ()), latest])
+    return against(read(options.against), latest, chosen, options.allow_missing) if options.against else 0
 
 
 if __name__ == "__main__":

@@ -25,19 +25,19 @@ def isolated(work: Callable[[], T], limit: float) -> T | Failed:
     The process is forked: it has what this one has imported and solved before, and nothing of it is timed.
     """
     context = multiprocessing.get_context("fork")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_send, args=(work, there))
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send, args=(work, sender))
     process.start()
-    there.close()
+    sender.close()
     try:
-        found = here.recv() if here.poll(limit) else Failed(f"stopped after {limit:g} s")
+        answer = receiver.recv() if receiver.poll(limit) else Failed(f"stopped after {limit:g} s")
     except EOFError:
         process.join()
         code = process.exitcode or 0
-        found = Failed(f"crashed: {signal.Signals(-code).name}" if code < 0 else "no answer")
+        answer = Failed(f"crashed: {signal.Signals(-code).name}" if code < 0 else "no answer")
     process.kill()
     process.join()
-    return found
+    return answer
 
 
 def _send(work: Callable[[], T], pipe: Connection) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -11,7 +10,7 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import Bounds, minimize
 
-import rmesh_nlp as rm
+from best_mesh.cases import source_61
 from formulations import joint
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
@@ -21,33 +20,14 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
+from rows import timed
 
 TOLERANCE = 1e-8
 """Of SciPy's solvers."""
 
 
 @dataclass(frozen=True)
-class Case:
-    """A relocation problem, what is minimised, and the seconds a solver may take."""
-
-    problem: ContactProblem
-    objective: str = "energy"
-    limit: float = float("inf")
-
-    def solve(self, formulation: str, **settings: object) -> Finish:
-        """By one of our formulations; the assessment is no part of its time."""
-        began = time.process_time()
-        limits = rm.Limits(min(self.limit, 1e6))
-        solution = rm.solve(self.problem, formulation, objective=self.objective, limits=limits, **settings)
-        status = solution.status.value if solution.success else f"{solution.status.value}, no success"
-        value = None if self.objective == "energy" else float(solution.record()["objective_value"])
-        seconds = unassessed(time.process_time() - began, solution)
-        return Finish(np.asarray(solution.mesh.p), status, seconds, solution.iterations, value)
-
-
-@dataclass(frozen=True)
-class Finish:
+class End:
     """Positions (2, nodes), the solver's own word, processor seconds of build and solve, and counts.
 
     ``value`` is the objective, where that is not the energy.
@@ -60,92 +40,65 @@ class Finish:
     value: float | None = None
 
 
-def unassessed(seconds: float, solution: Solution) -> float:
-    """Seconds of a solve without the share of its assessment."""
-    record = solution.record()
-    return seconds * (1 - record["audit_time_s"] / record["wall_time_s"])
-
-
-@dataclass(frozen=True, eq=False)
-class Program:
-    """The energy NLP of ``joint`` on Example 6.1 as numbers, to be written in any modelling language.
-
-    Unknowns ``x = (q, u)``; ``positions`` and ``displacement`` say how nodal values follow from them.
-    """
-
-    positions: Field
-    displacement: Field
-    triangles: Array
-    contact: Array
-    bound: Array
-    start: Array
-    unit: float
-
-    def ipopt(self, limit: float) -> dict[str, Any]:
-        """What ``joint`` gives Ipopt, and so every peer that uses Ipopt on the same program."""
-        own = joint.Joint().options(areas=False, unit=self.unit)
-        return {**IPOPT_OPTIONS, **own, "max_wall_time": min(limit, 1e6)}
-
-
-def program_of(problem: ContactProblem) -> Program:
-    """The program of Example 6.1 and the start of ``joint``."""
+def start_of_joint(problem: ContactProblem, limit: float) -> tuple[Array, dict[str, Any]]:
+    """Where ``joint`` starts, ``x = (q, u)``, and what it gives Ipopt: so every peer that uses it."""
     outer = Outer.of(problem)
-    rel = outer.relocation
-    if rel.n_valid or rel.n_s:
+    if outer.relocation.n_valid or outer.relocation.n_s:
         raise ValueError("only for move limits that exclude inverted elements, and without friction")
-    return Program(
-        positions=rel.mesh_map.positions,
-        displacement=rel.displacement,
-        triangles=problem.triangles.T,
-        contact=problem.contact_nodes,
-        bound=rel.nlp.ubx,
-        start=outer.energy.point(np.zeros(rel.n_q), outer.given),
-        unit=joint.pull(outer.energy(np.zeros(rel.n_q)).gradient),
-    )
+    q = np.zeros(outer.relocation.n_q)
+    unit = joint.pull(outer.energy(q).gradient)
+    options = {**IPOPT_OPTIONS, **joint.Joint().options(areas=False, unit=unit), "max_wall_time": limit}
+    return outer.energy.point(q, outer.given), options
 
 
-def nlpsol_mapped(case: Case) -> Finish:
+def nlpsol_mapped(problem: ContactProblem, objective: str, limit: float) -> End:
     """Our expressions, all derivatives left to ``nlpsol``."""
-    program = program_of(case.problem)
-    began = time.process_time()
-    rel = relocation(case.problem)
-    plain = replace(rel.nlp, derivatives=None)
-    result = Solver(plain, options=program.ipopt(case.limit))(program.start)
-    seconds = time.process_time() - began
-    return Finish(rel.nodes(rel.split(result.x)[0]), result.status.value, seconds)
+    start, options = start_of_joint(problem, limit)
+
+    def work() -> tuple[Array, str]:
+        rel = relocation(problem)
+        result = Solver(replace(rel.nlp, derivatives=None), options=options)(start)
+        return rel.nodes(rel.split(result.x)[0]), result.status.value
+
+    (nodes, status), seconds = timed(work)
+    return End(nodes, status, seconds)
 
 
-def nlpsol_written_out(case: Case) -> Finish:
+def nlpsol_written_out(problem: ContactProblem, objective: str, limit: float) -> End:
     """What one writes first in CasADi: a sum over the elements, handed to ``nlpsol``."""
-    program = program_of(case.problem)
-    began = time.process_time()
-    x = ca.SX.sym("x", program.start.size)
-    energy, u = energy_61(program, ca.vertsplit(x))
-    gaps = ca.vertcat(*[u[i] for i in program.contact])
-    settings = {"ipopt": program.ipopt(case.limit), "print_time": False, "error_on_fail": False}
-    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
-    answer = solver(x0=program.start, lbx=-program.bound, ubx=program.bound, lbg=0, ubg=np.inf)
-    seconds = time.process_time() - began
-    status = "converged" if solver.stats()["success"] else solver.stats()["return_status"]
-    end = np.clip(answer["x"].full().ravel(), -program.bound, program.bound)
-    return Finish(program.positions.values(end), status, seconds)
+    start, options = start_of_joint(problem, limit)
+    rel = Outer.of(problem).relocation
+    bound, positions = rel.nlp.ubx, rel.mesh_map.positions
+
+    def work() -> tuple[Array, str]:
+        x = ca.SX.sym("x", start.size)
+        unknowns = ca.vertsplit(x)
+        u = entries(rel.displacement, 0, unknowns)
+        energy = energy_61(problem, *(entries(positions, i, unknowns) for i in (0, 1)), u)
+        gaps = ca.vertcat(*[u[i] for i in problem.contact_nodes])
+        settings = {"ipopt": options, "print_time": False, "error_on_fail": False}
+        solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
+        answer = solver(x0=start, lbx=-bound, ubx=bound, lbg=0, ubg=np.inf)
+        status = "converged" if solver.stats()["success"] else solver.stats()["return_status"]
+        return positions.values(np.clip(answer["x"].full().ravel(), -bound, bound)), status
+
+    (nodes, status), seconds = timed(work)
+    return End(nodes, status, seconds)
 
 
-def energy_61(program: Program, x: Any) -> tuple[Any, list[Any]]:
-    """The energy of Example 6.1, element by element with the midpoint rule, and the nodal displacements."""
-    X, Y = (entries(program.positions, i, x) for i in (0, 1))
-    u = entries(program.displacement, 0, x)
+def energy_61(problem: ContactProblem, x: list[Any], y: list[Any], u: list[Any]) -> Any:
+    """The energy of Example 6.1, element by element with the midpoint rule, of nodal positions and values."""
     terms = []
-    for a, b, c in program.triangles.tolist():
-        x1, x2, y1, y2 = X[b] - X[a], X[c] - X[a], Y[b] - Y[a], Y[c] - Y[a]
+    for a, b, c in problem.triangles.T.tolist():
+        x1, x2, y1, y2 = x[b] - x[a], x[c] - x[a], y[b] - y[a], y[c] - y[a]
         det, u1, u2 = x1 * y2 - x2 * y1, u[b] - u[a], u[c] - u[a]
         strain = ((y2 * u1 - y1 * u2) ** 2 + (x1 * u2 - x2 * u1) ** 2) / (4 * det)
         work = sum(
-            source_61((X[i] + X[j]) / 2, (Y[i] + Y[j]) / 2, ca.sin, ca.if_else) * (u[i] + u[j]) / 2
+            source_61((x[i] + x[j]) / 2, (y[i] + y[j]) / 2, ca.sin, ca.if_else) * (u[i] + u[j]) / 2
             for i, j in ((a, b), (b, c), (c, a))
         )
         terms.append(strain - det / 6 * work)
-    return sum(terms), u
+    return sum(terms)
 
 
 def entries(field: Field, component: int, x: Any) -> list[Any]:
@@ -156,44 +109,28 @@ def entries(field: Field, component: int, x: Any) -> list[Any]:
     ]
 
 
-def source_61(x: Any, y: Any, sin: Callable[[Any], Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
-    """-Laplace of the exact solution (6.2), differentiated by hand; by numpy or CasADi."""
-    a, pi = 0.5 - y, np.pi
-    lower = 200 * sin(2 * pi * x) * (4 * pi**2 * y * a**4 + 8 * a**3 - 12 * y * a**2)
-    upper = 100 * sin(pi / 2 * x) * (pi**2 / 4 * (1 - y) * a**4 - 8 * a**3 - 12 * (1 - y) * a**2)
-    return choose(y <= 0.5, lower, upper)
-
-
-class OutOfTimeError(Exception):
-    """Raised inside a solver of SciPy to end it."""
-
-
-def scipy_minimize(method: str) -> Callable[[Case], Finish]:
+def scipy_minimize(problem: ContactProblem, objective: str, limit: float, method: str) -> End:
     """``scipy.optimize.minimize`` on the reduced energy with our gradient: a contact solve per evaluation."""
+    began = time.process_time()
+    reduced = ReducedEnergy.of(ContactSolver(problem))
+    bound = reduced.relocation.mesh_map.upper
+    best, lowest = np.zeros(bound.size), np.inf
+    unit = abs(reduced(best).value) or 1.0
 
-    def run(case: Case) -> Finish:
-        began = time.process_time()
-        reduced = ReducedEnergy.of(ContactSolver(case.problem))
-        bound = reduced.relocation.mesh_map.upper
-        best, lowest = np.zeros(bound.size), np.inf
-        unit = abs(reduced(best).value) or 1.0
+    def energy(q: Array) -> float:
+        nonlocal best, lowest
+        if time.process_time() - began > limit:
+            raise TimeoutError
+        value = reduced(q).value
+        if value < lowest:
+            best, lowest = q.copy(), value
+        return value / unit
 
-        def objective(q: Array) -> float:
-            nonlocal best, lowest
-            if time.process_time() - began > case.limit:
-                raise OutOfTimeError
-            found = reduced(q).value
-            if found < lowest:
-                best, lowest = q.copy(), found
-            return found / unit
-
-        how = {"jac": lambda q: reduced(q).gradient / unit, "bounds": Bounds(-bound, bound), "tol": TOLERANCE}
-        try:
-            result = minimize(objective, best, method=method, options={"maxiter": 500}, **how)
-            q, status = result.x, "converged" if result.success else str(result.message)
-        except OutOfTimeError:
-            q, status = best, f"stopped after {case.limit:g} s"
-        seconds = time.process_time() - began
-        return Finish(reduced.relocation.nodes(np.clip(q, -bound, bound)), status, seconds)
-
-    return run
+    how = {"jac": lambda q: reduced(q).gradient / unit, "bounds": Bounds(-bound, bound), "tol": TOLERANCE}
+    try:
+        result = minimize(energy, best, method=method, options={"maxiter": 500}, **how)
+        q, status = result.x, "converged" if result.success else str(result.message)
+    except TimeoutError:
+        q, status = best, f"stopped after {limit:g} s"
+    seconds = time.process_time() - began
+    return End(reduced.relocation.nodes(np.clip(q, -bound, bound)), status, seconds)

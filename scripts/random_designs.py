@@ -15,28 +15,14 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    Constraint,
-    ContactProblem,
-    DesignVariable,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    PlaneStress,
-    Relative,
-    Shape,
-    Traction,
-)
 
 LENGTH = 2.0
 """Of the body; its height is 1."""
@@ -56,7 +42,7 @@ FRICTIONS = ("none", "tresca", "coulomb", "coulomb")
 class RandomDesign:
     """A problem, what is minimised, and a design (name -> value) at which all constraints hold."""
 
-    problem: ContactProblem
+    problem: rm.ContactProblem
     objective: str
     feasible: dict[str, float]
 
@@ -66,14 +52,14 @@ class _Draw:
     """Numbers that are drawn, about half of them as design variables."""
 
     rng: np.random.Generator
-    variables: list[DesignVariable | Shape] = field(default_factory=list)
+    variables: list[rm.DesignVariable | rm.Shape] = field(default_factory=list)
 
     def number(self, name: str, low: float, high: float) -> Any:
         """A number within bounds: the symbol of a design variable, or a value."""
         value = float(self.rng.uniform(low, high))
         if self.rng.random() < 0.5:
             return value
-        self.variables.append(DesignVariable(name, value, (low, high)))
+        self.variables.append(rm.DesignVariable(name, value, (low, high)))
         return self.variables[-1].symbol
 
     def one_of(self, options: Sequence[Any]) -> Any:
@@ -85,7 +71,7 @@ class _Draw:
         for k in range(1, count + 1):
             size = 0.03 / k
             wave = lambda x, y, k=k: ca.sin(k * np.pi * x / LENGTH)  # noqa: E731
-            self.variables.append(Shape(f"{boundary}{k}", boundary, (0.0, wave), (-size, size)))
+            self.variables.append(rm.Shape(f"{boundary}{k}", boundary, (0.0, wave), (-size, size)))
 
 
 def random_design(seed: int) -> RandomDesign:
@@ -95,17 +81,17 @@ def random_design(seed: int) -> RandomDesign:
         draw = _Draw(rng)
         try:
             problem = _membrane(draw) if rng.random() < 0.2 else _body(draw)
-            found = _stated(draw, _designed(draw, problem))
+            result = _stated(draw, _designed(draw, problem))
         except ProblemError:  # the foundation cuts a support at the first or at the feasible design
             continue
-        if found is not None:
-            return found
+        if result is not None:
+            return result
 
 
 def _mesh(draw: _Draw) -> MeshTri:
     """A rectangle, perhaps with a bumpy bottom and two regions."""
     nx, ny = (int(draw.rng.integers(*range_)) for range_ in ((6, 17), (3, 7)))
-    mesh = rectangle(nx, ny, x=(0, LENGTH), diagonal=draw.one_of(["rising", "falling"]))
+    mesh = rm.shapes.rectangle(nx, ny, x=(0, LENGTH), diagonal=draw.one_of(["rising", "falling"]))
     if draw.rng.random() < 0.5:
         mesh = named(mesh, subdomains={"a": lambda x: x[1] < 0.5, "b": lambda x: x[1] >= 0.5})
     if draw.rng.random() < 0.3:
@@ -115,8 +101,8 @@ def _mesh(draw: _Draw) -> MeshTri:
     return mesh
 
 
-def _body(draw: _Draw) -> ContactProblem:
-    mesh, law = _mesh(draw), draw.one_of([PlaneStrain, PlaneStress])
+def _body(draw: _Draw) -> rm.ContactProblem:
+    mesh, law = _mesh(draw), draw.one_of([rm.PlaneStrain, rm.PlaneStress])
     weight = (0.0, -LOAD * draw.number("weight", 0.0, 1.0))
     regions = ("a", "b") if mesh.subdomains else ("",)
     laws = {
@@ -128,15 +114,15 @@ def _body(draw: _Draw) -> ContactProblem:
     push, pull = LOAD * draw.number("push", 0.5, 2.0), LOAD * draw.number("pull", -1.0, 1.0)
     held = draw.one_of(["left", "top", "both"])
     loads = {
-        "left": (Traction("top", (pull, lambda x, y: -push * (1 + x))), Traction("right", (pull, 0.0))),
-        "top": (Traction("right", (-push, pull)),),
-        "both": (Traction("top", (pull, -10 * push)),),
+        "left": (rm.Traction("top", (pull, lambda x, y: -push * (1 + x))), rm.Traction("right", (pull, 0.0))),
+        "top": (rm.Traction("right", (-push, pull)),),
+        "both": (rm.Traction("top", (pull, -10 * push)),),
     }[held]
     shift = (0.0, -float(draw.rng.uniform(0.005, 0.03)))
     supports = {
-        "left": (Dirichlet("left", (0.0, 0.0)),),
-        "top": (Dirichlet("top", shift),),
-        "both": (Dirichlet("left", (0.0, 0.0)), Dirichlet("right", (0.0, 0.0))),
+        "left": (rm.Dirichlet("left", (0.0, 0.0)),),
+        "top": (rm.Dirichlet("top", shift),),
+        "both": (rm.Dirichlet("left", (0.0, 0.0)), rm.Dirichlet("right", (0.0, 0.0))),
     }[held]
     friction = draw.one_of(FRICTIONS)
     bounds = {
@@ -144,62 +130,64 @@ def _body(draw: _Draw) -> ContactProblem:
         "tresca": {"friction": LOAD * draw.number("g", 0.1, 1.0)},
         "coulomb": {"coulomb": draw.number("F", 0.05, 0.5)},
     }[friction]
-    return ContactProblem(
+    return rm.ContactProblem(
         mesh=mesh,
         law=laws if mesh.subdomains else laws[""],
         dirichlet=supports,
         obstacle=replace(_foundation(draw), **bounds),
         tractions=loads,
-        motion=Motion(0),
+        motion=rm.Motion(0),
         design=tuple(draw.variables),
     )
 
 
-def _foundation(draw: _Draw) -> Obstacle:
+def _foundation(draw: _Draw) -> rm.Obstacle:
     """Flat, tilted, curved or round, below the bottom y = 0."""
     depth = draw.number("h0", 0.011, 0.03)
     kind = draw.one_of(["flat", "tilted", "curved", "circle"])
     if kind == "circle":
         radius = draw.number("R", 2.0, 8.0)
-        return Obstacle.circle("bottom", (LENGTH * draw.number("centre", 0.4, 0.7), -depth - radius), radius)
+        return rm.Obstacle.circle(
+            "bottom", (LENGTH * draw.number("centre", 0.4, 0.7), -depth - radius), radius
+        )
     slope = 0.0 if kind == "flat" else draw.number("slope", -0.01, 0.01)
     bend = draw.number("bend", -0.02, 0.04) if kind == "curved" else 0.0
-    return Obstacle.graph("bottom", lambda x, y: -depth + slope * (x - 1) - bend * (x - 1) ** 2)
+    return rm.Obstacle.graph("bottom", lambda x, y: -depth + slope * (x - 1) - bend * (x - 1) ** 2)
 
 
-def _membrane(draw: _Draw) -> ContactProblem:
+def _membrane(draw: _Draw) -> rm.ContactProblem:
     """A scalar problem above an obstacle, or with a unilateral boundary."""
     mesh = _mesh(draw)
     source = draw.number("source", -4.0, -2.0)
     regions = ("a", "b") if mesh.subdomains else ("",)
     wave = draw.number("wave", -1.0, 1.0)
     laws = {
-        name: Laplace(lambda x, y: source + wave * ca.sin(3 * x), draw.number(f"k{name}", 0.5, 2.0))
+        name: rm.Laplace(lambda x, y: source + wave * ca.sin(3 * x), draw.number(f"k{name}", 0.5, 2.0))
         for name in regions
     }
     depth, bend = draw.number("h0", 0.1, 0.3), draw.number("bend", -0.1, 0.1)
     psi = lambda x, y: -depth + bend * (x - 1) ** 2  # noqa: E731
     obstacle = (
-        Obstacle.interior(psi)
+        rm.Obstacle.interior(psi)
         if draw.rng.random() < 0.5
-        else Obstacle("right", (1.0,), lambda x, y: -psi(x, y))
+        else rm.Obstacle("right", (1.0,), lambda x, y: -psi(x, y))
     )
-    return ContactProblem(
+    return rm.ContactProblem(
         mesh=mesh,
         law=laws if mesh.subdomains else laws[""],
-        dirichlet=(Dirichlet("left", (0.0,)),),
+        dirichlet=(rm.Dirichlet("left", (0.0,)),),
         obstacle=obstacle,
-        motion=Motion(0),
+        motion=rm.Motion(0),
         design=tuple(draw.variables),
     )
 
 
-def _designed(draw: _Draw, problem: ContactProblem) -> ContactProblem:
+def _designed(draw: _Draw, problem: rm.ContactProblem) -> rm.ContactProblem:
     """With shapes, enough variables, and perhaps nodes that are relocated."""
     moved = draw.one_of(["bottom", "top", ""])
     count = int(draw.rng.integers(1, 7)) if moved else 0
     draw.shapes(moved or "bottom", max(count, FEWEST - len(draw.variables)))
-    motion = Motion(Relative(0.2)) if draw.rng.random() < 0.5 else problem.motion
+    motion = rm.Motion(rm.Relative(0.2)) if draw.rng.random() < 0.5 else problem.motion
     return replace(problem, design=tuple(draw.variables), motion=motion)
 
 
@@ -224,64 +212,64 @@ class _Known:
         return float(np.max(force / self.solver.discretisation.space.weights(np.asarray(problem.mesh.p))))
 
 
-def _stated(draw: _Draw, problem: ContactProblem) -> RandomDesign | None:
+def _stated(draw: _Draw, problem: rm.ContactProblem) -> RandomDesign | None:
     """With an objective and constraints; None if nothing is in contact at the feasible design."""
     feasible = {variable.name: float(draw.rng.uniform(*variable.bounds)) for variable in problem.design}
-    there = problem.at_design(feasible)
-    solver = ContactSolver(discretise(there))
+    at_feasible = problem.at_design(feasible)
+    solver = ContactSolver(discretise(at_feasible))
     energy = ReducedEnergy.of(solver)
     point = energy(np.zeros(energy.relocation.n_q))
     state = point.equilibrium
     if state.status is not Status.CONVERGED or not np.any(state.normal_force > 0):
         return None
-    contact, scalar = there.contact_sets[0].obstacle.boundary, there.components == 1
-    known = _Known(
+    contact, scalar = at_feasible.contact_sets[0].obstacle.boundary, at_feasible.components == 1
+    solved = _Known(
         solver,
         energy,
         point,
         contact if isinstance(contact, str) else None,
-        "right" if scalar or there.supports[0].boundary == "top" else "top",
+        "right" if scalar or at_feasible.supports[0].boundary == "top" else "top",
         "u" if scalar else draw.one_of(["ux", "uy"]),
     )
-    objective = _objective(draw, known)
-    constraints = _constraints(draw, known, objective)
+    objective = _objective(draw, solved)
+    constraints = _constraints(draw, solved, objective)
     return RandomDesign(replace(problem, constraints=constraints), objective, feasible)
 
 
-def _objective(draw: _Draw, known: _Known) -> str:
-    free, u, contact = known.free, known.u, known.contact
+def _objective(draw: _Draw, solved: _Known) -> str:
+    free, u, contact = solved.free, solved.u, solved.contact
     shift = draw.rng.uniform(0.8, 1.2)
-    mean = known.value(f"mean({free}, {u})")
+    mean = solved.value(f"mean({free}, {u})")
     objectives = [f"mean({free}, ({u} - {shift * mean:.4g})**2)", "compliance"]
     objectives += [f"boundary({free}, {u}**2) + mean({free}, (x - 1)*{u})"]
     if u == "u":
         objectives.append("body(u_x**2 + u_y**2)")
     if contact is not None:
-        total = shift * known.value(f"resultant({contact})")
+        total = shift * solved.value(f"resultant({contact})")
         objectives += [f"level-pressure({contact})", f"square(resultant({contact}) - {total:.4g})"]
         if u != "u":  # a gap that costs more than what closes it
             objectives.append(f"boundary({contact}, {draw.rng.uniform(1.1, 2.0):.2f}*(y + uy) - y)")
     return str(draw.one_of(objectives))
 
 
-def _constraints(draw: _Draw, known: _Known, objective: str) -> tuple[Constraint, ...]:
+def _constraints(draw: _Draw, solved: _Known, objective: str) -> tuple[rm.Constraint, ...]:
     """Up to three quantities in half of the problems, and a least force where the pressure is levelled."""
-    contact, constraints, chosen = known.contact, [], []
+    contact, constraints, chosen = solved.contact, [], []
     force = f"resultant({contact})"
-    quantities = [f"mean({known.free}, {known.u})", "area"]
+    quantities = [f"mean({solved.free}, {solved.u})", "area"]
     if contact is not None:
         quantities += [force, f"max-pressure({contact})"]
     if draw.rng.random() < 0.5:
         chosen = draw.rng.permutation(quantities)[: draw.rng.integers(1, 4)].tolist()
     if objective == f"level-pressure({contact})":  # else no contact is the best
-        constraints.append(Constraint(force, ((1 - RELAXED) * known.value(force), np.inf)))
+        constraints.append(rm.Constraint(force, ((1 - RELAXED) * solved.value(force), np.inf)))
         chosen = [text for text in chosen if text != force]
     for text in chosen:
         if text.startswith("max"):
-            bounds = (-np.inf, (1 + RELAXED) * known.largest_pressure())
+            bounds = (-np.inf, (1 + RELAXED) * solved.largest_pressure())
         else:
-            at = known.value(text)
+            at = solved.value(text)
             low, high = at - RELAXED * abs(at), at + RELAXED * abs(at)
             bounds = draw.one_of([(low, high), (low, np.inf), (-np.inf, high)])
-        constraints.append(Constraint(text, bounds))
+        constraints.append(rm.Constraint(text, bounds))
     return tuple(constraints)

@@ -11,7 +11,6 @@ a solve runs, and is started again. After each round the folder is read by this 
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import random
@@ -26,6 +25,8 @@ from collections import Counter
 from collections.abc import Set
 from contextlib import suppress
 from pathlib import Path
+
+from rows import command_line
 
 COMPARISON = """
 import resource, sys
@@ -50,16 +51,16 @@ RMESH = "from rmesh_nlp.cli.entry import main; main()"
 
 def rows(folder: Path) -> dict[str, str]:
     """Lines by key of the whole rows of a folder. A key that is there twice, or lost fields, end the soak."""
-    found: dict[str, str] = {}
+    result: dict[str, str] = {}
     for path in folder.rglob("records*.jsonl"):
         for line in path.read_text().split("\n")[:-1]:  # what follows the last line break was cut
             row = json.loads(line)
-            assert row["key"] not in found, f"doubled: {row['key']}"
-            found[row["key"]] = line
+            assert row["key"] not in result, f"doubled: {row['key']}"
+            result[row["key"]] = line
             if row["success"] and (path.parent / "solutions").exists():
                 ElementTree.parse(path.parent / "solutions" / f"{row['key']}.vtu")
                 assert (path.parent / "solutions" / f"{row['key']}.csv").stat().st_size > 0, row["key"]
-    return found
+    return result
 
 
 def survive(before: dict[str, str], folder: Path) -> dict[str, str]:
@@ -95,11 +96,11 @@ def comparisons(kills: int, short_writes: int, rng: random.Random) -> Counter[st
     with tempfile.TemporaryDirectory() as name:
         folder, began = Path(name) / "results", time.monotonic()
         finish(folder)
-        whole, known = time.monotonic() - began, rows(folder)
+        whole, kept_rows = time.monotonic() - began, rows(folder)
         for kind in rounds:
-            if len(known) == CASES:  # begin anew: else there is nothing left to lose
+            if len(kept_rows) == CASES:  # begin anew: else there is nothing left to lose
                 shutil.rmtree(folder)
-                known = {}
+                kept_rows = {}
             if kind == "kill":
                 process = begin(folder)
                 time.sleep(rng.uniform(0, 0.5 * whole))
@@ -110,10 +111,10 @@ def comparisons(kills: int, short_writes: int, rng: random.Random) -> Counter[st
                 process = begin(folder, limit=int(rng.uniform(0.5, 1.2) * max([2000, *sizes])))
                 _, errors = process.communicate(timeout=600)
                 seen["refused write"] += "File too large" in errors
-            known = survive(known, folder)
+            kept_rows = survive(kept_rows, folder)
             seen[kind] += 1
         finish(folder)
-        assert len(survive(known, folder)) == CASES
+        assert len(survive(kept_rows, folder)) == CASES
     return seen
 
 
@@ -123,18 +124,18 @@ def descendants(pid: int) -> list[int]:
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended
             parents[int(path.parent.name)] = int(path.read_text().rsplit(")", 1)[1].split()[1])
-    found, front = [], [pid]
+    result, front = [], [pid]
     while front:
         front = [child for child, parent in parents.items() if parent in front]
-        found += front
-    return found
+        result += front
+    return result
 
 
 def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random) -> Counter[str]:
     """Disturb a study; returns what was seen."""
     seen: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
-        folder, known = Path(name), dict[str, str]()
+        folder, kept_rows = Path(name), dict[str, str]()
         (folder / "study.toml").write_text(STUDY.format(count=solves // 2))
         words = ["study", str(folder / "study.toml"), "--out", str(folder / "out"), "--jobs", str(jobs)]
         command = [sys.executable, "-W", "ignore", "-c", RMESH, *words, "--json"]
@@ -152,17 +153,17 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
                 time.sleep(rng.uniform(0.0, longest))
                 process.kill()
             process.wait()
-            known = survive(known, folder / "out")
+            kept_rows = survive(kept_rows, folder / "out")
         done = subprocess.run(command, capture_output=True, text=True, timeout=36000)
         assert done.returncode in (0, 1), done.stderr
-        missing = planned ^ survive(known, folder / "out").keys()
+        missing = planned ^ survive(kept_rows, folder / "out").keys()
         assert not missing, f"missing or not planned: {missing}"
     return seen
 
 
 def main(arguments: list[str] | None = None) -> None:
     """Read the command line, soak, say what was seen."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = command_line(__doc__)
     parser.add_argument(
         "--kills", type=int, default=50, help="of comparisons, and a third as many of a study"
     )

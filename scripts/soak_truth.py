@@ -3,8 +3,6 @@
     python scripts/soak_truth.py --count 500 --jobs 2 --out soak        random problems, one a seed
     python scripts/soak_truth.py --kind jumps --count 200               the same with data that jump
     python scripts/soak_truth.py --kind aimed --out soak                problems made to be exploited
-    python scripts/soak_truth.py --kind parts --parts DIR --out soak    problem files, by default settings
-    python scripts/soak_truth.py --out soak --compare old/random.jsonl  two versions
 
 The package makes problems, solves them, and gives mesh, displacement and record. Everything else is done
 here (``scripts/truth``): assembly, contact solver, friction integral, exact foundations, reference meshes.
@@ -31,8 +29,6 @@ factor (e) is over successes. ``--out`` resumes: what is in DIR/KIND.jsonl is no
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
 import os
 import sys
@@ -48,12 +44,12 @@ from typing import Any
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # before numpy is imported
     os.environ.setdefault(name, "1")
-SCRIPTS = str(Path(__file__).resolve().parent)
-sys.path[:0] = [SCRIPTS] if SCRIPTS not in sys.path else []
 
 import numpy as np  # noqa: E402
+import pandas as pd  # noqa: E402
 
 import rmesh_nlp as rm  # noqa: E402
+from rows import Row, Store, command_line, markdown  # noqa: E402
 from truth import draws  # noqa: E402
 from truth.body import Body  # noqa: E402
 from truth.contact import accurate_loads, blocked, energy, least, penetration  # noqa: E402
@@ -64,8 +60,6 @@ MARGIN, OVERCLAIM, LONGEST, SUCCEED, KNOWN = 0.02, 1.2, 60.0, 0.95, 0.05
 LEVELS, SHARP = (1000, 3000, 9000), 0.02
 """Nodes of the coarser reference; the next one is taken while J* is not known to a part of the errors."""
 
-Row = dict[str, Any]
-
 
 def solved(data: Data, formulation: str, **options: Any) -> Any:
     """The package's solution: the only place that knows how it is called."""
@@ -74,21 +68,23 @@ def solved(data: Data, formulation: str, **options: Any) -> Any:
 
 def claimed_factor(record: Row) -> float | None:
     """The factor by which the record says at least that the error fell; None if it claims nothing."""
-    found = record.get("error_reduction") or {}
-    factor = next((found[key] for key in ("factor_lower", "factor") if found.get(key) is not None), None)
+    reduction = record.get("error_reduction") or {}
+    factor = next(
+        (reduction[key] for key in ("factor_lower", "factor") if reduction.get(key) is not None), None
+    )
     return float(factor[0] if isinstance(factor, (list, tuple)) else factor) if factor is not None else None
 
 
 def certificate(solution: Any) -> Row:
     """Bounds of the package's certificate and whether it prints a percentage, or why there is none."""
     try:
-        found = rm.certify(solution)
+        bounds = rm.certify(solution)
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"remark": str(error)[:200]}
-    record = {"energy_lower_bound": found.lower, "energy_upper_bound": found.upper}
-    record |= {"error_bound": found.error_bound, "why": found.why}
-    record |= {name: getattr(found, name) for name in ("guaranteed_lower", "guaranteed_upper")}
-    return {**record, "percent": "%" in found.sentence}
+    record = {"energy_lower_bound": bounds.lower, "energy_upper_bound": bounds.upper}
+    record |= {"error_bound": bounds.error_bound, "why": bounds.why}
+    record |= {name: getattr(bounds, name) for name in ("guaranteed_lower", "guaranteed_upper")}
+    return {**record, "percent": "%" in bounds.sentence}
 
 
 def contradiction(record: Row) -> bool:
@@ -178,25 +174,24 @@ def found_faults(row: Row) -> list[str]:
         "overclaimed": (row["claimed"] or 0) > OVERCLAIM * most,
         "audited below truth": any(value is not None and value < J - slack for value in row["audited"]),
     }
-    found = row.get("certificate", {})
-    if "percent" in found:
-        lower, upper = found["energy_lower_bound"], found["energy_upper_bound"]
+    bounds = row.get("certificate", {})
+    if "percent" in bounds:
+        lower, upper = bounds["energy_lower_bound"], bounds["energy_upper_bound"]
         unsure = math.sqrt(2 * (max(row["fine_error"], 0) + bar))  # of the reference in the energy norm
-        both = found["guaranteed_lower"] and found["guaranteed_upper"]
+        both = bounds["guaranteed_lower"] and bounds["guaranteed_upper"]
         wrong |= {
-            "lower bound": found["guaranteed_lower"] and lower > J + slack,
-            "upper bound": found["guaranteed_upper"] and upper < J - slack,
-            "error bound": both and found["error_bound"] < row["own"][-1]["norm"] - unsure,
-            "crossed bounds": found["percent"] and upper < lower,
+            "lower bound": bounds["guaranteed_lower"] and lower > J + slack,
+            "upper bound": bounds["guaranteed_upper"] and upper < J - slack,
+            "error bound": both and bounds["error_bound"] < row["own"][-1]["norm"] - unsure,
+            "crossed bounds": bounds["percent"] and upper < lower,
         }
     return [fault for fault, bad in wrong.items() if bad]
 
 
-def check(kind: str, number: int, folder: Path, order: int = 1) -> Row:
+def check(kind: str, number: int, order: int = 1) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
-    data = draws.DRAWN[kind](number) if kind in draws.DRAWN else draws.KINDS[kind](folder)[number]
-    data = replace(data, order=order)
+    data = replace(draws.KINDS[kind](number), order=order)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
         return row | checked(data)
@@ -211,94 +206,63 @@ def factor(rows: Iterable[Row]) -> float:
     return float(np.median([row["factor"] for row in rows if "factor" in row] or [math.nan]))
 
 
+def faults(rows: Iterable[Row]) -> dict[str, int]:
+    """How many there are of each."""
+    return dict(Counter(fault for row in rows for fault in row["faults"]))
+
+
 def summary(rows: Sequence[Row]) -> int:
     """Print the figures of all rows; the exit code."""
-
-    def faults(part: Iterable[Row]) -> dict[str, int]:
-        return dict(Counter(fault for row in part for fault in row["faults"]))
-
     print(f"\n{len(rows)} solves, {sum(not row['feasible'] for row in rows)} of infeasible problems")
-    for family in sorted({row["family"] for row in rows}):
-        part = [row for row in rows if row["family"] == family]
+    lines = []
+    for family in [*sorted({row["family"] for row in rows}), "all"]:
+        part = [row for row in rows if family in (row["family"], "all")]
         good, posed = ([row for row in part if row[key]] for key in ("success", "well_posed"))
-        print(f"  {family}: {len(part)} solves, {len(posed)} well-posed, {len(good)} successes,")
-        print(f"    {sum(bool(row['faults']) for row in good)} of them with a fault,", end=" ")
-        print(f"median true factor {factor(good):.3f}; {faults(part) or 'no fault'}")
+        share = sum(row["success"] for row in posed) / len(posed) if posed else 1.0
+        line = {"family": family, "solves": len(part), "well-posed": len(posed), "of them successes": share}
+        line |= {"successes": len(good), "with a fault": sum(bool(row["faults"]) for row in good)}
+        line |= {"median true factor": factor(good), "faults": faults(part) or "none"}
+        for key in ("seconds", "check_seconds"):
+            times = [row[key] for row in part]
+            line[f"{key}, median and most"] = f"{median(times):.2f}, {max(times):.1f}"
+        lines.append(line)
+    print(markdown(pd.DataFrame(lines)))
     print(f"statuses: {dict(Counter(row['status'] for row in rows))}")
-    for key in ("seconds", "check_seconds"):
-        times = [row[key] for row in rows]
-        print(f"{key}: median {median(times):.2f}, most {max(times):.1f}")
-    good, posed = ([row for row in rows if row[key]] for key in ("success", "well_posed"))
-    share = sum(row["success"] for row in posed) / max(len(posed), 1)
-    print(f"faults: {faults(rows)}; of successes: {faults(good)}")
-    print(f"successes of the {len(posed)} well-posed problems: {share:.1%}")
-    print(f"median true factor over successes: {factor(good):.4f}")
-    return 1 if faults(rows) or (posed and share < SUCCEED) else 0
-
-
-def compare(old: Sequence[Row], new: Sequence[Row]) -> None:
-    """Print both medians over what is a success without a fault in the old rows."""
-    now = {(row["kind"], row["name"]): row for row in new}
-    honest = [row for row in old if row["success"] and not row["faults"]]
-    then = [row for row in honest if (row["kind"], row["name"]) in now]
-    again = [now[row["kind"], row["name"]] for row in then]
-    print(f"{len(then)} honest successes of the old rows, {sum(row['success'] for row in again)} of them now")
-    print(f"their median true factor: {factor(then):.4f} then, {factor(again):.4f} now")
+    return 1 if faults(rows) or share < SUCCEED else 0
 
 
 def show(row: Row) -> None:
-    """Print a solve, and the quantities of a part."""
+    """Print a solve."""
     errors, norms = ([f"{value:.3g}" for value in row.get(key, [])] for key in ("errors", "norms"))
     word, claim = row["status"] + ", success" * row["success"], row.get("claimed")
     print(f"{row['name']}: {word}; {', '.join(row['faults']) or 'no fault'}")
     print(f"    true errors {errors}, factor {factor([row]):.3f}, claimed {claim}, energy norms {norms}")
-    for key in ("peak", "resultant", "length") if row["kind"] == "parts" and "peak" in row else ():
-        print(f"    {key} before, after, reference: {[f'{value:.4g}' for value in row[key]]}")
-
-
-def read(file: Path | None) -> list[Row]:
-    """Rows of an earlier run."""
-    text = file.read_text(encoding="utf-8") if file and file.exists() else ""
-    return [json.loads(line) for line in text.splitlines()]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """The soak; returns the exit code."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--kind", choices=(*draws.DRAWN, *draws.KINDS), default="random")
-    parser.add_argument("--count", type=int, help="number of solves: 60 random ones, all others")
+    parser = command_line(__doc__)
+    parser.add_argument("--kind", choices=list(draws.KINDS), default="random")
+    parser.add_argument("--count", type=int, help="number of solves: 60 by default, all of the aimed ones")
     parser.add_argument("--first", type=int, default=0, help="seed or number of the first")
-    parser.add_argument("--parts", type=Path, default=Path(), help="folder of problem files")
     parser.add_argument("--order", type=int, choices=(1, 2), default=1, help="of the displacements")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="folder for KIND.jsonl; what is in it is not solved again")
-    parser.add_argument("--compare", type=Path, help="KIND.jsonl of another version")
-    given = parser.parse_args(arguments)
-    last = given.first + (given.count or 60)
-    if given.kind in draws.KINDS:
-        every = len(draws.KINDS[given.kind](given.parts))
-        last = min(every, last) if given.count else every
-    file = given.out and given.out / f"{given.kind}.jsonl"
-    rows = read(file)
-    if file:
-        given.out.mkdir(parents=True, exist_ok=True)
-    todo = sorted({*range(given.first, last)} - {row["number"] for row in rows})
-    tasks = [(given.kind, number, given.parts, given.order) for number in todo]
-    with ProcessPoolExecutor(given.jobs) as pool:
-        for future in as_completed([pool.submit(check, *task) for task in tasks]):
-            row = future.result()
-            rows.append(row)
-            if row["faults"] or given.kind in draws.KINDS or (row["well_posed"] and not row["success"]):
+    options = parser.parse_args(arguments)
+    last = options.first + (options.count or 60)
+    if options.kind == "aimed":
+        every = len(draws.aimed())
+        last = min(every, last) if options.count else every
+    store = Store(options.out and options.out / f"{options.kind}.jsonl")
+    todo = (number for number in range(options.first, last) if not store.has(number=number))
+    with ProcessPoolExecutor(options.jobs) as pool:
+        tasks = [pool.submit(check, options.kind, number, options.order) for number in todo]
+        for task in as_completed(tasks):
+            row = task.result()
+            store.add(row)
+            if row["faults"] or options.kind == "aimed" or (row["well_posed"] and not row["success"]):
                 show(row)
-            if file:
-                with file.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps(row, default=float) + "\n")
-    code = summary(rows) if rows else 0
-    if given.compare:
-        compare(read(given.compare), rows)
-    return code
+    return summary(store.rows) if store.rows else 0
 
 
 if __name__ == "__main__":

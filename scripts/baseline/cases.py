@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 import rmesh_nlp as rm
+from gallery import mpcc_traps
 from mpcc_library import labels
 from mpcc_library.bilevel_problems import PROBLEMS as BILEVEL
 from mpcc_library.bilevel_problems import get as bilevel
@@ -28,8 +29,6 @@ from mpcc_library.large import LARGE
 from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
 from truth import draws
-
-GALLERY = Path(__file__).resolve().parents[1] / "gallery"
 
 FORMULATIONS = ("fixed", "nested", "joint", "mpcc", "auto")
 WITHOUT_ENERGY = ("fixed", "nested", "mpcc", "auto")
@@ -143,8 +142,8 @@ def mpcc(program: Callable[[], tuple[rm.MPCC, object]]) -> End:
 
 
 def _of_family(name: str, size: int, seed: int) -> tuple[rm.MPCC, object]:
-    found = {**FAMILIES, **LARGE}[name][0](size, seed)
-    return found.mpcc, found.x0
+    problem = {**FAMILIES, **LARGE}[name][0](size, seed)
+    return problem.mpcc, problem.x0
 
 
 def _of_bilevel(name: str) -> tuple[rm.MPCC, object]:
@@ -160,13 +159,11 @@ def _near_point(seed: int) -> tuple[rm.MPCC, object]:
 
 
 def _of_gallery(name: str, n: int) -> rm.ContactProblem:
-    sys.path[:0] = [] if str(GALLERY) in sys.path else [str(GALLERY)]
-    return import_module(name).problem(n)
+    return import_module(f"gallery.{name}").problem(n)
 
 
 def _trap(name: str) -> tuple[rm.MPCC, object]:
-    sys.path[:0] = [] if str(GALLERY) in sys.path else [str(GALLERY)]
-    program = import_module("mpcc_traps").programs()[name]
+    program = mpcc_traps.programs()[name]
     return program, np.zeros(program.x.shape[0])
 
 

@@ -79,11 +79,11 @@ def compare(baseline: Sequence[Rows], rows: Rows, allowed: Collection[str] = ())
         Entries of records that may be missing.
     """
     common = [name for name in rows if all(name in run for run in baseline)]
-    result, found = Comparison(), losses(baseline, rows, common)
+    result, lost = Comparison(), losses(baseline, rows, common)
     among: list[dict[str, list[str]]] = []
     for k in range(len(baseline) if len(baseline) > 1 else 0):
         among.append(losses([*baseline[:k], *baseline[k + 1 :]], baseline[k], common))
-    for kind, lines in sorted(found.items()):
+    for kind, lines in sorted(lost.items()):
         usual = max((len(run.get(kind, [])) for run in among), default=0)
         entry = kind.partition("entry missing ")[2]
         may_go = any(entry == name or entry.startswith(f"{name}.") for name in allowed)
@@ -102,13 +102,13 @@ def compare(baseline: Sequence[Rows], rows: Rows, allowed: Collection[str] = ())
 
 def losses(baseline: Sequence[Rows], rows: Rows, names: Collection[str]) -> dict[str, list[str]]:
     """What is worse than in every run, by kind."""
-    found: dict[str, list[str]] = defaultdict(list)
+    lost: dict[str, list[str]] = defaultdict(list)
     for name in names:
         olds, new = [run[name] for run in baseline], rows[name]
         for kind, line in [*_worse_end(olds, new), *_other_record(olds, new)]:
             of_group = "" if kind.startswith(("entry", "number")) else f"{_group(name)}: "
-            found[of_group + kind].append(f"{name}: {line}")
-    return found
+            lost[of_group + kind].append(f"{name}: {line}")
+    return lost
 
 
 def _worse_end(olds: Sequence[Row], new: Row) -> list[tuple[str, str]]:
@@ -142,17 +142,17 @@ def _other_record(olds: Sequence[Row], new: Row) -> list[tuple[str, str]]:
     same = [old for old in olds if _is_same_end(old, new)]
     if not same:
         return []
-    other = []
+    changes = []
     for key in set.intersection(*(set(old["keys"]) for old in same)) - set(new["keys"]):
-        other.append((f"entry missing {key}", "in its record"))
+        changes.append((f"entry missing {key}", "in its record"))
     for key in set(new["keys"]) - set.union(*(set(old["keys"]) for old in same)):
-        other.append((f"entry new {key}", "in its record"))
+        changes.append((f"entry new {key}", "in its record"))
     for key, number in new["numbers"].items():
         numbers = [old["numbers"][key] for old in same if key in old["numbers"]]
         off = max(min(numbers) - number, number - max(numbers)) if numbers else 0.0
         if off > SAME_NUMBER * max(abs(number), *map(abs, numbers), 0.0) + ABSOLUTE:
-            other.append((f"number {key}", f"{_range(numbers)} -> {number:.7g}"))
-    return other
+            changes.append((f"number {key}", f"{_range(numbers)} -> {number:.7g}"))
+    return changes
 
 
 def _gains(olds: Sequence[Row], new: Row, name: str) -> list[str]:

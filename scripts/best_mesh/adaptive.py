@@ -27,6 +27,8 @@ from skfem import (
     ElementTriP2,
     ElementVector,
     FacetBasis,
+    Functional,
+    InteriorFacetBasis,
     LinearForm,
     MeshTri,
 )
@@ -34,17 +36,14 @@ from skfem.helpers import grad
 from skfem.quadrature import get_quadrature
 from skfem.refdom import RefTri
 
-BULK, RULE, FINE, MOST = 0.5, 6, 10, 100
-"""Dörfler's share; degrees of the rules for the load and for errors; most steps of an active set."""
+BULK, RULE, FINE, EDGES, MOST = 0.5, 6, 10, 3, 100
+"""Dörfler's share; degrees of the rules for the load, for errors and jumps; most steps of an active set."""
 
 DOUBT, DEPTH = 1e-4, 12
 """Part of the error by which rules may differ on an element; times that it is else cut at its corners."""
 
 ELEMENTS = {1: ElementTriP1(), 2: ElementTriP2()}
 """By order."""
-
-INSIDE = 1e-6
-"""Where, from the end of an edge to its middle, data are read that may jump at nodes."""
 
 OnPoints = Callable[[NDArray], NDArray]
 
@@ -69,9 +68,7 @@ class Equations:
     given : callable
         The values of u where it is held.
     slope : callable, optional
-        Gradients (2, ...) of the exact solution. Errors are then half squares of that in the energy norm, and
-        else those of the energy, against ``exact``.
-    exact : float
+        Gradients (2, ...) of the exact solution.
     components : int
     stress : callable
         Of gradients (components, 2, ...).
@@ -86,7 +83,6 @@ class Equations:
     above: OnPoints = nothing
     given: OnPoints = nothing
     slope: OnPoints | None = None
-    exact: float = float("nan")
     components: int = 1
     stress: Callable[[NDArray], NDArray] = lambda gradient: gradient
     traction: OnPoints = nothing
@@ -111,11 +107,6 @@ class Solved:
     seconds: float
 
     @property
-    def mesh(self) -> MeshTri:
-        """Of the basis."""
-        return self.basis.mesh
-
-    @property
     def nodes(self) -> int:
         """Their number."""
         return int(self.dofs.shape[1])
@@ -135,14 +126,12 @@ def solve(
     basis = Basis(mesh, element if problem.components == 1 else ElementVector(element), intorder=RULE)
     dofs = np.hstack([basis.nodal_dofs, basis.facet_dofs][:order])
     x, n, nodes = basis.doflocs[:, dofs[0]], mesh.p.shape[1], dofs.shape[1]
-    rim, sides = np.zeros(nodes, dtype=bool), mesh.boundary_facets()
-    rim[mesh.facets[:, sides]] = rim[(n + sides)[: nodes - n]] = True
+    rim = np.isin(dofs[0], basis.get_dofs().flatten())
     held = rim & np.broadcast_to(problem.held(x) > 0, dofs.shape)
     above = (problem.above(x) > 0) & ~held[-1]
     matrix = BilinearForm(lambda u, v, _: _dot(problem.stress(grad(u)), grad(v))).assemble(basis)
     load = LinearForm(lambda v, w: _dot(problem.source(w.x), v)).assemble(basis)
-    frame = FacetBasis(mesh, basis.elem, facets=sides, intorder=RULE)
-    load += LinearForm(lambda v, w: _dot(problem.traction(w.x), v)).assemble(frame)
+    load += LinearForm(lambda v, w: _dot(problem.traction(w.x), v)).assemble(basis.boundary())
     # values from Bernstein's coefficients, at contact edges
     to_values = sp.identity(basis.N, format="csr")
     if order == 2:
@@ -156,9 +145,8 @@ def solve(
     bound = np.zeros(nodes)
     if problem.friction is not None:
         on = LinearForm(lambda v, w: _dot(np.stack([problem.friction(w.x), 0 * w.x[1]]), v))
-        facets = sides[problem.above(mesh.p[:, mesh.facets[:, sides]].mean(axis=1)) > 0]
-        frame = FacetBasis(mesh, basis.elem, facets=facets, intorder=RULE)
-        bound = (to_values.T @ on.assemble(frame))[dofs[0]]
+        facets = mesh.facets_satisfying(lambda x: problem.above(x) > 0, boundaries_only=True)
+        bound = (to_values.T @ on.assemble(basis.boundary(facets)))[dofs[0]]
     rough = bound > 0
     c, offset = np.zeros(dofs.shape), problem.offset(x)
     c[held] = np.broadcast_to(problem.given(x), dofs.shape)[held]
@@ -193,11 +181,11 @@ def solve(
 
 def half_square(basis: Basis, u: NDArray, slope: OnPoints) -> float:
     """Half the square of the error in the energy norm, for the gradient of the exact solution."""
+    density = Functional(lambda w: ((w["u"].grad - slope(np.asarray(w.x))) ** 2).sum(axis=0) / 2)
 
     def integrals(elements: NDArray | None, **rule: Any) -> NDArray:
         fine = Basis(basis.mesh, basis.elem, elements=elements, **rule)
-        away = fine.interpolate(u).grad - slope(np.asarray(fine.global_coordinates()))
-        return np.asarray(((away**2).sum(axis=0) * fine.dx).sum(axis=1)) / 2
+        return np.asarray(density.elemental(fine, u=fine.interpolate(u)))
 
     result = integrals(None, intorder=FINE)
     doubtful = np.flatnonzero(abs(result - integrals(None, intorder=RULE)) > DOUBT * result.sum())
@@ -227,51 +215,44 @@ def indicators(problem: Equations, solved: Solved) -> NDArray:
     On the boundary jumps are those to the tractions, where neither displacement nor contact is given. Where
     all nodes touch, the obstacle bears the source.
     """
-    mesh, basis, components = solved.mesh, solved.basis, problem.components
-    dx, number = basis.dx, np.zeros(basis.N, dtype=int)
-    number[solved.dofs] = np.arange(solved.nodes)
-    corners, weights = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.full(3, 1 / 6)
-    at_corners = Basis(mesh, basis.elem, quadrature=(corners, weights))
-    slope = np.asarray(at_corners.interpolate(solved.u).grad)
-    # (components, 2, elements, corners), linear on elements
-    stress = problem.stress(slope.reshape(components, 2, -1, 3))
+    mesh, basis, components = solved.basis.mesh, solved.basis, problem.components
+
+    def traction(side: FacetBasis, gradient: NDArray) -> NDArray:
+        stress = problem.stress(np.asarray(gradient)).reshape(components, 2, *side.dx.shape)
+        return (stress * np.asarray(side.normals)).sum(axis=1)
+
+    def weighted(side: FacetBasis, jump: NDArray) -> NDArray:
+        return side.dx.sum(axis=1) * ((jump**2).sum(axis=0) * side.dx).sum(axis=1)
+
+    corners = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.full(3, 1 / 6)
+    slope = np.asarray(Basis(mesh, basis.elem, quadrature=corners).interpolate(solved.u).grad)
+    stress = problem.stress(slope).reshape(components, 2, -1, 3)  # linear on elements
     shares = mesh.mapping().invA.transpose(1, 2, 0)  # gradients of two barycentric coordinates
     divergence = np.einsum("cdek,dek->ce", stress[..., 1:] - stress[..., :1], shares)
-    f = np.broadcast_to(problem.source(np.asarray(basis.global_coordinates())), (components, *dx.shape))
-    x = mesh.p[:, mesh.t]
+    f = np.broadcast_to(problem.source(np.asarray(basis.global_coordinates())), (components, *basis.dx.shape))
+    x, number = mesh.p[:, mesh.t], np.zeros(basis.N, dtype=int)
     h2 = ((x - np.roll(x, 1, axis=1)) ** 2).sum(axis=0).max(axis=0)
-    residual = ((f + divergence[..., None]) ** 2 * dx).sum(axis=(0, 2))
+    residual = ((f + divergence[..., None]) ** 2 * basis.dx).sum(axis=(0, 2))
+    number[solved.dofs] = np.arange(solved.nodes)
     result = np.where(solved.touching[number[basis.element_dofs]].all(axis=0), 0.0, h2 * residual)
-    ends = mesh.facets
-    along = mesh.p[:, ends[1]] - mesh.p[:, ends[0]]
-    normal = np.stack([along[1], -along[0]])  # as long as the edge
 
-    def traction(elements: NDArray, facets: NDArray) -> NDArray:
-        """(components, 2 ends, facets) times the length of the edge."""
-        local = np.argmax(mesh.t[:, None, elements] == ends[:, facets], axis=0)
-        return np.einsum("cdkf,df->ckf", stress[:, :, elements, local], normal[:, facets])
+    sides = [InteriorFacetBasis(mesh, basis.elem, intorder=EDGES, side=side) for side in (0, 1)]
+    jump = traction(sides[0], np.subtract(*(side.interpolate(solved.u).grad for side in sides)))
+    both = mesh.f2t[:, sides[0].find].ravel()
+    result += np.bincount(both, np.tile(weighted(sides[0], jump) / 2, 2), mesh.nelements)
 
-    def squares(jump: NDArray) -> NDArray:
-        a, b = jump[:, 0], jump[:, 1]
-        return (a**2 + a * b + b**2).sum(axis=0) / 3
-
-    inside, rim = np.flatnonzero(mesh.f2t[1] >= 0), mesh.boundary_facets()
-    both = mesh.f2t[:, inside]
-    size = squares(traction(both[0], inside) - traction(both[1], inside)) / 2
-    result += np.bincount(both.ravel(), np.tile(size, 2), mesh.t.shape[1])
-    element, p = mesh.f2t[0, rim], mesh.p[:, ends[:, rim]]
-    middle = p.mean(axis=1)
-    out = np.sign(((middle - mesh.p[:, mesh.t[:, element]].mean(axis=1)) * normal[:, rim]).sum(axis=0))
-    place = p + INSIDE * (middle[:, None] - p)
-    given = np.broadcast_to(problem.traction(place), (components, *place.shape[1:])).copy()
-    unknown = np.broadcast_to(problem.held(middle) > 0, (components, rim.size)).copy()
-    unknown[-1] |= solved.touching[ends[:, rim]].any(axis=0)
+    rim = FacetBasis(mesh, basis.elem, intorder=EDGES)
+    ends, place = mesh.facets[:, rim.find], np.asarray(rim.global_coordinates())
+    middle = mesh.p[:, ends].mean(axis=1)
+    jump = traction(rim, rim.interpolate(solved.u).grad) - problem.traction(place)
+    is_given = np.broadcast_to(problem.held(middle) > 0, (components, middle.shape[1])).copy()
+    is_given[-1] |= solved.touching[ends].any(axis=0)
     if problem.friction is not None:
-        contact, slip = problem.above(middle) > 0, solved.slip[ends[:, rim]]
-        unknown[0] |= contact & (slip == 0).any(axis=0)
-        given[0] -= contact * slip * problem.friction(place)
-    jump = out * traction(element, rim) - given * np.linalg.norm(normal[:, rim], axis=0)
-    return result + np.bincount(element, squares(np.where(unknown[:, None], 0.0, jump)), mesh.t.shape[1])
+        contact, slip = problem.above(middle) > 0, solved.slip[ends]
+        is_given[0] |= contact & (slip == 0).any(axis=0)
+        jump[0] += (contact * slip.mean(axis=0))[:, None] * problem.friction(place)
+    jump = np.where(is_given[..., None], 0.0, jump)
+    return result + np.bincount(mesh.f2t[0, rim.find], weighted(rim, jump), mesh.nelements)
 
 
 def adaptive(problem: Equations, mesh: MeshTri, order: int, most: int) -> Iterator[Solved]:

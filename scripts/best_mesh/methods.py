@@ -1,9 +1,13 @@
-"""What is compared: given, h-adaptive and metric meshes, quadratic elements, relocation."""
+"""What is compared: uniform, h-adaptive and metric meshes of orders 1 and 2, relocation, what is attainable.
+
+Each method yields its meshes as dicts with ``nodes`` (of displacements, so with the middles of edges at order
+2), ``error``, and where they mean something ``seconds`` (processor time to this mesh, model build included)
+and ``status``.
+"""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 from skfem import MeshTri
@@ -11,11 +15,32 @@ from skfem import MeshTri
 import rmesh_nlp as rm
 from best_mesh import adaptive as plain
 from best_mesh.cases import EQUATIONS_61, Case, next_mesh
-from best_mesh.rows import ADAPTIVE, ATTAINABLE, GIVEN, LOOP, METRIC, QUADRATIC, Row
-from peer_solvers import unassessed
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.remeshing import GROWTH, ROUGH, Solved, metric_start, remeshed_problem
 from rmesh_nlp.problem import ContactProblem
+from rows import Row, Store, timed
+
+UNIFORM, ADAPTIVE = "uniform", "h-adaptive"
+METRIC, LOOP = "metric", "metric, adaptive loop"
+RELOCATED, REMESHED, ATTAINABLE = "relocated", "remeshed, relocated", "attainable"
+
+Rows = Iterator[Row]
+Method = Callable[[], Rows]
+
+
+def measure(store: Store, case: str, order: int, method: str, size: int, rows: Method) -> None:
+    """Keep the rows of a method, if it was not measured before; what went wrong is a row."""
+    key = {"case": case, "order": order, "method": method, "size": size}
+    if store.has(**key):
+        return
+    try:
+        measured = list(rows())
+    except Exception as error:
+        measured = [{"nodes": 0, "error": float("nan"), "status": f"{type(error).__name__}: {error}"}]
+    for row in measured:
+        store.add({**key, "seconds": float("nan"), "status": "", **row})
+        print(*key.values(), *row.values(), sep="; ", flush=True)
 
 
 def warm_up() -> None:
@@ -26,81 +51,83 @@ def warm_up() -> None:
     rm.solve(EXAMPLES["6.1"](n=8, delta="none"), remesh=True)
 
 
-def given(case: Case, size: int) -> Iterator[Row]:
-    """Linear elements on the mesh as given, and quadratic ones where scikit-fem has the problem."""
-    problem = case.problem(size)
-    if case.equations is None:
-        began = time.process_time()
-        Solved.of(problem)
-        seconds = time.process_time() - began
-    else:
-        mesh = MeshTri(problem.mesh.p, problem.mesh.t)
-        seconds = plain.solve(case.equations, mesh, 1).seconds
-        found = plain.solve(case.equations, mesh, 2)
-        yield Row(case.name, QUADRATIC, size, found.nodes, case.error_of(found), found.seconds)
-    yield Row(case.name, GIVEN, size, _nodes(problem), case.error(problem), seconds)
+def by_scikit_fem(
+    case: Case, size: int, order: int, loop: Callable[..., Iterator[plain.Solved]], most: int
+) -> Rows:
+    """Refinement of a mesh by a loop of scikit-fem, uniform or h-adaptive, up to a number of nodes."""
+    mesh = case.problem(size).mesh
+    for end in loop(case.equations, MeshTri(mesh.p, mesh.t), order, most):
+        yield {"nodes": end.nodes, "error": case.error_of(end), "seconds": end.seconds}
 
 
-def attainable(case: Case, size: int) -> Iterator[Row]:
-    """The least interpolation error of as many triangles as the given mesh has."""
-    fine, mesh = case.reference(), case.problem(size).mesh
-    known = f"energy known to {fine.doubt:.1e}"
-    yield Row(case.name, ATTAINABLE, size, mesh.p.shape[1], fine.least(mesh.t.shape[1]), status=known)
-
-
-def h_adaptive(case: Case, most: int) -> Iterator[Row]:
-    """Local refinement of the coarsest mesh by scikit-fem's plain loop.
-
-    Problems that it does not have are refined by the package, without a time.
-    """
-    problem = case.problem(case.sizes[0])
-    if case.equations is not None:
-        mesh = MeshTri(problem.mesh.p, problem.mesh.t)
-        for found in plain.adaptive(case.equations, mesh, 1, most):
-            yield Row(case.name, ADAPTIVE, most, found.nodes, case.error_of(found), found.seconds)
-        return
-    while _nodes(problem) <= most:
-        yield Row(case.name, ADAPTIVE, most, _nodes(problem), case.error(problem))
+def refined(case: Case, size: int, order: int, most: int) -> Rows:
+    """Local refinement by the package to at least a number of nodes, without a time."""
+    problem = case.problem(size, order)
+    yield _row(case, problem)
+    while unknowns(problem) < most:
         problem = next_mesh(problem)
+        yield _row(case, problem)
 
 
-def metric_loop(case: Case, most: int) -> Iterator[Row]:
+def uniform(case: Case, size: int, order: int = 1) -> Rows:
+    """The mesh as given; the time is that of scikit-fem where it has the problem, else of the package."""
+    problem = case.problem(size, order)
+    if case.equations is None:
+        _, seconds = timed(Solved.of, problem)
+    else:
+        seconds = plain.solve(case.equations, MeshTri(problem.mesh.p, problem.mesh.t), order).seconds
+    yield {**_row(case, problem), "seconds": seconds}
+
+
+def attainable(case: Case, size: int) -> Rows:
+    """The least interpolation error of as many triangles as the given mesh has."""
+    fine, mesh = case.reference, case.problem(size).mesh
+    status = f"energy known to {fine.doubt:.1e}"
+    yield {"nodes": mesh.p.shape[1], "error": fine.least(mesh.t.shape[1]), "status": status}
+
+
+def metric_loop(case: Case, most: int) -> Rows:
     """An adaptive loop of Mmg with the recovered metric: one round per size, each several times the last."""
-    problem, ratio, seconds = case.problem(case.sizes[0]), float("nan"), 0.0
-    while _nodes(problem) <= most:
-        began = time.process_time()
-        solved = Solved.of(problem)
-        seconds += time.process_time() - began
-        yield Row(case.name, LOOP, most, _nodes(problem), case.error(problem), seconds)
-        began = time.process_time()
-        size = int(GROWTH * _nodes(problem))
-        problem, ratio = remeshed_problem(problem, solved.regions, size, ratio, ROUGH)
-        seconds += time.process_time() - began
+    problem, ratio, spent = case.problem(case.sizes[0]), float("nan"), 0.0
+    while unknowns(problem) <= most:
+        solved, seconds = timed(Solved.of, problem)
+        spent += seconds
+        yield {**_row(case, problem), "seconds": spent}
+        size = int(GROWTH * unknowns(problem))
+        (problem, ratio), seconds = timed(remeshed_problem, problem, solved.regions, size, ratio, ROUGH)
+        spent += seconds
 
 
-def metric(case: Case, size: int) -> Iterator[Row]:
+def metric(case: Case, size: int) -> Rows:
     """Mmg with the recovered metric to as many nodes as given; no node is relocated."""
     problem = case.problem(size)
-    began = time.process_time()
-    found = metric_start(Solved.of(problem), _nodes(problem)).solved.problem
-    seconds = time.process_time() - began
-    yield Row(case.name, METRIC, size, _nodes(found), case.error(found), seconds)
+    start, seconds = timed(lambda: metric_start(Solved.of(problem), unknowns(problem)))
+    yield {**_row(case, start.solved.problem), "seconds": seconds}
 
 
-def relocated(case: Case, method: str, size: int, remesh: bool) -> Iterator[Row]:
+def relocated(case: Case, size: int, order: int, remesh: bool) -> Rows:
     """Relocation without move limits, on the mesh as given or on one for the solution."""
-    final, seconds, status = by_default(case.problem(size), remesh)
-    yield Row(case.name, method, size, _nodes(final), case.error(final), seconds, status)
+    final, seconds, status = by_default(case.problem(size, order), remesh)
+    yield {**_row(case, final), "seconds": seconds, "status": status}
 
 
 def by_default(problem: ContactProblem, remesh: bool) -> tuple[ContactProblem, float, str]:
     """The problem on the mesh that ``auto`` ends with, seconds without the assessment, and the status."""
-    began = time.process_time()
-    solution = rm.solve(problem, remesh=remesh)
-    seconds = unassessed(time.process_time() - began, solution)
+    solution, seconds = timed(rm.solve, problem, remesh=remesh)
     final = replace(solution.problem, mesh=solution.mesh, quadrature=problem.quadrature, reference=None)
-    return final, seconds, solution.status.value
+    return final, unassessed(seconds, solution), solution.status.value
 
 
-def _nodes(problem: ContactProblem) -> int:
-    return int(problem.mesh.p.shape[1])
+def unassessed(seconds: float, solution: rm.Solution) -> float:
+    """Seconds of a solve without the share of its assessment."""
+    record = solution.record()
+    return seconds * (1 - record["audit_time_s"] / record["wall_time_s"])
+
+
+def unknowns(problem: ContactProblem) -> int:
+    """Number of displacement nodes."""
+    return int(DisplacementSpace.of(problem).n_nodes)
+
+
+def _row(case: Case, problem: ContactProblem) -> Row:
+    return {"nodes": unknowns(problem), "error": case.error(problem)}

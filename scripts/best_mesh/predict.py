@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 
-from best_mesh.cases import RULE
-from best_mesh.methods import by_default
-from best_mesh.rows import GIVEN, NEAR, REMESHED, Row, of
+from best_mesh.cases import RULE, extrapolated
+from best_mesh.methods import by_default, unknowns
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.advice import advise
+from rows import Row, Store, markdown
 
-PREDICTED, ADVISED, UNKNOWN = "predicted", "as advised", ", not known"
 COUNT, SEEDS, CLOSE = 20, range(90_020, 90_080), 0.2
 """How many problems whose errors are known; seeds, on which nothing was chosen, that are tried in turn; the
 relative difference that counts as agreement."""
@@ -43,68 +42,55 @@ def reference(problem: ContactProblem) -> tuple[float, float]:
 
     Many of these solutions vary in one direction only: locally refined meshes come less near.
     """
-    start, found = Solved.of(problem), []
+    start, meshes = Solved.of(problem), []
     for nodes in FINE_NODES:
         start = metric_start(start, nodes).solved
-        found.append((_nodes(start.problem), admissible(start.problem).energy))
-    (before, higher), (last, least) = found
-    doubt = (higher - least) * before / (last - before)
-    return least - doubt, abs(doubt)
+        meshes.append((unknowns(start.problem), admissible(start.problem).energy))
+    return extrapolated(*meshes)
 
 
-def measured(seed: int) -> Iterator[Row]:
-    """Errors of the given mesh, remeshed and relocated, and as advised; the predicted factor."""
-    problem, name = drawn(seed), f"random {seed}"
-    began = time.process_time()
-    advice = advise(problem)
-    seconds = time.process_time() - began
-    limit, doubt = reference(problem)
-    way = getattr(advice, "recommended", "remesh")
-    remeshed = by_default(problem, remesh=True)
-    advised = {
+def compared(seed: int) -> Row:
+    """Predicted factor, and measured ones at equal nodes: as advised, and by remeshing and relocation.
+
+    They are missing where the reference does not know the errors. Refining has four times as many nodes.
+    """
+    problem = drawn(seed)
+    advice, (limit, doubt) = advise(problem), reference(problem)
+    advised = getattr(advice, "recommended", "remesh")
+    remeshed = by_default(problem, remesh=True)[0]
+    final = {
         "remesh": lambda: remeshed,
-        "relocate": lambda: by_default(problem, remesh=False),
-        "refine": lambda: (refined(problem), np.nan, ""),
-    }[way]()
-    given = admissible(problem).energy - limit
-    is_known = given > ROUNDING * abs(limit)
-    yield Row(name, GIVEN, seed, _nodes(problem), given)
-    for method, (final, spent, status) in ((REMESHED, remeshed), (ADVISED, advised)):
-        error = admissible(final).energy - limit
-        is_known = is_known and doubt < KNOWN * error
-        yield Row(name, method, seed, _nodes(final), error, spent, status)
-    factor = float(getattr(advice, "predicted_factor", np.nan))
-    yield Row(name, PREDICTED, seed, _nodes(problem), factor, seconds, way if is_known else way + UNKNOWN)
+        "relocate": lambda: by_default(problem, remesh=False)[0],
+        "refine": lambda: refined(problem),
+    }[advised]()
+    nodes, error = unknowns(problem), admissible(problem).energy - limit
+    row: Row = {"seed": seed, "nodes": nodes, "error": error, "advised": advised}
+    row["predicted"] = float(getattr(advice, "predicted_factor", np.nan))
+    errors = [admissible(end).energy - limit for end in (final, remeshed)]
+    if error > ROUNDING * abs(limit) and doubt < KNOWN * min(errors):
+        counts = [nodes if advised == "refine" else unknowns(final), unknowns(remeshed)]
+        factors = [error / left * nodes / count for left, count in zip(errors, counts, strict=True)]
+        row |= dict(zip(("measured", "remeshed, relocated"), factors, strict=True))
+    return row
 
 
-def known(rows: Sequence[Row]) -> int:
-    """How many problems can be compared."""
-    return sum(r.method == PREDICTED and not r.status.endswith(UNKNOWN) for r in rows)
-
-
-def _nodes(problem: ContactProblem) -> int:
-    return int(problem.mesh.p.shape[1])
+def measured(store: Store) -> list[Row]:
+    """Rows of as many problems as are wanted; what fails is a row."""
+    for seed in SEEDS:
+        if sum("measured" in row for row in store.rows) < COUNT and not store.has(seed=seed):
+            try:
+                store.add(compared(seed))
+            except Exception as error:
+                store.add({"seed": seed, "status": f"{type(error).__name__}: {error}"})
+            print(store.rows[-1], flush=True)
+    return store.rows
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Predicted and measured factors in Markdown, and how many are close; what failed or is not known."""
-    lines = ["| problem | nodes | error | advised | predicted | measured | over | remeshed, relocated |"]
-    lines.append("|:--|--:|--:|:--|--:|--:|--:|--:|")
-    ratios, left = [], []
-    for case in dict.fromkeys(r.case for r in rows):
-        found = [of(rows, case, name) for name in (GIVEN, REMESHED, ADVISED, PREDICTED)]
-        if not all(found) or found[3][0].status.endswith(UNKNOWN):
-            left.append(case)
-            continue
-        given, remeshed, advised, said = (one[0] for one in found)
-        equal = {"refine": given.nodes}.get(said.status, advised.nodes)  # with four times as many
-        factor = given.error / advised.error * given.nodes / equal
-        ratios.append(said.error / factor)
-        numbers = f"{said.error:.3g} | {factor:.3g} | {ratios[-1]:.2f}"
-        other = given.error / remeshed.error * given.nodes / remeshed.nodes
-        lines.append(
-            f"| {case} | {given.nodes} | {given.error:.3g} | {said.status} | {numbers} | {other:.3g} |"
-        )
-    close = sum(abs(ratio - 1) <= CLOSE + NEAR for ratio in ratios)
-    ending = f"\n{close} of {len(ratios)} within {CLOSE:.0%}; not compared: {', '.join(left) or 'none'}\n"
-    return "\n".join([*lines, ending])
+    """Predicted and measured factors in Markdown, and how many are close; seeds that are not known."""
+    columns = ["seed", "nodes", "error", "advised", "predicted", "measured", "over", "remeshed, relocated"]
+    frame = pd.DataFrame([row for row in rows if "measured" in row], columns=columns)
+    frame["over"] = frame.predicted / frame.measured
+    close = int(np.sum(np.abs(frame.over - 1) <= CLOSE))
+    unknown = ", ".join(str(row["seed"]) for row in rows if "measured" not in row) or "none"
+    return f"{markdown(frame)}\n{close} of {len(frame)} within {CLOSE:.0%}; not compared: {unknown}\n"

@@ -27,8 +27,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import SEEDS, Designed, command_line, designed
+from common import command_line, save
+from designs import SEEDS, Designed, designed
 
 import rmesh_nlp as rm
 from rmesh_nlp.meshes import named
@@ -68,9 +68,9 @@ def problem(n: int, order: int = 2) -> rm.ContactProblem:
 
 def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Designed:
     """Design the seal from each start, and measure the gain again on finer meshes."""
-    found = designed(problem, n, order, OBJECTIVE, seeds)
-    found.show(NAMES, {"peak_pressure": "peak", "resultant": "resultant", "contact_length": "contact"})
-    return found
+    seal = designed(problem, n, order, OBJECTIVE, seeds)
+    seal.show(NAMES, {"peak_pressure": "peak", "resultant": "resultant", "contact_length": "contact"})
+    return seal
 
 
 def draw(seal: Designed, path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +16,9 @@ from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 AGREEMENT = 1e-4
@@ -45,7 +47,7 @@ class Case:
 
     def __str__(self) -> str:
         before, after, problem = self.before, self.after, self.before.problem
-        audited = [one.energy_audited for one in (before, after)]
+        audited = [solution.energy_audited for solution in (before, after)]
         return (
             f"{problem.name}: {np.sum(~problem.held()[0])} unknowns\n"
             f"  energy       {before.energy:.8g} -> {after.energy:.8g} (joint), "
@@ -70,7 +72,7 @@ def run(problem: ContactProblem, error: Error) -> Case:
         assert solution.success, f"{solution.formulation}: {solution.status.message}"
         assert solution.assessment.final.min_area_ratio > 0
     # of the continuous problem: one of them may have been solved again by a safe discretisation
-    given, best, second = (one.energy_audited for one in solutions)
+    given, best, second = (solution.energy_audited for solution in solutions)
     assert best <= given
     difference = abs(best - second) / max(abs(best), 1e-300)
     assert difference <= AGREEMENT, f"joint and nested differ by {difference:.1e}"
@@ -92,6 +94,14 @@ def exact_errors(problem: ContactProblem, nodes: np.ndarray, values: np.ndarray)
 def energy_norm(solution: Solution) -> float:
     """I1 of (4.1), half the squared energy norm of the error against the exact solution."""
     return float(exact_errors(solution.problem, np.asarray(solution.mesh.p), solution.displacement).sum())
+
+
+def shifted(outer: Outer, q: np.ndarray, row: int, shifts: Iterable[float]) -> Iterator[ReducedPoint]:
+    """The points that ``outer.function`` has as one outer variable is changed."""
+    for shift in shifts:
+        moved = q.copy()
+        moved[row] += shift
+        yield outer.function(moved)
 
 
 def draw(case: Case, path: Path) -> None:
@@ -116,8 +126,8 @@ def command_line(main: Callable[[int], Any], n: int, draw: Callable[[Any, Path],
     parser.add_argument("--n", type=int, default=n, help=f"size of the grid (default {n})")
     parser.add_argument("--picture", type=Path, help="file to draw to")
     options = parser.parse_args()
-    found = main(options.n)
-    if isinstance(found, Case):
-        print(found)
+    result = main(options.n)
+    if isinstance(result, Case):
+        print(result)
     if options.picture is not None:
-        draw(found, options.picture)
+        draw(result, options.picture)

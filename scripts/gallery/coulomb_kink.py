@@ -15,7 +15,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import command_line, save
+from common import command_line, save, shifted
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -48,10 +48,10 @@ class Across:
     reserve: NDArray[np.float64]
 
 
-def problem(n: int) -> rm.ContactProblem:
+def problem(n: int, coulomb: float = 1.0) -> rm.ContactProblem:
     """Example 6.3 on ``2 n`` x ``n`` squares, with Coulomb's coefficient in the place of its bound."""
     slab = rm.EXAMPLES["6.3"](n=(2 * n, n))
-    return replace(slab, obstacle=replace(slab.obstacle, friction=0.0, coulomb=1.0))
+    return replace(slab, obstacle=replace(slab.obstacle, friction=0.0, coulomb=coulomb))
 
 
 def main(n: int = 6) -> dict[str, rm.Solution]:
@@ -78,21 +78,17 @@ def across(solution: rm.Solution, points: int = 41) -> Across:
     row, q = positions.index[0, node], outer.variables(np.asarray(solution.mesh.p))
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     x, rows = [], []
-    for shift in np.linspace(-REACH, REACH, points):
-        moved = q.copy()
-        moved[row] += shift
-        point = outer.function(moved)
+    for point in shifted(outer, q, row, np.linspace(-REACH, REACH, points)):
         state, system = point.equilibrium, point.system
-        bound = system.bound(state.normal_force)[place]
-        slip = abs((system.tangents @ state.u)[place])
-        x.append(outer.nodes(moved)[0, node])
-        rows.append((point.value, slip, bound - abs(state.tangential_force[place])))
+        reserve = system.bound(state.normal_force) - np.abs(state.tangential_force)
+        x.append(outer.nodes(point.q)[0, node])
+        rows.append((point.value, abs((system.tangents @ state.u)[place]), reserve[place]))
     return Across(float(solution.mesh.p[0, node]), np.array(x), *np.array(rows).T)
 
 
-def slopes(found: Across) -> tuple[float, float]:
+def slopes(kink: Across) -> tuple[float, float]:
     """Of the objective per unit of length, on either side of where the solve ended."""
-    rates = np.diff(found.value) / np.diff(found.x)
+    rates = np.diff(kink.value) / np.diff(kink.x)
     middle = len(rates) // 2
     return float(rates[middle - 1]), float(rates[middle])
 
@@ -100,18 +96,18 @@ def slopes(found: Across) -> tuple[float, float]:
 def draw(solutions: dict[str, rm.Solution], path: Path) -> None:
     """The objective across the kink, slip and reserve of friction there, and the whole contact at the end."""
     end = solutions["nested"]
-    found = across(end)
+    kink = across(end)
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    distance = 1e3 * (found.x - found.best)
-    axes[0].plot(distance, 1e6 * (found.value - found.value[len(distance) // 2]), color=BLUE)
+    distance = 1e3 * (kink.x - kink.best)
+    axes[0].plot(distance, 1e6 * (kink.value - kink.value[len(distance) // 2]), color=BLUE)
     axes[0].set(ylabel="objective, from its end [1e-6 m]", title="the objective has a kink")
-    axes[1].plot(distance, found.slip / found.slip.max(), color=ORANGE, label="slip")
-    reserve = found.reserve / found.reserve.max()
+    axes[1].plot(distance, kink.slip / kink.slip.max(), color=ORANGE, label="slip")
+    reserve = kink.reserve / kink.reserve.max()
     axes[1].plot(distance, reserve, "--", color=GREEN, label=r"$F p - |\tau|$")
     axes[1].set(ylabel="over the largest", title="where slip and reserve vanish")
     axes[1].legend(frameon=False)
     for axis in axes[:2]:
-        axis.set_xlabel(f"the node at x = {found.best:.3f} moved by [1e-3 m]")
+        axis.set_xlabel(f"the node at x = {kink.best:.3f} moved by [1e-3 m]")
         axis.axvspan(0.0, distance[-1], color="0.92", zorder=0)
     axes[0].text(0.75, 0.9, "beyond its\nmove limit", transform=axes[0].transAxes, ha="center", va="top")
     _contact(axes[2], end)

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from pathlib import Path
 from time import process_time
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +15,7 @@ import rmesh_nlp as rm
 from formulations.mpcc import AllAtOnce
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.report.table import Table
 
 FORMULATIONS: Mapping[str, str | AllAtOnce] = {"nested": "nested", "mpcc": AllAtOnce(twice=False)}
 """One path of ``mpcc`` each: a second one ended at the same designs here, for twice the cost or more."""
@@ -55,54 +53,41 @@ class Starts:
     @property
     def table(self) -> str:
         """A row for each solve in Markdown."""
-        rows = [
-            "| formulation | start | status | objective | stationarity | biactive pairs | contact solves |"
-            " KKT factorisations | seconds |",
-            "|---|---|---|---|---|---|---|---|---|",
-        ]
+        head = ["formulation", "start", "status", "objective", "stationarity", "biactive pairs"]
+        rows = []
         for (formulation, seed), end in self.solutions.items():
-            extra = end.record()
-            cells = [
+            record = end.record()
+            proved = [end.stationarity] * bool(end.stationarity) + ["B"] * bool(record.get("b_stationary"))
+            counts = record.get("biactive", 0), end.contact_solves, record.get("kkt_factorisations", 0)
+            start, objective = "given" if seed is None else f"drawn {seed}", record["objective_value"]
+            row = [
                 f"`{formulation}`",
-                "given" if seed is None else f"drawn {seed}",
+                start,
                 end.status.value,
-                f"{extra['objective_value']:.6g}",
-                _proved(end),
-                f"{extra.get('biactive', 0)}",
-                f"{end.contact_solves}",
-                f"{extra.get('kkt_factorisations', 0)}",
-                f"{self.seconds[formulation, seed]:.1f}",
+                f"{objective:.6g}",
+                ", ".join(proved) or "none",
             ]
-            rows.append(f"| {' | '.join(cells)} |")
-        return "\n".join(rows)
-
-
-def _proved(end: rm.Solution) -> str:
-    """Labels that the assessment proved."""
-    labels = [end.stationarity] if end.stationarity else []
-    return ", ".join([*labels, *(["B"] if end.record().get("b_stationary") else [])]) or "none"
+            rows.append([*row, *map(str, counts), f"{self.seconds[formulation, seed]:.1f}"])
+        head += ["contact solves", "KKT factorisations", "seconds"]
+        return Table(head, [("", rows)]).markdown()
 
 
 def five_starts(
     problem: ContactProblem,
     objective: str | Objective,
     seeds: Sequence[int | None] = SEEDS,
-    limits: rm.Limits | None = None,
 ) -> Starts:
     """Solve by both formulations from each start; the first seed is None, the start as given."""
     solutions, seconds = {}, {}
     for formulation, seed in product(FORMULATIONS, seeds):
         begin = process_time()
-        solved = rm.solve(problem, FORMULATIONS[formulation], objective=objective, seed=seed, limits=limits)
+        solved = rm.solve(problem, FORMULATIONS[formulation], objective=objective, seed=seed)
         solutions[formulation, seed], seconds[formulation, seed] = solved, process_time() - begin
     return Starts(solutions, seconds)
 
 
 def on_finer_meshes(
-    problems: Sequence[ContactProblem],
-    objective: str | Objective,
-    design: Mapping[str, float],
-    start: Mapping[str, float] | None = None,
+    problems: Sequence[ContactProblem], objective: str | Objective, design: Mapping[str, float]
 ) -> list[tuple[rm.Solution, rm.Solution]]:
     """Contact solutions at the first design and at another one, on several meshes of one problem.
 
@@ -110,7 +95,7 @@ def on_finer_meshes(
     """
     return [
         (
-            rm.solve(problem.at_design(start), "fixed", objective=objective),
+            rm.solve(problem.at_design(), "fixed", objective=objective),
             rm.solve(problem.at_design(design), "fixed", objective=objective),
         )
         for problem in problems
@@ -173,14 +158,3 @@ def surviving(pairs: Sequence[tuple[rm.Solution, rm.Solution]]) -> float:
     """The gain on the last mesh in parts of that on the first one."""
     gains = [float(a.record()["objective_value"] - b.record()["objective_value"]) for a, b in pairs]
     return gains[-1] / gains[0]
-
-
-def command_line(main: Callable[[int], Any], n: int, draw: Callable[[Any, Path], None]) -> None:
-    """Run a case from the command line, print its table and draw what it found."""
-    parser = argparse.ArgumentParser(description=(main.__doc__ or "").splitlines()[0])
-    parser.add_argument("--n", type=int, default=n, help=f"size of the grid (default {n})")
-    parser.add_argument("--picture", type=Path, help="file to draw to")
-    options = parser.parse_args()
-    found = main(options.n)
-    if options.picture is not None:
-        draw(found, options.picture)

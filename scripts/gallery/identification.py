@@ -28,8 +28,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import FINER, SEEDS, Starts, along, command_line, five_starts, on_finer_meshes, surviving
+from common import command_line, save
+from designs import FINER, SEEDS, Starts, along, five_starts, on_finer_meshes, surviving
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -145,12 +145,9 @@ def main(n: int = 4, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Ide
         off = value / TRUTH[name] - 1
         print(f"{name}: {value:.5g}, truth {TRUTH[name]:g} ({off:+.1%}), standard error {errors[name]:.2g}")
     for noise in OTHER:
-        found = rm.solve(slab, "mpcc", objective=measured(exact, noise).objective)
-        off = ", ".join(f"{name} {value / TRUTH[name] - 1:+.1%}" for name, value in found.design.items())
-        print(
-            f"noise {noise:.1%}: {found.status.value}, "
-            f"objective {found.assessment.final.objective:.3g}, {off}"
-        )
+        fit = rm.solve(slab, "mpcc", objective=measured(exact, noise).objective)
+        off = ", ".join(f"{name} {value / TRUTH[name] - 1:+.1%}" for name, value in fit.design.items())
+        print(f"noise {noise:.1%}: {fit.status.value}, objective {fit.assessment.final.objective:.3g}, {off}")
     for factor, (first, last) in zip(FINER, finer, strict=True):
         print(
             f"h/{factor}: misfit {first.assessment.final.objective:.5g} -> "
@@ -160,16 +157,16 @@ def main(n: int = 4, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Ide
     return Identified(starts, finer, data)
 
 
-def draw(found: Identified, path: Path) -> None:
+def draw(fit: Identified, path: Path) -> None:
     """Measured and fitted displacements of the top, and pressure and friction where the slab slides."""
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    first, last = found.finer[0]
+    first, last = fit.finer[0]
     x = GAUGES[0]
     for axis, row, component in zip(axes, (0, 1), ("x", "y"), strict=False):
         axis.errorbar(
             x,
-            1e3 * found.data.values[row],
-            1e3 * found.data.deviation,
+            1e3 * fit.data.values[row],
+            1e3 * fit.data.deviation,
             fmt="o",
             color="0.3",
             markersize=3,
@@ -187,7 +184,7 @@ def draw(found: Identified, path: Path) -> None:
         axis.set(xlabel="x", ylabel=f"displacement in {component} [1e-3]", title=f"top, along {component}")
         axis.legend(frameon=False)
     nodes = along(last, "bottom")
-    at, friction = last.mesh.p[0, nodes], found.starts.best.design["F"]
+    at, friction = last.mesh.p[0, nodes], fit.starts.best.design["F"]
     axes[2].plot(at, last.pressure[nodes], color="#0072B2", label="pressure p")
     axes[2].plot(at, friction * last.pressure[nodes], "--", color="0.5", label="bound F p")
     axes[2].plot(

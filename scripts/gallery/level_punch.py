@@ -26,8 +26,8 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import save
-from designs import COLORS, SEEDS, Designed, along, command_line, designed
+from common import command_line, save
+from designs import COLORS, SEEDS, Designed, along, designed
 
 import rmesh_nlp as rm
 
@@ -67,9 +67,9 @@ def problem(n: int, order: int = 2) -> rm.ContactProblem:
 
 def main(n: int = 8, order: int = 2, seeds: Sequence[int | None] = SEEDS) -> Designed:
     """Shape the face of the punch from each start, and measure the gain again on finer meshes."""
-    found = designed(problem, n, order, OBJECTIVE, seeds)
-    found.show(NAMES, {"objective_value": "objective", "peak_pressure": "peak", "resultant": "resultant"})
-    return found
+    punch = designed(problem, n, order, OBJECTIVE, seeds)
+    punch.show(NAMES, {"objective_value": "objective", "peak_pressure": "peak", "resultant": "resultant"})
+    return punch
 
 
 def draw(punch: Designed, path: Path) -> None:

@@ -19,18 +19,16 @@ trap, and would be called converged.
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 import rmesh_nlp as rm
 
-sys.path.append(str(Path(__file__).resolve().parents[1]))
-from mpcc_library.solvers import End, plain_loop
-from rmesh_nlp.mpcc import Problem
+STEPS = 9
+"""Of the plain loop: t = 1, 0.1, ..., 1e-8."""
 
 START = 0.5
 """Every unknown of the start of the plain loop."""
@@ -48,21 +46,21 @@ class Case:
     name : str
     corner : Classification
         Of the point x = y = 0.
-    plain : End
-        A loop of relaxations down to t = 1e-8.
+    plain : array
+        Where a loop of relaxations down to t = 1e-8 ends.
     solved : MPCCResult
         The solver, started in the corner.
     """
 
     name: str
     corner: rm.mpcc.Classification
-    plain: End
+    plain: np.ndarray
     solved: rm.mpcc.MPCCResult
 
     @property
     def plain_is_trapped(self) -> bool:
         """Whether the loop ended in a corner that is no minimum."""
-        return bool(np.max(np.abs(self.plain.x)) < NEAR) and not self.corner.b_stationary
+        return bool(np.max(np.abs(self.plain)) < NEAR) and not self.corner.b_stationary
 
 
 def programs() -> dict[str, rm.MPCC]:
@@ -79,6 +77,27 @@ def programs() -> dict[str, rm.MPCC]:
     }
 
 
+def plain_loop(program: rm.MPCC, x: Any, parameters: Any = None) -> tuple[np.ndarray, str, int]:
+    """One ``nlpsol`` with ``G H <= t``, each solve started from the one before; Ipopt by its defaults.
+
+    Returns where it ended, Ipopt's last word, and its iterations.
+    """
+    n, t = program.n_pairs, type(program.x).sym("t")
+    g = ca.vertcat(program.g, program.G, program.H, program.G * program.H - t)
+    nlp = {"x": program.x, "p": ca.vertcat(program.p, t), "f": program.f, "g": g}
+    quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
+    solver = ca.nlpsol("plain", "ipopt", nlp, {"ipopt": {"print_level": 0, "sb": "yes"}, **quiet})
+    bounds = {"lbx": program.lbx, "ubx": program.ubx}
+    bounds["lbg"] = np.concatenate([program.lbg, np.zeros(2 * n), np.full(n, -np.inf)])
+    bounds["ubg"] = np.concatenate([program.ubg, np.full(2 * n, np.inf), np.zeros(n)])
+    p = program.parameters(parameters)
+    x, iterations = program.start(x, p), 0
+    for k in range(STEPS):
+        x = solver(x0=x, p=np.append(p, 10.0**-k), **bounds)["x"]
+        iterations += int(solver.stats()["iter_count"])
+    return x.full().ravel(), str(solver.stats()["return_status"]), iterations
+
+
 def main() -> list[Case]:
     """Label the corners, solve from there, and print a line each."""
     cases = []
@@ -86,13 +105,13 @@ def main() -> list[Case]:
     for name, program in programs().items():
         n = program.x.shape[0]
         corner = rm.mpcc.classify(program, np.zeros(n))
-        plain = plain_loop(Problem(name, program, np.full(n, START)))
+        plain, _, _ = plain_loop(program, np.full(n, START))
         case = Case(name, corner, plain, rm.solve_mpcc(program, np.zeros(n)))
         cases.append(case)
         label = f"{corner.stationarity}, {'B' if corner.b_stationary else 'not B'}"
         trapped = " trapped" if case.plain_is_trapped else ""
         print(
-            f"{name:12} {label:9} {_point(case.plain.x) + trapped:24} "
+            f"{name:12} {label:9} {_point(case.plain) + trapped:24} "
             f"{_point(case.solved.x)} {case.solved.label}"
         )
     return cases

@@ -19,12 +19,12 @@ unknowns. Both end at the best edge with a label.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
-from common import command_line, save
+from common import command_line, save, shifted
 from numpy.typing import NDArray
 
 import rmesh_nlp as rm
@@ -40,9 +40,8 @@ HEIGHT = 0.02
 STEP = 1e-4
 """Step of the one-sided differences, in units of ``HEIGHT``."""
 
-"""Outer solvers of ``nested`` that are tried, and a limit of iterations: at a kink some never stop."""
-
 LIMITS = rm.Limits(iterations=200)
+"""Of ``nested``."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class Kink:
     gradient: float
 
 
-def problem(n: int) -> rm.ContactProblem:
+def problem(n: int, coulomb: float = 0.0) -> rm.ContactProblem:
     """The block on ``2 n`` x ``n`` squares; only nodes of the seal move, and they up and down."""
     mesh = rm.shapes.rectangle(2 * n, n, x=(0, 2))
     mesh = named(mesh, {"seal": lambda x: (x[1] == 0) & (x[0] > 0.5) & (x[0] < 1.5)})
@@ -75,7 +74,7 @@ def problem(n: int) -> rm.ContactProblem:
         mesh=mesh,
         law=rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet=(rm.Dirichlet("left", (0.0, None)),),
-        obstacle=rm.Obstacle.graph("bottom", 0.0),
+        obstacle=replace(rm.Obstacle.graph("bottom", 0.0), coulomb=coulomb),
         motion=rm.Motion(
             (1e-6, HEIGHT),
             pinned=tuple(int(node) for node in np.flatnonzero(~seal)),
@@ -89,34 +88,26 @@ def problem(n: int) -> rm.ContactProblem:
 def kinks(solution: rm.Solution) -> list[Kink]:
     """One-sided derivatives at every node of the seal, each of two contact solves."""
     outer = Outer.of(solution.problem, OBJECTIVE)
-    function, free = outer.function, outer.relocation.mesh_map
+    free, result = outer.relocation.mesh_map, []
     q = free.q_of(np.asarray(solution.mesh.p))
-    here = function(q)
-    value, gradient = here.value, here.gradient
-    found = []
+    end = outer.function(q)
     for node in seal_nodes(solution.problem):
         row = free.positions.index[1, node]
-        rates = []
-        for sign in (1, -1):
-            moved = q.copy()
-            moved[row] += sign * STEP
-            rates.append((function(moved).value - value) / (STEP * HEIGHT))
+        ends = shifted(outer, q, row, (STEP, -STEP))
+        up, down = ((point.value - end.value) / (STEP * HEIGHT) for point in ends)
         x = float(solution.problem.mesh.p[0, node])
-        found.append(Kink(x, rates[0], rates[1], float(gradient[row]) / HEIGHT))
-    return found
+        result.append(Kink(x, up, down, float(end.gradient[row]) / HEIGHT))
+    return result
 
 
 def along(solution: rm.Solution, node: int, shifts: NDArray[np.float64]) -> NDArray[np.float64]:
     """The objective, the gap and the contact force at ``node`` as that node alone is moved by ``shifts``."""
     outer = Outer.of(solution.problem, OBJECTIVE)
-    function, free = outer.function, outer.relocation.mesh_map
+    free = outer.relocation.mesh_map
     q, row = free.q_of(np.asarray(solution.mesh.p)), free.positions.index[1, node]
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     rows = []
-    for shift in shifts:
-        moved = q.copy()
-        moved[row] += shift / HEIGHT
-        point = function(moved)
+    for point in shifted(outer, q, row, shifts / HEIGHT):
         gap = point.system.normals @ point.equilibrium.u + point.system.offset
         rows.append((point.value, gap[place], point.equilibrium.normal_force[place]))
     return np.array(rows).T

@@ -29,8 +29,8 @@ from typing import Any
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-from common import exact_errors, save
-from designs import SEEDS, Starts, command_line, five_starts
+from common import command_line, exact_errors, save
+from designs import SEEDS, Starts, five_starts
 
 import rmesh_nlp as rm
 from rmesh_nlp.problem import ExactSolution
@@ -72,7 +72,7 @@ def manufactured() -> tuple[ca.Function, ca.Function, ca.Function]:
     strain = (slope + slope.T) / 2
     stress = LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain
     force = -ca.vertcat(*(ca.jacobian(stress[i, 0], x) + ca.jacobian(stress[i, 1], y) for i in range(2)))
-    return tuple(ca.Function("exact", [x, y], [one]) for one in (u, stress, force))
+    return tuple(ca.Function("exact", [x, y], [part]) for part in (u, stress, force))
 
 
 def component(function: ca.Function, *index: int) -> PositionFunction:
@@ -105,12 +105,12 @@ def problem(n: int) -> rm.ContactProblem:
 def errors(ends: Sequence[rm.Solution], objective: str, levels: int = 2) -> list[tuple[float, ...]]:
     """The error of several meshes, refined 0 to ``levels`` times."""
     meshes = [replace(end.problem, mesh=end.mesh) for end in ends]
-    found = []
+    result = []
     for _ in range(levels + 1):
         solved = [rm.solve(mesh, "fixed", objective=objective) for mesh in meshes]
-        found.append(tuple(float(one.record()["objective_value"]) for one in solved))
+        result.append(tuple(float(part.record()["objective_value"]) for part in solved))
         meshes = [refined(mesh) for mesh in meshes]
-    return found
+    return result
 
 
 def main(n: int = 6, objective: str = OBJECTIVE, seeds: Sequence[int | None] = SEEDS) -> Relocated:
@@ -131,18 +131,18 @@ def main(n: int = 6, objective: str = OBJECTIVE, seeds: Sequence[int | None] = S
     return Relocated(given, starts, pairs)
 
 
-def draw(found: Relocated, path: Path) -> None:
+def draw(result: Relocated, path: Path) -> None:
     """The error on the given and on the best mesh, and the stresses on the plane beside the exact ones."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.2), layout="constrained", width_ratios=(1.2, 1.2, 1))
-    best = found.starts.best
+    best = result.starts.best
     densities = []
-    for end in (found.given, best):
+    for end in (result.given, best):
         x, y = end.mesh.p[:, end.mesh.t]
         areas = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 2
         densities.append(np.sqrt(exact_errors(end.problem, np.asarray(end.mesh.p), end.displacement) / areas))
     top = float(max(density.max() for density in densities))
     for axis, end, density, name in zip(
-        axes, (found.given, best), densities, ("given", "relocated"), strict=False
+        axes, (result.given, best), densities, ("given", "relocated"), strict=False
     ):
         colors = axis.tripcolor(
             *end.mesh.p, end.mesh.t.T, facecolors=density, cmap="viridis", vmin=0, vmax=top

@@ -78,10 +78,10 @@ def label_by_search(data: Active) -> str:
     """The strongest label for which multipliers exist, over all choices of signs."""
     k, matrix = data.G.shape[0], np.vstack([data.A, data.G, data.H]).T
     rows = [{-1: _LOW, 0: _FREE, 1: _HIGH}[int(kind)] for kind in data.kinds]
-    left = itertools.count(_PROGRAMS, -1)
+    programs_left = itertools.count(_PROGRAMS, -1)
 
     def exists(pieces: Sequence[Piece], chosen: list[Piece]) -> bool:
-        if next(left) <= 0:
+        if next(programs_left) <= 0:
             raise _GivenUpError
         pairs = chosen + [(_FREE, _FREE)] * (k - len(chosen))
         bounds = [*rows, *(G for G, _ in pairs), *(H for _, H in pairs)]
@@ -97,17 +97,17 @@ def descends_by_search(data: Active) -> bool:
     k, n = data.G.shape[0], data.c.size
     free, equal = data.kinds != 0, data.kinds == 0
     A_ub = np.vstack([data.kinds[free, None] * data.A[free], -data.G, -data.H])
-    left = itertools.count(_PROGRAMS, -1)
+    programs_left = itertools.count(_PROGRAMS, -1)
 
     def falls(sides: list[bool]) -> bool:
-        if next(left) <= 0:
+        if next(programs_left) <= 0:
             raise _GivenUpError
         fixed = np.vstack([data.A[equal], *((data.G if on_G else data.H)[i] for i, on_G in enumerate(sides))])
-        found = linprog(
+        result = linprog(
             data.c, A_ub=A_ub, b_ub=np.zeros(A_ub.shape[0]), A_eq=fixed, b_eq=np.zeros(fixed.shape[0]),
             bounds=[(-1.0, 1.0)] * n,
         )  # fmt: skip
-        if found.fun > _NEGATIVE:
+        if result.fun > _NEGATIVE:
             return False
         return len(sides) == k or falls([*sides, True]) or falls([*sides, False])
 
@@ -129,11 +129,11 @@ def random_block(random: np.random.Generator) -> Active:
 @functools.cache
 def blocks() -> dict[tuple[str, bool], list[Active]]:
     """Random blocks by label and B-stationarity."""
-    random, found = np.random.default_rng(7), {}
+    random, result = np.random.default_rng(7), {}
     for _ in range(_BLOCKS):
         block = random_block(random)
-        found.setdefault((label_by_search(block), not descends_by_search(block)), []).append(block)
-    return found
+        result.setdefault((label_by_search(block), not descends_by_search(block)), []).append(block)
+    return result
 
 
 def dependent(seed: int, least: int, most: int) -> Point:

@@ -12,11 +12,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from gallery.mpcc_traps import plain_loop
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc import Problem, solve
-
-STEPS = 9
-"""Of the plain loop: t = 1, 0.1, ..., 1e-8."""
 
 
 @dataclass(frozen=True)
@@ -34,25 +32,9 @@ def ours(problem: Problem) -> End:
     return End(result.x, result.status.value, result.counts["ipopt_iterations"])
 
 
-def plain_loop(problem: Problem) -> End:
-    """One ``nlpsol`` with ``G H <= t``, each solve started from the one before; Ipopt by its defaults."""
-    mpcc, n = problem.mpcc, problem.mpcc.n_pairs
-    t = type(mpcc.x).sym("t")
-    g = ca.vertcat(mpcc.g, mpcc.G, mpcc.H, mpcc.G * mpcc.H - t)
-    nlp = {"x": mpcc.x, "p": ca.vertcat(mpcc.p, t), "f": mpcc.f, "g": g}
-    quiet = {"print_time": False, "error_on_fail": False, "show_eval_warnings": False}
-    solver = ca.nlpsol("plain", "ipopt", nlp, {"ipopt": {"print_level": 0, "sb": "yes"}, **quiet})
-    bounds = {
-        "lbx": mpcc.lbx, "lbg": np.concatenate([mpcc.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
-        "ubx": mpcc.ubx, "ubg": np.concatenate([mpcc.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
-    }  # fmt: skip
-    p = mpcc.parameters(problem.p0)
-    x: Any = mpcc.start(problem.x0, p)
-    iterations = 0
-    for k in range(STEPS):
-        x = solver(x0=x, p=np.append(p, 10.0**-k), **bounds)["x"]
-        iterations += int(solver.stats()["iter_count"])
-    return End(x.full().ravel(), str(solver.stats()["return_status"]), iterations)
+def plain(problem: Problem) -> End:
+    """The loop of relaxations that one writes first."""
+    return End(*plain_loop(problem.mpcc, problem.x0, problem.p0))
 
 
 def mpecss(problem: Problem) -> End:
@@ -131,7 +113,7 @@ def pympcc(problem: Problem) -> End:
 
 SOLVERS: dict[str, Callable[[Problem], End]] = {
     "rmesh_nlp.mpcc": ours,
-    "plain Scholtes loop": plain_loop,
+    "plain Scholtes loop": plain,
     "MPECSS": mpecss,
     "pympcc": pympcc,
 }

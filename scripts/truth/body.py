@@ -16,7 +16,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, hstack
 from scipy.spatial import cKDTree
-from skfem import MeshTri
+from skfem import DiscreteField, ElementTriP1, ElementTriP2, MeshTri
 from skfem.quadrature import get_quadrature_line
 
 from truth.data import Data, values
@@ -40,10 +40,8 @@ class Body:
         quadratic = data.order == 2
         self.nodes = np.vstack([self.t, self.p.shape[1] + mesh.t2f]) if quadratic else self.t
         self.places = np.hstack([self.p, self.ends.mean(axis=1)]) if quadratic else self.p
-        one, two, three = (self.p[:, nodes] for nodes in self.t)
-        J = np.stack([two - one, three - one], axis=1).transpose(2, 0, 1)
-        self.slopes = np.array([[-1.0, 1, 0], [-1, 0, 1]]).T @ np.linalg.inv(J)  # (elements, 3, 2)
-        self.polygon = np.abs(np.linalg.det(J)) / 2
+        self.mapping, self.element = mesh.mapping(), ElementTriP2() if quadratic else ElementTriP1()
+        self.polygon = np.abs(self.mapping.detA) / 2
         self.area = self.polygon.copy()
         for name, (_, _, radius) in data.circles.items():
             ends = self.ends[..., self.facets(name)]
@@ -82,7 +80,7 @@ class Body:
         """K (unknowns, unknowns)."""
         c, total = self.c, csr_matrix((self.c * self.size,) * 2)
         for elements, points, weights in self.pieces():
-            G, C = self.slopes_at(elements, points), self.tensor[self.material[elements]]
+            G, C = self.slopes(elements, points), self.tensor[self.material[elements]]
             local = np.einsum("em,emai,epiqj,embj->eapbq", weights, G, C, G, optimize=True)
             dofs = (c * self.nodes[:, elements].T[:, :, None] + np.arange(c)).reshape(elements.size, -1)
             rows, columns = np.repeat(dofs, dofs.shape[1], axis=1), np.tile(dofs, dofs.shape[1])
@@ -99,39 +97,34 @@ class Body:
         yield every, middles, np.repeat(self.polygon[:, None] / 3, 3, axis=1)
         (s, w), (r, v) = composite(1, 8), composite(1, 4)
         for name, (x, y, radius) in self.data.circles.items():
-            one, two = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
-            length, away = np.linalg.norm(two - one, axis=0), (one + two) / 2 - [[[x]], [[y]]]
+            first, second = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
+            length, away = np.linalg.norm(second - first, axis=0), (first + second) / 2 - [[[x]], [[y]]]
             high = np.sqrt(radius**2 - ((s - 0.5) * length) ** 2) - np.sqrt(radius**2 - length**2 / 4)
             up = np.multiply.outer(high, r) * (away / np.linalg.norm(away, axis=0))[..., None]
-            points = (one * (1 - s) + two * s)[..., None] + up
+            points = (first * (1 - s) + second * s)[..., None] + up
             weights = np.multiply.outer(self.outward(name)[:, None] * length * high * w, v)
             n = length.size
             yield self.mesh.f2t[0, self.facets(name)], points.reshape(2, n, -1), weights.reshape(n, -1)
 
     def hats(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Hat functions (3, n, m) of elements (n,), continued beyond them, at points (2, n, m)."""
-        away = points - self.p[:, self.t[:, elements]].mean(axis=1)[:, :, None]
-        hats = 1 / 3 + np.einsum("nai,inm->anm", self.slopes[elements], away)
-        return np.where(np.abs(hats) < 1e-12, 0.0, hats)
+        x, y = self.mapping.invF(points, tind=elements)
+        return np.stack([1 - x - y, x, y])
 
-    def shapes(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Shape functions (nodes, n, m) of elements (n,), continued beyond them, at points (2, n, m)."""
+    def shapes(self, elements: np.ndarray, points: np.ndarray) -> list[DiscreteField]:
+        """Shape functions of nodes, with values (n, m), of elements (n,), continued beyond them."""
         hats = self.hats(elements, points)
-        if self.data.order == 1:
-            return hats
-        return np.stack([*(hats * (2 * hats - 1)), *(4 * hats[a] * hats[b] for a, b in SIDES)])
+        local = np.where(np.abs(hats) < 1e-12, 0.0, hats)[1:]
+        every = range(len(self.nodes))
+        return [self.element.gbasis(self.mapping, local, k, elements)[0] for k in every]
 
-    def slopes_at(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+    def values(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Values (nodes, n, m) of shape functions."""
+        return np.stack([np.asarray(shape) for shape in self.shapes(elements, points)])
+
+    def slopes(self, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Their gradients (n, m, nodes, 2)."""
-        slope = np.repeat(self.slopes[elements][:, None], points.shape[2], axis=1)
-        if self.data.order == 1:
-            return slope
-        hats = self.hats(elements, points).transpose(1, 2, 0)[..., None]
-        at_edges = [
-            4 * (hats[..., [a], :] * slope[..., [b], :] + hats[..., [b], :] * slope[..., [a], :])
-            for a, b in SIDES
-        ]
-        return np.concatenate([(4 * hats - 1) * slope, *at_edges], axis=2)
+        return np.stack([shape.grad for shape in self.shapes(elements, points)]).transpose(2, 3, 0, 1)
 
     def at(self, elements: np.ndarray, points: np.ndarray) -> csr_matrix:
         """The matrix (n * m, nodes) from nodal values to those at points (2, n, m) of elements (n,)."""
@@ -139,7 +132,7 @@ class Body:
         shape = len(self.nodes), n, m
         nodes = np.broadcast_to(self.nodes[:, elements][:, :, None], shape).ravel()
         rows = np.broadcast_to(np.arange(n * m).reshape(n, m), shape).ravel()
-        entries = self.shapes(elements, points).ravel()
+        entries = self.values(elements, points).ravel()
         matrix = coo_matrix((entries, (rows, nodes)), (n * m, self.size)).tocsr()
         matrix.eliminate_zeros()
         return matrix
@@ -147,25 +140,25 @@ class Body:
     def locate(self, points: np.ndarray) -> np.ndarray:
         """Triangles of points (2, n); of points beyond the mesh those that they are least outside of."""
         tree = cKDTree(self.p[:, self.t].mean(axis=1).T)
-        found, inside = np.zeros(points.shape[1], dtype=int), np.full(points.shape[1], -np.inf)
+        triangle, inside = np.zeros(points.shape[1], dtype=int), np.full(points.shape[1], -np.inf)
         for elements in np.atleast_2d(tree.query(points.T, min(40, self.t.shape[1]))[1].T):
             todo = np.flatnonzero(inside < -1e-9)
             least = self.hats(elements[todo], points[:, todo, None]).min(axis=0)[:, 0]
             better = least > inside[todo]
-            found[todo[better]], inside[todo[better]] = elements[todo][better], least[better]
-        return found
+            triangle[todo[better]], inside[todo[better]] = elements[todo][better], least[better]
+        return triangle
 
     def trace(self, name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, csr_matrix]:
         """Points (2, n, m) at parameters t of a boundary's edges or arcs, lengths (n, 1), and :meth:`at`."""
-        one, two = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
+        first, second = self.ends[..., self.facets(name)].transpose(1, 0, 2)[..., None]
         if name in self.data.circles:
             x, y, radius = self.data.circles[name]
-            first, last = (np.arctan2(end[1] - y, end[0] - x) for end in (one, two))
+            first, last = (np.arctan2(end[1] - y, end[0] - x) for end in (first, second))
             turn = (last - first + np.pi) % (2 * np.pi) - np.pi
             points = np.stack([x + radius * np.cos(first + turn * t), y + radius * np.sin(first + turn * t)])
             length = radius * np.abs(turn)
         else:
-            points, length = one * (1 - t) + two * t, np.linalg.norm(two - one, axis=0)
+            points, length = first * (1 - t) + second * t, np.linalg.norm(second - first, axis=0)
         return points, length, self.at(self.mesh.f2t[0, self.facets(name)], points)
 
     def loads(self, n: int) -> np.ndarray:
@@ -177,9 +170,9 @@ class Body:
         X, W = np.stack([a.ravel(), (b * (1 - a)).ravel()]), (v * w * (1 - a)).ravel()  # collapsed square
         every, corners = self.cut()
         points = corners[:, 0, :, None] + np.einsum("iae,aq->ieq", corners[:, 1:] - corners[:, :1], X)
-        one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-        area, material_of = np.abs(one[0] * two[1] - one[1] * two[0]) / 2, self.material[every]
-        shapes, F = self.shapes(every, points), np.zeros(self.c * self.size)
+        first, second = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area, material_of = np.abs(first[0] * second[1] - first[1] * second[0]) / 2, self.material[every]
+        shapes, F = self.values(every, points), np.zeros(self.c * self.size)
         for number, material in enumerate(self.data.materials):
             weights = 2 * W * (area * (material_of == number))[:, None]
             for component, text in enumerate(material.loads):
@@ -247,7 +240,7 @@ class Body:
         for name in self.data.circles if self.data.order == 2 else ():
             beside, own = self.mesh.f2t[0, self.facets(name)], self.p.shape[1] + self.facets(name)
             middle = self.trace(name, np.array([0.5]))[0]
-            shapes, nodes = self.shapes(beside, middle)[..., 0], self.nodes[:, beside]
+            shapes, nodes = self.values(beside, middle)[..., 0], self.nodes[:, beside]
             others = np.where(nodes == own, 0.0, shapes)
             rest = u[own] - np.einsum("an,anc->nc", others, u[nodes])
             u[own] = rest / np.sum(shapes - others, axis=0)[:, None]
@@ -262,7 +255,7 @@ class Body:
     def gradients(self, u: np.ndarray, elements: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Displacement gradients (n, m, c, 2) of elements (n,) at points (2, n, m)."""
         nodal = u.reshape(-1, self.c)[self.nodes[:, elements]]
-        return np.einsum("emai,aep->empi", self.slopes_at(elements, points), nodal)
+        return np.einsum("emai,aep->empi", self.slopes(elements, points), nodal)
 
     def density(self, gradient: np.ndarray) -> np.ndarray:
         """``grad u : C : grad u`` (elements,) for gradients (elements, c, 2)."""

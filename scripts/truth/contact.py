@@ -63,8 +63,8 @@ def friction(body: Body, u: np.ndarray, parts: int = 64) -> float:
         return 0.0
     t, (s, w) = np.arange(parts + 1) / parts, composite(1, 4)
     slip = (slip_rows(body, t, np.ones(parts + 1))[0] @ u).reshape(-1, parts + 1)
-    one, two = slip[:, :-1, None], slip[:, 1:, None]
-    root = np.where(one * two < 0, one / np.where(one == two, 1.0, one - two), 0.5)
+    first, second = slip[:, :-1, None], slip[:, 1:, None]
+    root = np.where(first * second < 0, first / np.where(first == second, 1.0, first - second), 0.5)
     points = t[:-1, None] + np.concatenate([root * s, root + (1 - root) * s], axis=2) / parts
     weights = np.concatenate([root * w, (1 - root) * w], axis=2) / parts
     rows, bound = slip_rows(body, points.reshape(len(slip), -1), weights.reshape(len(slip), -1))
@@ -116,8 +116,8 @@ def equilibrium(
     (A, d, low, high), slips = contact_rows(body, parts * body.data.order)
     begin, fine = None, gap_rows(body, check) if check else None
     if start is not None:
-        there = start.body.at(start.body.locate(body.places), body.places[:, :, None])
-        coarse, stress = (there @ part.reshape(-1, c) for part in (start.u, start.stress))
+        onto = start.body.at(start.body.locate(body.places), body.places[:, :, None])
+        coarse, stress = (onto @ part.reshape(-1, c) for part in (start.u, start.stress))
         entries = np.maximum(np.asarray(np.abs(A).sum(axis=0)).reshape(-1, c), 1e-300)
         begin = coarse.ravel()[free], A @ (stress * weight[:, None] / entries).ravel()
     K, f, given = body.stiffness[free][:, free], (F - body.stiffness @ u)[free], np.where(held, u, 0.0)

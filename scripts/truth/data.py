@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -134,7 +133,6 @@ class Data:
     formulation: str = "auto"
     options: Mapping[str, Any] = field(default_factory=dict)
     certify: bool = False
-    file: Path | None = None
     order: int = 1
     jumps: tuple[float, ...] = ()
 
@@ -145,8 +143,6 @@ class Data:
 
     def problem(self) -> rm.ContactProblem:
         """The package's problem."""
-        if self.file is not None:
-            return replace(rm.read_problem(self.file), order=self.order)
         zones = {f"part {i}": one for i, one in enumerate(self.materials)}
         mesh = self.mesh.with_subdomains({name: one.triangles(self.mesh) for name, one in zones.items()})
         return rm.ContactProblem(

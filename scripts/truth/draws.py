@@ -1,10 +1,9 @@
-"""Problems to check: random ones by seed, aimed ones that invite exploitation, and parts from files."""
+"""Problems to check: random ones by seed, and aimed ones that invite exploitation."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,6 @@ from skfem import MeshTri
 
 import rmesh_nlp as rm
 from truth.data import Data, Foundation, Material, Text
-
-try:
-    import tomllib
-except ImportError:  # Python 3.10
-    import tomli as tomllib
 
 Way = tuple[str, dict[str, Any]]
 JOINT, NESTED, MPCC, AUTO, FIXED = (("joint", {}), ("nested", {}), ("mpcc", {}), ("auto", {}), ("fixed", {}))
@@ -246,29 +240,9 @@ def _round(steel: tuple[Material, ...]) -> Iterator[Data]:
         yield Data("segment", segment(2 * n, n, 2.0), steel, FLAT, {"top": (0.0, -0.02)}, {}, circle)
 
 
-def parts(folder: Path) -> list[Data]:
-    """Problem files, solved by default; the package reads mesh, names and curves, this script the rest."""
-    return [_part(file) for file in sorted(folder.glob("*.toml"))]
-
-
-def _part(file: Path) -> Data:
-    text, stated = tomllib.loads(file.read_text(encoding="utf-8")), rm.read_problem(file)
-    law, contact = text["material"], text["contact"]
-    material = Material(law["law"], tuple(law.get("body_force", (0.0, 0.0))), law["young"], law["poisson"])
-    kind = next(name for name in ("line", "height", "level") if name in contact)
-    shape = contact[kind]
-    if kind == "line":
-        (x, y), normal = shape["point"], np.asarray(shape["normal"]) / np.linalg.norm(shape["normal"])
-        kind, shape = "level", f"{normal[0]}*(x-{x})+{normal[1]}*(y-{y})"
-    foundation = Foundation(contact["boundary"], kind, shape, contact.get("friction", 0.0))
-    held = {k: tuple(None if v == "free" else v for v in entries) for k, entries in text["dirichlet"].items()}
-    tractions = {k: tuple(v) for k, v in text.get("tractions", {}).items()}
-    circles = {k: (*curve.centre, curve.radius) for k, curve in stated.motion.curves.items()}
-    return Data(file.stem, stated.mesh, (material,), foundation, held, tractions, circles, file=file)
-
-
-DRAWN: dict[str, Callable[[int], Data]] = {"random": random, "jumps": jumps}
-"""Kinds of problems that there are as many of as seeds."""
-
-KINDS: dict[str, Callable[[Path], list[Data]]] = {"aimed": lambda folder: aimed(), "parts": parts}
-"""Problems that are no random ones, by kind."""
+KINDS: dict[str, Callable[[int], Data]] = {
+    "random": random,
+    "jumps": jumps,
+    "aimed": lambda number: aimed()[number],
+}
+"""Problems by kind, of a seed or a number."""

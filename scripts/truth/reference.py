@@ -101,7 +101,7 @@ def distance(one: Body, u: np.ndarray, fine: Equilibrium) -> float:
     body, total = fine.body, 0.0
     for spot in np.array([[4, 1, 1], [1, 4, 1], [1, 1, 4]]) / 6:
         points = np.einsum("iae,a->ie", body.p[:, body.t], spot)[..., None]
-        here = body.gradients(fine.u, np.arange(body.t.shape[1]), points)[:, 0]
-        there = one.gradients(u, one.locate(points[..., 0]), points)[:, 0]
-        total += body.density(there - here) @ body.area / 3
+        own = body.gradients(fine.u, np.arange(body.t.shape[1]), points)[:, 0]
+        coarse = one.gradients(u, one.locate(points[..., 0]), points)[:, 0]
+        total += body.density(coarse - own) @ body.area / 3
     return float(np.sqrt(max(total, 0.0)))

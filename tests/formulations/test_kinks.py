@@ -10,11 +10,12 @@ import pytest
 
 import branches
 import rmesh_nlp as rm
-from benchmark_branches import seal, slab
 from formulations import kinks
 from formulations import nested as module
 from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
 from formulations.nested import Nested
+from gallery.coulomb_kink import problem as slab
+from gallery.seal import problem as seal
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.residual import OuterResidual
@@ -170,7 +171,7 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
 
 
 def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual() -> None:
-    problem, objective = slab(0.5, (6, 4)), "mean(top, -uy)"
+    problem, objective = slab(3, 0.5), "mean(top, -uy)"
     solution, q = solved_to(problem, objective, "nested")
     outer = Outer.of(problem, objective)
     assert solution.stationarity_residual <= outer.tolerance

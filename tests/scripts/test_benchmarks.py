@@ -1,52 +1,73 @@
-"""Benchmarks, soaks and the comparison that users copy: small runs of each, and what their tables say."""
+"""Every script can be imported and called; small runs of benchmarks, and what their tables say."""
 
 import importlib
 import json
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import ablation
 import benchmark_branches
 import benchmark_cost
-import benchmark_designs
 import benchmark_peers
-import compare_formulations
 import soak_losses
-from benchmark_coulomb import StickZone, fixed_point, plate, plate_slips, pressed_block, slab, system_of
+from benchmark_coulomb import StickZone, fixed_point, plate, plate_slips, pressed_block, system_of
 from formulations import cascade
+from gallery import coulomb_kink
 from peer_solvers import nlpsol_mapped, nlpsol_written_out
 from random_designs import random_design
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.outer import Outer
+from rows import Store, markdown
 
 
 def rows_of(path):
     return [json.loads(line) for line in path.read_text().splitlines()]
 
 
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+MODULES = sorted(SCRIPTS.rglob("*.py"))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: path.stem)
+def test_every_module_can_be_imported(path):
+    importlib.import_module(".".join(path.relative_to(SCRIPTS).with_suffix("").parts))
+
+
 @pytest.mark.slow
-def test_a_study_with_its_tables_and_figures(tmp_path, capsys):
-    arguments = ["6.1", "--sizes", "7", "8", "--formulations", "fixed", "joint", "--out", str(tmp_path)]
-    assert compare_formulations.main(arguments) == 0
-    rows = capsys.readouterr().out.splitlines()
-    assert [row.split()[-1] for row in rows[1:]] == ["0.0", "1.0", "0.0", "1.0"]
-    kept = (tmp_path / "records.jsonl").read_text()
-    assert "| 6.1, n = 8, joint |" in (tmp_path / "table.md").read_text()
-    assert any((tmp_path / "figures").iterdir())
-    assert compare_formulations.main(arguments) == 0  # nothing is solved again
-    assert (tmp_path / "records.jsonl").read_text() == kept
+@pytest.mark.parametrize(
+    "path",
+    [path for path in MODULES if "command_line(" in path.read_text() and "__main__" in path.read_text()],
+    ids=lambda path: path.stem,
+)
+def test_every_script_starts_by_itself_and_says_how_it_is_called(path, tmp_path):
+    """From another folder, so that nothing but its own place is on the path."""
+    command = [sys.executable, str(path), "--help"]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.startswith("usage: ")
 
 
-def test_a_study_of_an_unknown_example_is_exit_code_2(tmp_path, capsys):
-    with pytest.raises(SystemExit) as stop:
-        compare_formulations.main(["6.9", "--out", str(tmp_path / "study")])
-    assert stop.value.code == 2
-    assert "6.9" in capsys.readouterr().err
-    assert not (tmp_path / "study").exists()
+def test_rows_are_kept_and_a_table_shows_three_digits_or_a_dash(tmp_path):
+    store = Store(tmp_path / "of" / "rows.jsonl")
+    store.add({"case": "a", "size": 1, "error": np.float64(0.123456)})
+    store.add({"case": "b", "size": 2, "error": float("nan")})
+    again = Store(tmp_path / "of" / "rows.jsonl")
+    assert again.rows[0] == store.rows[0] == {"case": "a", "size": 1, "error": 0.123456}
+    assert again.has(case="b", size=2)
+    assert not again.has(case="b", size=1)
+    lines = markdown(pd.DataFrame(again.rows)).splitlines()
+    assert [line.split() for line in lines[2:]] == [
+        ["|", "a", "|", "1", "|", "0.123", "|"],
+        ["|", "b", "|", "2", "|", "-", "|"],
+    ]
 
 
 @pytest.mark.parametrize("rule", ablation.RULES, ids=lambda rule: rule.name)
@@ -65,10 +86,15 @@ def test_every_rule_that_is_switched_off_exists_and_is_put_back(rule):
 def test_table_of_the_ablation_has_gains_failures_and_cost():
     rule = ablation.RULES[0].name
     good = {"success": True, "status": "converged", "gain": 2.0, "cost": 10}
-    rows = {(name, "joint", case): good for name in ("as it is", rule) for case in "abc"}
-    rows[rule, "joint", "a"] = {**good, "gain": 1.0, "cost": 30}
-    rows[rule, "joint", "c"] = {**good, "success": False, "status": "worse"}
-    assert ablation.table(rows).splitlines()[-1] == f"| {rule} | 3 | 0.7500 | 0.500 | 1, 0 | 1, 0 | 2.00 |"
+    rows = [
+        {"rule": name, "formulation": "joint", "case": case, **good}
+        for name in (ablation.PLAIN.name, rule)
+        for case in "abc"
+    ]
+    rows[3] |= {"gain": 1.0, "cost": 30}
+    rows[5] |= {"success": False, "status": "worse"}
+    cells = [cell.strip() for cell in ablation.table(rows).splitlines()[-1].split("|")[1:-1]]
+    assert cells == [rule, "3", "0.7500", "0.500", "1, 0", "1, 0", "2.00"]
 
 
 def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was(capsys):
@@ -76,7 +102,7 @@ def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was
     assert benchmark_cost.main(["6.1:3"]) == 0
     assert (cascade.descend, ContactSolver.__init__) == before
     lines = capsys.readouterr().out.splitlines()
-    header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines)
+    header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines if line)
     parts = [*benchmark_cost.PARTS, "rest"]
     assert header[-len(parts) :] == parts
     found = dict(zip(header, row, strict=True))
@@ -90,26 +116,43 @@ def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was
 def test_ends_at_kinks_are_searched_branch_by_branch(capsys, tmp_path):
     every = [case.name for case in benchmark_branches.cases()]
     assert len(every) == len(set(every)) == 68
-    rows = tmp_path / "rows.jsonl"
-    assert benchmark_branches.main(["--only", "seal-4-2", "--out", str(rows)]) == 0
-    said, found = capsys.readouterr().out, rows_of(rows)
-    assert [row["formulation"] for row in found] == ["nested", "mpcc"]
-    for row in found:
-        assert (row["status"], row["b_stationary"], row["searched"]) == ("converged", True, 8)
+    arguments = ["--only", "seal-4-2", "--out", str(tmp_path)]
+    assert benchmark_branches.main(arguments) == 0
+    said, rows = capsys.readouterr().out, rows_of(tmp_path / "rows.jsonl")
+    assert [row["formulation"] for row in rows] == ["nested", "mpcc"]
+    for row in rows:
+        assert (row["status"], row["b_stationary"], row["branches"]) == ("converged", True, 8)
         assert row["steepest"] >= -1e-6
-    assert found[0]["objective_value"] == pytest.approx(found[1]["objective_value"], rel=1e-8)
-    assert benchmark_branches.main(["--read", str(rows)]) == 0
+    assert rows[0]["objective_value"] == pytest.approx(rows[1]["objective_value"], rel=1e-8)
+    assert benchmark_branches.main(arguments) == 0  # nothing is solved again
     assert capsys.readouterr().out == said
-    assert said.count("S, 3") == 2
+    assert said.count("1 of 1") == 2
+
+
+@pytest.mark.slow
+def test_one_design_problem_by_both_from_both_starts(tmp_path):
+    benchmark_branches.main(["--designs", "3", "4", "--out", str(tmp_path)])
+    rows = rows_of(tmp_path / "rows.jsonl")
+    assert {(row["formulation"], row["seed"]) for row in rows} == {
+        (name, seed) for name in ("nested", "mpcc") for seed in (None, 1)
+    }
+    assert all(row["success"] and row["b_stationary"] for row in rows)
 
 
 def test_a_case_of_kinks_that_raises_is_a_row():
     case = next(iter(benchmark_branches.cases()))
     bad = benchmark_branches.Case(case.name, case.problem, "mean(nowhere, uy)")
-    row = benchmark_branches.row(bad, "mpcc", 10.0)
+    row = benchmark_branches.row(bad, "mpcc", None, 10.0)
     assert row["status"] != "converged"
     assert "nowhere" in row["message"]
     assert "nowhere" not in benchmark_branches.table([row])
+
+
+def test_the_better_of_two_starts_counts_and_invalid_ends_do_not():
+    ends = [("nested", 2.0, True), ("nested", 1.0, True), ("mpcc", 1.5, True), ("mpcc", 0.5, False)]
+    names = ["case", "formulation", "objective_value", "valid", "objective_initial"]
+    frame = pd.DataFrame([("a", *end, 3.0) for end in ends], columns=names)
+    assert benchmark_branches.best_reached(frame).to_dict() == {"nested": {"a": True}, "mpcc": {"a": False}}
 
 
 @pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
@@ -132,42 +175,19 @@ def test_seed_determines_the_design_problem():
     assert random_design(6).feasible != one.feasible
 
 
-@pytest.mark.slow
-def test_one_design_problem_by_both_from_both_starts(tmp_path, capsys):
-    out = tmp_path / "rows.jsonl"
-    for _ in range(2):  # the second time nothing is left to solve
-        benchmark_designs.main(["--seeds", "3", "4", "--out", str(out)])
-        rows = rows_of(out)
-        assert len(rows) == 4
-    assert {(row["formulation"], row["start"]) for row in rows} == {
-        (name, start) for name in ("nested", "mpcc") for start in ("given", "seed")
-    }
-    assert all(row["success"] and row["b_stationary"] for row in rows)
-    said = "nested: 2 solves, 2 valid, 2 successes, best of all reached on 1 of 1 problems"
-    assert said in capsys.readouterr().out
-
-
-def test_the_better_of_two_starts_counts_and_invalid_ends_do_not():
-    ends = [("nested", 2.0, True), ("nested", 1.0, True), ("mpcc", 1.5, True), ("mpcc", 0.5, False)]
-    names = ("seed", "formulation", "value", "valid", "first")
-    rows = [dict(zip(names, (0, *end, 3.0), strict=True)) for end in ends]
-    assert benchmark_designs.best_reached(rows) == {(0, "nested"): True, (0, "mpcc"): False}
-
-
-def test_orders_of_gradients(capsys):
-    benchmark_designs.main(["--gradients", "--seeds", "2", "4"])
-    assert "within 0.02 on 2" in capsys.readouterr().out
-
-
 def test_times_are_medians_and_a_run_without_a_result_is_a_row():
     def rows(solver, *seconds):
-        return [benchmark_peers.Row("p", solver, "converged", -1.5, 0.25, 7, one) for one in seconds]
+        end = {"problem": "p", "solver": solver, "status": "converged", "value": -1.5, "least area": 0.25}
+        return [{**end, "iterations": 7, "seconds": each} for each in seconds]
 
-    failed = benchmark_peers.Row("p", "three", "crashed: SIGKILL")
+    failed = {"problem": "p", "solver": "three", "status": "crashed: SIGKILL"}
     text = benchmark_peers.table([*rows("one", 1.0, 2.0, 4.0), *rows("two", 3.0, 4.0, 4.0), failed])
-    assert "| p | one | converged | -1.5 | 0.25 | 7 | 2 (1 to 4) | 1 |" in text
-    assert "| p | two | converged | -1.5 | 0.25 | 7 | 4 (3 to 4) | 2 |" in text  # ratios run by run
-    assert "| p | three | crashed: SIGKILL | - | - | - | - | - |" in text
+    first, second, third = (
+        [cell.strip() for cell in line.split("|")[2:-1]] for line in text.splitlines()[2:]
+    )
+    assert first == ["one", "converged", "-1.5", "0.25", "7", "2 (1 to 4)", "1"]
+    assert second == ["two", "converged", "-1.5", "0.25", "7", "4 (3 to 4)", "2"]  # ratios run by run
+    assert third == ["three", "crashed: SIGKILL", *"-----"]
 
 
 @pytest.mark.slow
@@ -223,7 +243,7 @@ def test_slips_of_a_plate_are_the_published_ones() -> None:
 
 
 def test_a_fixed_point_of_the_bounds_takes_more_active_sets() -> None:
-    system = system_of(slab((12, 6)))
+    system = system_of(coulomb_kink.problem(6, 0.5))
     steps, sets = fixed_point(system)
     assert steps > 1
     assert solve(system).iterations < sets
