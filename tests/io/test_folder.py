@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -51,6 +53,19 @@ def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp
         write_whole(path, half)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_interrupt_while_the_temporary_folder_is_removed_leaves_only_the_file(tmp_path, monkeypatch):
+    path, remove = tmp_path / "file", shutil.rmtree
+
+    def interrupted(*given, **options):
+        signal.raise_signal(signal.SIGINT)
+        remove(*given, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_text(path, "new")
+    assert [(file, file.read_text()) for file in tmp_path.iterdir()] == [(path, "new")]
 
 
 def test_links_are_replaced_not_followed(tmp_path):
