@@ -122,6 +122,7 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "random = { count = 0 }", "random.count = 0"),
         (JOINT + "files = ['none.toml']", "none.toml"),
         ("[[", "is not valid TOML"),
+        ("repeats = " + "9" * 5000, "is not valid TOML"),
     ],
 )
 def test_what_is_wrong_is_one_line(path, text, named):
