@@ -120,6 +120,7 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "examples = ['6.1']\nobjectives = ['energie']", "energie"),
         (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),
         (JOINT + "random = { count = 0 }", "random.count = 0"),
+        (JOINT + "examples = ['6.1']\nsizes = { '6.2' = [8] }", "sizes.6.2: '6.2' is not among the examples"),
         (JOINT + "files = ['none.toml']", "none.toml"),
         ("[[", "is not valid TOML"),
         ("repeats = " + "9" * 5000, "is not valid TOML"),
