@@ -146,19 +146,23 @@ def append_whole(path: Path, text: str) -> None:
     again, and the error that then comes removes the part. Only one process may append at a time.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
-    descriptor = os.open(path, flags, 0o644)
-    try:
-        before, rest = os.fstat(descriptor).st_size, text.encode()
+    is_new = not os.path.lexists(path)
+    with _naming(path):
+        descriptor = os.open(path, flags, 0o644)
         try:
-            while rest:
-                rest = rest[os.write(descriptor, rest) :]
-            os.fsync(descriptor)
-        except BaseException:
-            with suppress(OSError):
-                os.ftruncate(descriptor, before)
-            raise
-    finally:
-        os.close(descriptor)
+            before, rest = os.fstat(descriptor).st_size, text.encode()
+            try:
+                while rest:
+                    rest = rest[os.write(descriptor, rest) :]
+                os.fsync(descriptor)
+            except BaseException:
+                with suppress(OSError):
+                    os.ftruncate(descriptor, before)
+                    if is_new:
+                        path.unlink()
+                raise
+        finally:
+            os.close(descriptor)
 
 
 def read_text(path: Path) -> str:

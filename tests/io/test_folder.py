@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -79,6 +80,16 @@ def test_links_are_replaced_not_followed(tmp_path):
     with pytest.raises(OSError, match="table"):
         append_whole(path, "x")
     assert victim.read_text() == "mine"
+
+
+def test_append_on_a_full_disk_names_the_file_and_makes_none(tmp_path, monkeypatch):
+    def full(descriptor, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match=r"No space left.*records"):
+        append_whole(tmp_path / "records", "x")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_nobody_can_foresee_where_a_file_is_written(tmp_path):
