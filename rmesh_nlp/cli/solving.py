@@ -33,6 +33,7 @@ from rmesh_nlp.study.runner import INTERRUPTED, Done, perform
 
 SINGLE = ("record.json", "solution.vtu", "history.csv")
 FILES = (*SINGLE, "mesh.msh")  # of a problem file, the series of its iterates and the figures aside
+SERIES, FIGURES = "iterations/x", "figures/x"  # one of the files of a folder, to check that it may be written
 SERIES_NODES = 200_000  # of all frames of a series: with more, writing them takes longer than the solve
 
 
@@ -85,7 +86,7 @@ def solve_file(
     plan = planned(problem, name, options, certify=certify or stated.solve.certify)
     series = Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
     folder = Path("results") / safe_name(problem.name) if out is None else out
-    with writable(folder, FILES) as results:
+    with writable(folder, (*FILES, SERIES, *([FIGURES] if columns else []))) as results:
         with SolvesProgress(1, quiet=voice != "text") as progress:
             # then the iterates are on different meshes
             several = options.keys() & {"starts", "remesh"}
@@ -188,7 +189,7 @@ def compare(
         raise BadInputError("--repeats is for times, which solves side by side would spoil: leave out --jobs")
     plan = comparison.plan_comparison(examples or list(EXAMPLES), formulations, **given)
     rows: list[Record] = []
-    with writable(out, (RECORDS, *TABLES)) as results:
+    with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))) as results:
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
             watched: dict[str, Any] = {"on_start": progress.start, "on_step": progress.step}
             solved = comparison.run(plan, results, resume=resume, locked=True, jobs=jobs, **watched)

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from filelock import FileLock, Timeout
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.optimize.budget import deferred
 
 LONGEST_NAME = 150  # bytes of a file name without its suffix and those of figures; file systems allow 255
 TEMPORARY = ".rmesh-writing-"  # head of the folders in which files are written before they are put in place
@@ -94,13 +95,16 @@ def write_whole(
 
     The file is filled in a new folder that only this user can enter, with a name that cannot be
     foreseen: nobody can put a link in its way. A link at ``path`` itself is replaced, not followed.
+    A first Ctrl-C takes effect when nothing is left aside.
     """
-    with folder_aside(path.parent) as folder, _naming(path):
+    with deferred() as interrupted, folder_aside(path.parent) as folder, _naming(path):
         aside = folder / path.name
         write(aside)
         with aside.open("rb") as file:
             os.fsync(file.fileno())  # a renamed file that is not yet on the disk is empty after a power cut
         put(aside, path)
+    if interrupted():
+        raise KeyboardInterrupt
 
 
 @contextmanager
@@ -142,19 +146,23 @@ def append_whole(path: Path, text: str) -> None:
     again, and the error that then comes removes the part. Only one process may append at a time.
     """
     flags = os.O_WRONLY | os.O_APPEND | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0)
-    descriptor = os.open(path, flags, 0o644)
-    try:
-        before, rest = os.fstat(descriptor).st_size, text.encode()
+    is_new = not os.path.lexists(path)
+    with _naming(path):
+        descriptor = os.open(path, flags, 0o644)
         try:
-            while rest:
-                rest = rest[os.write(descriptor, rest) :]
-            os.fsync(descriptor)
-        except BaseException:
-            with suppress(OSError):
-                os.ftruncate(descriptor, before)
-            raise
-    finally:
-        os.close(descriptor)
+            before, rest = os.fstat(descriptor).st_size, text.encode()
+            try:
+                while rest:
+                    rest = rest[os.write(descriptor, rest) :]
+                os.fsync(descriptor)
+            except BaseException:
+                with suppress(OSError):
+                    os.ftruncate(descriptor, before)
+                    if is_new:
+                        path.unlink()
+                raise
+        finally:
+            os.close(descriptor)
 
 
 def read_text(path: Path) -> str:

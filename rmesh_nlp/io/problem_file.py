@@ -68,7 +68,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         data = tomllib.loads(raw.decode())
         if _depth(data) > DEEPEST:
             raise RecursionError
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except ValueError as error:  # of the decoding and of endless whole numbers as well
         hint = messages.unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
     except RecursionError as error:

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 from rmesh_nlp.mpcc import ampl
 from rmesh_nlp.mpcc.options import Options
@@ -26,9 +27,16 @@ _EXAMPLES = """examples:
 """
 
 
+class _Parser(argparse.ArgumentParser):
+    """What is wrong is one line, without the usage before it."""
+
+    def error(self, message: str) -> NoReturn:
+        raise ValueError(f"{message}; see rmesh mpcc --help")
+
+
 def parser() -> argparse.ArgumentParser:
     """The options of the command."""
-    options = argparse.ArgumentParser(
+    options = _Parser(
         prog="rmesh mpcc", description=_ABOUT, epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )  # fmt: skip

@@ -10,6 +10,7 @@ Names come from the files ``.col`` and ``.row`` beside it, where there are some.
 
 from __future__ import annotations
 
+import math
 import operator
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -104,6 +105,12 @@ def _place(i: int, n: int) -> int:
     return i
 
 
+def _finite(value: float) -> float:
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {value}")
+    return value
+
+
 def _names(path: Path, ending: str, n: int) -> list[str]:
     """The names of a file beside ``path`` if it is of this model; after the rows it may name objectives."""
     beside = path.with_suffix(ending)
@@ -117,6 +124,7 @@ class _Reader:
     def __init__(self, path: Path, records: Records) -> None:
         self.path, self.records = path, records
         self.counts: Counter[str] = Counter()
+        self.nonzeros: Counter[str] = Counter()
 
     def table(self, kinds: str, n: int) -> list[list[Any]]:
         """The next ``n`` records."""
@@ -144,6 +152,10 @@ class _Reader:
             self._segment(self.records.key())
         if again := [segment for segment, count in self.counts.items() if count > 1]:
             raise ValueError(f"{self.path}: segment {again[0]} stands there {self.counts[again[0]]} times")
+        for key, count in zip("JG", map(int, header[7]), strict=False):
+            if self.nonzeros[key] < count:
+                said = f"its segments {key} have {self.nonzeros[key]} of {count} nonzeros"
+                raise ValueError(f"{self.path}: {said}: the file is not whole")
         return self.rows
 
     def _segment(self, key: str) -> None:
@@ -163,7 +175,7 @@ class _Reader:
             case "V":
                 number, n_terms, _ = read("iii")
                 terms = self.table("if", n_terms)
-                value = sum((c * self.values[i] for i, c in terms), ca.SX(0)) + self._expression()
+                value = sum((_finite(c) * self.values[i] for i, c in terms), ca.SX(0)) + self._expression()
                 if number != len(self.values):
                     raise self.fault(f"defined variable v{number} out of order")
                 self.values.append(value)
@@ -181,7 +193,8 @@ class _Reader:
             case "J" | "G":
                 number, n_terms = read("ii")
                 self.counts[f"{key}{number}"] += 1
-                used = [c * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
+                self.nonzeros[key] += n_terms
+                used = [_finite(c) * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
                 linear = _fold(operator.add, used) if used else 0
                 if key == "J":
                     rows.bodies[_place(number, m)] += linear
@@ -230,7 +243,7 @@ class _Reader:
         while True:
             match self.records.key():
                 case "n":
-                    value = ca.SX(read("f")[0])
+                    value = ca.SX(_finite(read("f")[0]))
                 case "s" | "l" as kind:
                     value = ca.SX(read("h" if kind == "s" else "l")[0])
                 case "v":

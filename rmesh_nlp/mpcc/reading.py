@@ -191,7 +191,7 @@ def read_nosbench(path: Path) -> Problem:
     """Read one problem; raises ValueError naming the file and the field that is missing or malformed."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path}: not a JSON file: {error}") from error
     if not isinstance(data, dict):
         raise ValueError(f"{path}: must hold a JSON object")
@@ -231,7 +231,7 @@ def _numbers(path: Path, data: dict[str, Any], name: str, default: Array | None)
     sign = -1.0 if name.startswith("lb") else 1.0
     try:
         values = np.array([sign * np.inf if v is None else float(v) for v in _flat([data[name]])])
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: the field {name} must be a list of numbers: {error}") from error
     if values.size == 0 and default is not None:
         return default

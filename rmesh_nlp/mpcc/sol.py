@@ -53,7 +53,7 @@ def message(problem: Problem, result: MPCCResult) -> str:
 
 
 def write_sol(path: Path, problem: Problem, result: MPCCResult) -> None:
-    """Write the ``.sol`` file of a problem that was read from a ``.nl`` file."""
+    """Write the ``.sol`` file of a problem that was read from a ``.nl`` file, whole or not at all."""
     rows = problem.rows
     if rows is None:
         raise ValueError(f"{problem.name} was not read from an .nl file: there is no .sol file of it")
@@ -61,7 +61,12 @@ def write_sol(path: Path, problem: Problem, result: MPCCResult) -> None:
     duals, reduced = _duals(rows, result)
     lines = [message(problem, result), "", *_options(rows, duals.size), *_numbers(duals), *_numbers(x)]
     lines += [f"objno 0 {solve_code(result.status)}", *_bound_suffixes(rows, x, reduced), ""]
-    path.write_text("\n".join(lines), encoding="utf-8")
+    try:
+        path.write_text("\n".join(lines), encoding="utf-8")
+    except OSError as error:
+        if path.is_file():
+            path.unlink()
+        raise OSError(error.errno, error.strerror, str(path)) from error
 
 
 def _duals(rows: Rows, result: MPCCResult) -> tuple[Array, Array]:

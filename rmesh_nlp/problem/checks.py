@@ -48,6 +48,7 @@ def check(problem: ProblemData) -> None:
     _check_components(problem)
     _check_functions(problem)
     _check_friction(problem)
+    _check_contact_edges(problem)
     for contact in problem.contact_sets:
         _check_given_gaps(problem, contact)
         if contact.nodes.size == 0:
@@ -87,6 +88,17 @@ def check_names(problem: ProblemData) -> None:
     for part, which, name in named:
         if members_of("boundary", name, problem.mesh.boundaries, part, which).size == 0:
             raise ProblemError(part, f"the boundary {name!r} of the mesh is empty", which)
+
+
+def _check_contact_edges(problem: ProblemData) -> None:
+    """Contact is on the outer boundary: names may stand for lines inside the body as well."""
+    mesh = problem.mesh
+    for number, obstacle in enumerate(problem.obstacles):
+        if isinstance(obstacle.boundary, str):
+            for edge in np.setdiff1d(mesh.boundaries[obstacle.boundary], mesh.boundary_facets()):
+                a, b = mesh.facets[:, edge]
+                said = f"{obstacle.boundary!r} has an edge inside the body, between nodes {a} and {b}"
+                raise ProblemError("boundary", f"{said}: contact is on the outer boundary", number)
 
 
 def _check_laws(problem: ProblemData) -> None:

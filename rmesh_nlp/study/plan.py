@@ -30,6 +30,7 @@ UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}  # limits of a solve for w
 RULE_S = {"fixed": 0.1, "joint": 0.5, "nested": 1.5, "mpcc": 2.5}
 """Seconds of a solve with 128 triangles on a processor of 2020, audit included (Example 6.1, n = 8)."""
 
+LARGEST = 1_000_000  # solves of a study
 GROWTH = 1.3  # times grow at least like this power of the number of triangles
 
 
@@ -186,8 +187,10 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     variants = {stated: list(_variants(study, path, stated))}
     common: dict[str, Any] = {"time_s": study.limits.time, "memory_mb": study.limits.memory}
     common |= {"fields": study.fields, "certify": study.certify}
-    solves = []
-    for problem in _problems(study, path):
+    problems, solves = list(_problems(study, path)), []
+    if (count := len(problems) * len(variants[stated]) * study.repeats) > LARGEST:
+        raise BadInputError(f"{path}: {count} solves: a study has at most {LARGEST}")
+    for problem in problems:
         objectives = stated
         if problem[0]["kind"] == "file" and "objectives" not in study.model_fields_set:
             objectives = (objective_of_file(Path(problem[0]["path"])),)

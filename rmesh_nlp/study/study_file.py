@@ -136,6 +136,9 @@ class StudyTable(Table):
     def _something_to_solve(self) -> StudyTable:
         if not (self.examples or self.files or self.random):
             raise ValueError("expected examples, files or random: there is nothing to solve")
+        for name in self.sizes if isinstance(self.sizes, dict) else ():
+            if name not in self.examples:
+                raise ValueError(f"sizes.{name}: {name!r} is not among the examples of the study")
         return self
 
 

@@ -44,6 +44,17 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(rmesh, command: str) -> Non
     assert list(Path().iterdir()) == []
 
 
+@pytest.mark.parametrize("command", ["compare 6.1 --n 3", "solve my.toml"])
+def test_a_file_in_the_place_of_the_figures_is_seen_before_a_solve(rmesh, command: str) -> None:
+    rmesh("new my.toml")
+    Path("out").mkdir()
+    Path("out/figures").write_text("mine")
+    said = rmesh(f"{command} --out out")
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "figures is a file, where a folder is to be written" in said.err
+    assert [path.name for path in Path("out").iterdir()] == ["figures"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["/abs/path", "../../esc"])
 def test_a_problem_s_name_does_not_lead_out_of_the_folder(rmesh, name, tmp_path, monkeypatch) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -53,6 +56,19 @@ def test_what_fails_while_it_is_written_leaves_the_old_file_and_nothing_else(tmp
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_interrupt_while_the_temporary_folder_is_removed_leaves_only_the_file(tmp_path, monkeypatch):
+    path, remove = tmp_path / "file", shutil.rmtree
+
+    def interrupted(*given, **options):
+        signal.raise_signal(signal.SIGINT)
+        remove(*given, **options)
+
+    monkeypatch.setattr(shutil, "rmtree", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_text(path, "new")
+    assert [(file, file.read_text()) for file in tmp_path.iterdir()] == [(path, "new")]
+
+
 def test_links_are_replaced_not_followed(tmp_path):
     victim, path = tmp_path / "victim", tmp_path / "table.md"
     victim.write_text("mine")
@@ -64,6 +80,16 @@ def test_links_are_replaced_not_followed(tmp_path):
     with pytest.raises(OSError, match="table"):
         append_whole(path, "x")
     assert victim.read_text() == "mine"
+
+
+def test_append_on_a_full_disk_names_the_file_and_makes_none(tmp_path, monkeypatch):
+    def full(descriptor, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "write", full)
+    with pytest.raises(OSError, match=r"No space left.*records"):
+        append_whole(tmp_path / "records", "x")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_nobody_can_foresee_where_a_file_is_written(tmp_path):

@@ -233,3 +233,16 @@ def test_only_an_nl_file_has_a_solution_file(stub, tmp_path):
     problem = type(problem)("made", problem.mpcc, problem.x0)
     with pytest.raises(ValueError, match="made was not read from an"):
         write_sol(tmp_path / "made.sol", problem, result)
+
+
+def test_a_full_disk_leaves_no_part_of_a_solution_file(stub, capsys, monkeypatch):
+    path = stub()
+
+    def half(self, text, **options):
+        self.write_bytes(text.encode()[:9])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", half)
+    assert main([str(path), "-AMPL"]) == 2
+    assert capsys.readouterr().err == f"rmesh mpcc: [Errno 28] No space left on device: '{path}.sol'\n"
+    assert not path.with_suffix(".sol").exists()

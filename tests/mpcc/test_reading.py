@@ -113,6 +113,8 @@ def test_every_operation_of_an_nl_file(nl, code):
         ("o44", "o64", r"operation o64 .a piecewise-linear term. is not supported"),
         ("k2", "S0 1 sosno\n0 1\nk2", "special ordered sets .suffix sosno."),
         ("k2", "Q2", "unknown segment 'Q'"),
+        ("n-3", "nnan", "line 17: expected a finite number, got nan"),
+        ("G0 3\n0 0\n1 0\n2 -2\n", "", "its segments G have 0 of 3 nonzeros"),
         (" 0 0 0 0 0	# discrete", " 1 0 0 0 0	# discrete", "integer"),
         ("o44", "o99", "line 29: operation o99 is not supported"),
         ("v1\nx2", "v17\nx2", "index 17 out of range"),
@@ -222,6 +224,13 @@ def test_a_malformed_nosbench_file_is_refused_with_its_field(tmp_path, change, w
         read(path)
 
 
+def test_json_that_is_nested_without_end_is_refused(tmp_path):
+    path = tmp_path / "deep.json"
+    path.write_text("[" * 100_000)
+    with pytest.raises(ValueError, match=r"deep.json: not a JSON file"):
+        read(path)
+
+
 @pytest.mark.slow
 def test_a_pyomo_model():
     pe = pytest.importorskip("pyomo.environ")
@@ -272,6 +281,7 @@ def test_command_solves_files(nl, capsys):
         ([], "no file given"),
         (["absent.nl"], "absent.nl"),
         (["x.gms"], "unknown format"),
+        (["x.nl", "--frob"], "unrecognized arguments: --frob"),
         (["x.nl", "--starts", "0"], "starts must be positive and finite, got 0"),
         (["x.nl", "--time-limit", "0"], "time_limit_s must be positive and finite, got 0"),
     ],

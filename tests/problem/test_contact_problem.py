@@ -59,6 +59,7 @@ WALL = Obstacle.line("right", (1.0, 0.0), (-1.0, 0.0))
 DISC = Circle((0.0, 0.0), 1.0)
 GAP = Traction("top", lambda x, y: ca.log(ca.fabs(x - 0.06) - 0.01))
 BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
+LINES = BODY["mesh"].with_boundaries({"bottom": lambda x: x[1] < 0.6}, boundaries_only=False)
 POLE = Laplace(lambda x, y: 1 / (x - 0.25))
 
 
@@ -105,6 +106,7 @@ def between_nodes(x: Any, y: Any) -> Any:
         (BODY, {"obstacle": replace(FLOOR, friction=between_nodes)}, "friction", "friction bound is nan"),
         (BODY, {"dirichlet": Dirichlet("left", (0.0, None)), "obstacle": WALL}, "dirichlet", "rigid"),
         (BODY, {"obstacle": replace(FLOOR, friction=lambda x, y: x - 0.5)}, "friction", "got -0.5 at"),
+        (BODY, {"mesh": LINES}, "boundary", "'bottom' has an edge inside the body, between nodes"),
         (BODY, {"dirichlet": ("top", Dirichlet("bottom", (0.1, None)))}, "friction", "contact node 0 has"),
         (BODY, {"obstacle": (FLOOR, WALL)}, "friction", "belongs to 2 contact"),
     ],
