@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
-from rmesh_nlp.certificate.integrals import Loads, values_at
-from rmesh_nlp.certificate.polynomials import degree_of, elevation
+from rmesh_nlp.certificate.integrals import interpolated, values_at
+from rmesh_nlp.certificate.polynomials import degree_of
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions, to_coefficients
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.problem import ContactProblem, Motion, Place
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -27,36 +27,16 @@ LATTICE = 4
 """Parts of an edge of the lattice in a triangle on which an obstacle in the interior is looked at."""
 
 
-@dataclass(frozen=True)
-class Potential:
-    """J(u) of a displacement, and its parts."""
-
-    energy: float  # J(u), friction included
-    norm: float  # energy norm of u, the root of twice the strain energy
-    friction: Array  # (contact edges,), integrals of the friction bound times the slip
-    traction_doubt: float  # what quadrature of the tractions may have changed
-
-
-def potential(
-    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, load: Loads, strain: float, u: Array
-) -> Potential:
-    """The potential energy of a displacement ``u`` (components, nodes) with a known strain energy."""
-    along = u[:, skeleton.along(skeleton.order)]
-    traction = float(np.sum(conditions.traction * along * skeleton.lengths))
-    size = np.abs(along) + np.max(np.abs(u), initial=0.0)
-    friction = np.zeros(conditions.contact.size)
+def friction_work(problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+    """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
+    work = np.zeros(conditions.contact.size)
     if problem.frictional:
         straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
         body = Body(straight, skeleton.nodes)
         for part in conditions.parts:
-            at_edges = along[:, :, part.edges]
-            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, at_edges)[0]
-    return Potential(
-        strain - load.work(u, skeleton) - traction + float(np.sum(friction)),
-        float(np.sqrt(2 * strain)),
-        friction,
-        float(np.sum(conditions.traction_doubt * size * skeleton.lengths)),
-    )
+            along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
+            work[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, along)[0]
+    return work
 
 
 def displacement_faults(
@@ -101,19 +81,16 @@ def penetration(
 def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:
     samples, vertices = values_at(offset, corners, points), len(points)
     order = degree_of(along, vertices)
-    shapes, small = functions(order, points), DEVIATION * max(size, float(np.max(np.abs(samples))))
-    gap = samples + shapes.T @ along
-    if order == 1:
-        coefficients = gap[np.argmax(points, axis=1)]
-        holds = np.max(_bends(samples)[1], axis=0) <= small  # where the offset is concave
-    else:
-        of_offset = to_coefficients(order, vertices) @ samples[_nodes(points)]
-        coefficients = along + of_offset
-        holds = np.max(np.abs(samples - shapes.T @ of_offset), axis=0) <= small
+    small = DEVIATION * max(size, float(np.max(np.abs(samples))))
+    of_offset, error = interpolated(order, samples, points)
+    gap = samples + functions(order, points).T @ along
+    bends, steepest = _bends(samples if order == 1 else gap)
+    # the gap is where its coefficients are, if the offset is of the order, or concave at order 1
+    holds = (np.max(steepest, axis=0) if order == 1 else error) <= small
     # between two samples of an edge a kink halfway lies half of a second difference below them
-    share, bends = 1 / 2 if vertices == 2 else 1.0, _bends(samples if order == 1 else gap)[0]
+    share = 1 / 2 if vertices == 2 else 1.0
     between = share * np.max(np.abs(bends).reshape(-1, samples.shape[1]), axis=0)
-    least = np.where(holds, np.min(coefficients, axis=0), np.min(gap, axis=0) - between)
+    least = np.where(holds, np.min(along + of_offset, axis=0), np.min(gap, axis=0) - between)
     depth = float(np.max(-least))
     return depth if depth > small else 0.0
 
@@ -126,11 +103,6 @@ def _bends(samples: Array) -> tuple[Array, Array]:
     first, second, across = bends = np.einsum("k,kdpe->dpe", (1.0, -2.0, 1.0), samples[_TRIPLES])
     mixed = (first + second - across) / 2
     return bends, (first + second) / 2 + np.hypot((first - second) / 2, mixed)  # larger eigenvalue
-
-
-def _nodes(points: Array) -> list[int]:
-    """Which of the points are vertices and middles of edges."""
-    return [int(np.argmin(np.sum((points.T - node) ** 2, axis=1))) for node in elevation(len(points))]
 
 
 _PLACES = [(i, j) for i in range(LATTICE + 1) for j in range(LATTICE + 1 - i)]

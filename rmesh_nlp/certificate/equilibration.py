@@ -22,13 +22,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
+from rmesh_nlp.certificate.conditions import Conditions
+from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
+from rmesh_nlp.certificate.hybrid import Hybrid, contact_start, hybrid
+from rmesh_nlp.certificate.integrals import Loads
+from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import DualEnergy, solve
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.newton_step import BoxStep
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
 
 SOFTER = 10.0
 """By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
@@ -82,26 +87,59 @@ class Balance:
     pressure: Array  # (k, contact edges) coefficients of Bernstein's polynomials along the contact edges
     friction: Array  # the same; zero in a scalar problem
     reaction_work: float  # of the reactions on the given displacements
-    obstacle_force: Array  # (elements, 3 or 6), reaction of an interior obstacle times the area, coefficients
+    inside: Array  # (functions, m) coefficients of the pressure of an obstacle in the interior
 
 
 @dataclass(frozen=True)
 class EquilibratedField:
     """A flux or stress in equilibrium, element by element; norms are energy norms."""
 
-    values: Array  # (2 or 3, elements), mean flux, or mean stress xx, yy, xy
+    mean: Array  # (2 or 3, elements), of the flux, or of the stress xx, yy, xy
     computed: Array  # (elements,), strain energy of the computed displacement
     energy: Array  # (elements,), complementary energy of this field
     defect: Array  # (elements,), distance between this field and that of the computed displacement
     variation: Array  # (elements,), distance from a field that a polynomial of the loads' degree has
-    forces: Array  # (elements, local traces), coefficients of the tractions times the edge's length
+    forces: Array  # (elements, traces), coefficients of the tractions times the edge's length
     balance: Balance
     residual: float  # largest violation of equilibrium inside elements, relative to the largest force
     gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
-    obstacle_work: Array | float = 0.0  # (elements,), of an interior obstacle's reaction, on it
-    obstacle_gap: Array | float = 0.0  # (elements,), the same on the gap
-    obstacle_doubt: float = 0.0
-    is_certain: bool = True  # whether it is known where the obstacle jumps and kinks
+
+
+def equilibrated(
+    problem: ContactProblem,
+    skeleton: Skeleton,
+    conditions: Conditions,
+    load: Loads,
+    guess: Guess,
+    products: int,
+) -> EquilibratedField:
+    """The field of largest dual energy, or nearly so, as the computed one and a correction.
+
+    ``products`` back-substitutions improve the contact forces of the guess.
+    """
+    element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
+    computed = of_displacement(element, law, skeleton, guess.displacement)
+    lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
+    fields = Fields(element, skeleton, law, lacking, inside.elements.size > 0)
+    balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess, products)
+    correction = fields.of_traces(balanced.traces)
+    field = computed + correction
+    pushing = load.balanced.copy()
+    pushing[0][:, inside.elements] += inside.sign * balanced.inside
+    defect = np.sqrt(2 * fields.energy(correction))
+    mean = fields.mean(field)
+    variation = np.sqrt(2 * fields.energy(field - mean))
+    return EquilibratedField(
+        mean=mean,
+        computed=fields.energy(computed),
+        energy=fields.energy(field),
+        defect=defect,
+        variation=np.minimum(variation, defect) if problem.order <= conditions.degree else variation,
+        forces=fields.forces(field),
+        balance=balanced,
+        residual=fields.imbalance(field, pushing),
+        gradient_by_energy=law.gradient_by_energy,
+    )
 
 
 def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
@@ -141,17 +179,18 @@ def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> 
 
 def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     """What the free traces and the contact forces say of elements and edges."""
-    contact, W = assembled.conditions.contact, assembled.traces(u)
-    edge, shape = assembled.skeleton.lengths[contact], assembled.conditions.offset.shape
-    reaction = assembled.reaction(W)[assembled.held] @ (W + assembled.start)[assembled.held]
-    functions = 3 * assembled.conditions.degree  # Bernstein's on a triangle
-    inside = force[: assembled.inside] if assembled.inside else np.zeros(len(assembled.numbers) * functions)
+    skeleton, conditions, held = assembled.skeleton, assembled.conditions, assembled.held
+    edge, shape = skeleton.lengths[conditions.contact], conditions.offset.shape
+    W = assembled.known.copy()
+    W[~held] = u
+    reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
+    inside = force[: assembled.inside].reshape(-1, len(conditions.inside.offset)).T
     return Balance(
-        traces=assembled.of_elements(W),
+        traces=(assembled.turn.T @ W)[assembled.numbers],
         pressure=force[assembled.inside :].reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        obstacle_force=inside.reshape(-1, functions),
+        inside=inside / skeleton.areas[conditions.inside.elements],
     )
 
 

@@ -22,109 +22,76 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.skeleton import Index, Skeleton
+from rmesh_nlp.certificate.fields import Fields
+from rmesh_nlp.certificate.polynomials import Index, moments
+from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array
-
-
-@dataclass(frozen=True)
-class InteriorObstacle:
-    """An obstacle in the interior; moments of the displacement of each element are further unknowns.
-
-    Arrays run over Bernstein's polynomials on each element; moments are against these and divided by the
-    area.
-    """
-
-    sign: float  # 1 for an obstacle below, -1 above
-    gap: Array  # (elements, 3 or 6), moments of the gap of the base
-    load: Array  # (elements, 3 or 6), coefficients of the source, times the area
 
 
 @dataclass(frozen=True)
 class Hybrid:
     """The contact problem of the traces, and what leads from its solution back to the elements.
 
-    The sum of the forces through each edge is ``matrix @ W - source``. The traces of an element are numbered
-    edge by edge, ends counter-clockwise and then the middle, component by component, then those of an
-    obstacle in the interior.
+    The sum of the forces through each edge, less the applied ones, is ``matrix @ W - load``. The traces are
+    numbered edge by edge, function by function, component by component, then those on an obstacle in the
+    interior, element by element.
     """
 
     skeleton: Skeleton
     conditions: Conditions
     system: ContactSystem  # in the traces that are not given; gaps of an obstacle in the interior first
     matrix: sp.csc_array  # (traces, traces)
-    source: Array  # (traces,)
+    load: Array  # (traces,)
     numbers: Index  # (elements, k), the traces of each element
     turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
     held: NDArray[np.bool_]  # (traces,), which are given
     start: Array  # (traces,), the base
     known: Array  # (traces,), the given ones, counted from the base
-    applied: Array  # (traces,), applied forces
     inside: int  # number of gaps of an obstacle in the interior
 
-    def traces(self, u: Array) -> Array:
-        """All traces for the free ones."""
-        W = self.known.copy()
-        W[~self.held] = u
-        return W
 
-    def reaction(self, traces: Array) -> Array:
-        """Sum of the forces through each edge, less the applied ones."""
-        return np.asarray(self.matrix @ traces - self.source - self.applied)
+def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) -> Hybrid:
+    """Assemble the contact problem of the traces, counted from those of a displacement (components, nodes).
 
-    def of_elements(self, traces: Array) -> Array:
-        """(elements, k) traces of each element, Cartesian."""
-        return np.asarray((self.turn.T @ traces)[self.numbers])
-
-
-def hybrid(
-    skeleton: Skeleton,
-    conditions: Conditions,
-    local: tuple[Array, Array],
-    base: Array,
-    interior: InteriorObstacle | None = None,
-) -> Hybrid:
-    """Assemble the contact problem of the traces, counted from ``base`` (components, k, edges).
-
-    Forces through the edges of an element are ``local[0] @ traces - local[1]``, with (elements, k, k) and
-    (elements, k) arrays.
+    ``computed`` is the field of this displacement, to which ``fields`` add what it lacks.
     """
-    n, k, contact = conditions.held.shape[0], conditions.degree + 1, conditions.contact
+    skeleton, contact, inside = fields.skeleton, conditions.contact, conditions.inside
+    n, k = conditions.held.shape[0], conditions.degree + 1
     numbers, size = _numbers(skeleton, n, k), skeleton.ends.shape[1] * k * n
     turn: sp.sparray = _turn(conditions, skeleton.ends.shape[1])
-    start = turn @ _vector(base)
-    applied = turn @ _vector(conditions.applied * skeleton.lengths)
+    exerted = np.bincount(numbers.ravel(), fields.forces(computed).ravel(), size)
+    load = turn @ (_vector(conditions.traction.balanced * skeleton.lengths) - exerted)
+    start = turn @ _vector(moments(u[:, skeleton.along(skeleton.order)], conditions.degree))
     given = turn @ _vector(conditions.given)
     held = np.abs(turn @ _vector(np.repeat(conditions.held[:, None], k, axis=1))) > 0.5
     added = np.zeros(0, dtype=np.int64)
-    if interior is not None:
-        added = size + np.arange(interior.load.size)
-        numbers, none = np.hstack([numbers, added.reshape(interior.load.shape)]), np.zeros(added.size)
-        start, given, held = np.append(start, none), np.append(given, none), np.append(held, none > 0)
-        applied = np.append(applied, interior.load.ravel())
+    if fields.reacts:
+        of_base = moments(u[0, skeleton.displaced], conditions.degree, 3).T
+        added = size + np.arange(of_base.size)
+        numbers, none = np.hstack([numbers, added.reshape(of_base.shape)]), np.zeros(added.size)
+        start, given, held = np.append(start, of_base), np.append(given, none), np.append(held, none > 0)
+        load = np.append(load, (fields.load[0] * skeleton.areas).T)
         turn = sp.block_diag([turn, sp.eye_array(added.size)])
-    matrix = turn @ _assembled(numbers, local[0], held.size) @ turn.T
-    source = turn @ np.bincount(numbers.ravel(), local[1].ravel(), held.size)
-    fixed = np.where(held, given - start, 0.0)
+    matrix = turn @ _assembled(numbers, fields.stiffness, held.size) @ turn.T
+    load = load + turn @ np.bincount(numbers.ravel(), fields.source.ravel(), held.size)
+    known = np.where(held, given - start, 0.0)
     free = np.flatnonzero(~held)
     # contact on the boundary, function by function
     along = [_contact_traces(conditions, axis).ravel() for axis in range(n)]
-    edge = np.tile(skeleton.lengths[contact], k)
     unit = sp.csr_array(sp.eye_array(held.size))[:, free]
     normals, gaps = unit[along[-1]], conditions.offset.ravel() + start[along[-1]]
     tangents, bound = unit[:0], np.zeros(0)
-    if interior is not None:
-        normals = sp.vstack([unit[added] * interior.sign, normals])
-        gaps = np.concatenate([interior.gap.ravel(), gaps])
+    if fields.reacts:
+        normals = sp.vstack([unit[added] * inside.sign, normals])
+        gaps = np.append(inside.offset.T + inside.sign * of_base, gaps)
     elif np.any(conditions.friction > 0):
-        tangents, bound = unit[along[0]], np.where(held[along[0]], 0.0, conditions.friction.ravel() * edge)
-    load = (applied + source - matrix @ fixed)[free]
+        forces = conditions.friction * skeleton.lengths[contact]
+        tangents, bound = unit[along[0]], np.where(held[along[0]], 0.0, forces.ravel())
     matrix = sp.csc_array(matrix)
-    stiffness = sp.csc_array(matrix[free][:, free])
-    system = ContactSystem(stiffness, load, 0.0, sp.csr_array(normals), sp.csr_array(tangents), gaps, bound)
-    return Hybrid(
-        skeleton, conditions, system, matrix, source, numbers, turn, held, start, fixed, applied, added.size
-    )
+    stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ known)[free]
+    system = ContactSystem(stiffness, rest, 0.0, sp.csr_array(normals), sp.csr_array(tangents), gaps, bound)
+    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, known, added.size)
 
 
 def contact_start(assembled: Hybrid) -> Array:

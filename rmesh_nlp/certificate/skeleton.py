@@ -6,19 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rmesh_nlp.certificate.polynomials import Index, raised
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem import ContactProblem, Place
 
-Index = NDArray[np.int64]
-
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
-
-BESIDE = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
-"""Functions of degree 2 beside vertex i of a triangle, in the directions of its vertices."""
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
@@ -116,10 +111,8 @@ class Skeleton:
 
         They are constant on an element, or linear with these values at its vertices.
         """
-        local = displacement[:, self.displaced]
-        # at a vertex the gradient of a parabola is that of twice the coefficients beside it
-        at_vertices = local[:, None] if self.order == 1 else 2 * local[:, BESIDE]
-        slopes = -np.einsum("cvie,die->cdve", at_vertices, self.normals)
+        derived = self.order * displacement[:, self.displaced[raised(self.order, 3)]]
+        slopes = -np.einsum("cvie,die->cdve", derived, self.normals)
         return np.asarray(slopes / (2 * self.areas))
 
 
