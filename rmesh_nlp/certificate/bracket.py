@@ -156,11 +156,8 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     contact must press and friction stay within its bound.
     """
     n, k = conditions.held.shape[0], conditions.degree + 1
-    forces = field.forces.reshape(-1, 3, k, n)
-    total = np.zeros((skeleton.ends.shape[1], k, n))
-    np.add.at(total, (skeleton.edges[:, None], skeleton.places(k)), forces.transpose(1, 2, 0, 3))
-    total = total.transpose(2, 1, 0)
-    scale = float(np.max(np.abs(forces), initial=1e-300))
+    total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel()).reshape(-1, k, n).T
+    scale = float(np.max(np.abs(field.forces), initial=1e-300))
     total = total - conditions.traction.balanced * skeleton.lengths
     contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
     pressure, friction = field.balance.pressure, field.balance.friction

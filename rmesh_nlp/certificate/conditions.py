@@ -23,7 +23,6 @@ from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, trac
 from rmesh_nlp.certificate.polynomials import Index, lowered
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 
@@ -126,8 +125,8 @@ def _given_displacement(
             part = integrals(coefficient, corners, problem.order)
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
             samples = values_at(coefficient, corners, SAMPLE_POINTS)
-            bend = interpolated(problem.order, samples, SAMPLE_POINTS)[1]
-            doubt, error = np.max([doubt, *part.doubt.flat]), np.max([error, *bend])
+            doubt = np.max(part.doubt, initial=doubt)
+            error = np.max(interpolated(problem.order, samples, SAMPLE_POINTS)[1], initial=error)
             is_certain &= part.is_certain
     scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
@@ -135,13 +134,12 @@ def _given_displacement(
 
 def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Inside, bool]:
     obstacles = [obstacle for obstacle in problem.obstacles if obstacle.boundary is Place.INTERIOR]
-    if not obstacles:
-        return Inside(0.0, np.zeros(0, dtype=np.int64), *np.zeros((2, size(degree, 3), 0))), True
-    if len(obstacles) > 1:
+    (sign, offset), *rest = [(obstacle.normal[0], obstacle.offset) for obstacle in obstacles] or [(0.0, 0.0)]
+    if rest:
         raise NotCertifiableError("there are two obstacles in the interior")
-    (obstacle,) = obstacles
-    gap = integrals(obstacle.offset, skeleton.corners, degree)
-    return Inside(obstacle.normal[0], np.arange(skeleton.areas.size), gap.moments, gap.doubt), gap.is_certain
+    elements = np.arange(skeleton.areas.size if obstacles else 0)
+    gap = integrals(offset, skeleton.corners[:, :, elements], degree)
+    return Inside(sign, elements, gap.moments, gap.doubt), gap.is_certain
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:

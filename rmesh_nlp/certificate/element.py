@@ -120,7 +120,7 @@ class Pieces:
         return np.vstack(rows), np.array(directions)
 
     def _beside(self, side: int) -> dict[tuple[Point, Point], Index]:
-        """Numbers of the coefficients along edges, by their ends, of the part on their left (0) or right (1)."""
+        """Numbers of the coefficients along edges, by their ends, of the part left (0) or right (1) of them."""
         order = self.degree + 1
         number = {tuple(power): i for i, power in enumerate(powers(order, 3).tolist())}
         edges: dict[tuple[Point, Point], Index] = {}
@@ -134,7 +134,7 @@ class Pieces:
 
 @dataclass(frozen=True)
 class Element:
-    """A basis of the fields on the reference triangle: (parts, functions, values, n) arrays without faults."""
+    """A basis of fields without faults on the reference triangle: (parts, functions, values, n) arrays."""
 
     pieces: Pieces
     free: Array  # without divergence

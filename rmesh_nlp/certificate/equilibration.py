@@ -45,13 +45,6 @@ triangles (seeds 300 to 307, refined) then end within 3 % of the least gap, not 
 FORCING = 0.1
 """Part of the residual at which conjugate gradients stop."""
 
-WARM = 40
-"""Active sets after which those that began with the contact of a guess give way to a cold solve.
-
-On membranes of 192 to 2,560 triangles the warm ones took 4 to 17, once 57; cold solves take four times as
-long.
-"""
-
 
 @dataclass(frozen=True)
 class Guess:
@@ -171,7 +164,7 @@ def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> 
     # friction turns where the slip is zero, and traces are counted from those of the base
     base = system.tangents.T @ contact_start(assembled)[: bound.size]
     from_zero = replace(system, load=system.load + system.stiffness @ base)
-    solved = solve(from_zero, ActiveSet(touching, sliding), WARM)
+    solved = solve(from_zero, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
         solved = solve(from_zero)
     return replace(solved, u=solved.u - base)

@@ -58,7 +58,7 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
     """
     skeleton, contact, inside = fields.skeleton, conditions.contact, conditions.inside
     n, k = conditions.held.shape[0], conditions.degree + 1
-    numbers, size = _numbers(skeleton, n, k), skeleton.ends.shape[1] * k * n
+    numbers, size = skeleton.traces(n, k), skeleton.ends.shape[1] * k * n
     turn: sp.sparray = _turn(conditions, skeleton.ends.shape[1])
     exerted = np.bincount(numbers.ravel(), fields.forces(computed).ravel(), size)
     load = turn @ (_vector(conditions.traction.balanced * skeleton.lengths) - exerted)
@@ -104,12 +104,6 @@ def _contact_traces(conditions: Conditions, axis: int) -> Index:
     k = conditions.degree + 1
     along = k * conditions.contact + np.arange(k)[:, None]
     return np.asarray(along * conditions.held.shape[0] + axis, dtype=np.int64)
-
-
-def _numbers(skeleton: Skeleton, components: int, k: int) -> Index:
-    along = (k * skeleton.edges[:, None] + skeleton.places(k)) * components
-    numbers = along[:, :, None] + np.arange(components)[:, None]
-    return np.ascontiguousarray(numbers.reshape(3 * k * components, -1).T)
 
 
 def _vector(field: NDArray) -> Array:

@@ -40,20 +40,17 @@ def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integ
         value = float(coefficient)  # all functions have the same integral
         return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
 
-    def tested(barycentric: Array, where: Array) -> Array:
+    def tested(_: Index, barycentric: Array, where: Array) -> Array:
         values = on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
         return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
 
-    def along(_: Index, s: Array, where: Array) -> Array:
-        return tested(np.stack([1 - s, s]), where)
-
-    def inside(_: Index, barycentric: Array, where: Array) -> Array:
-        return tested(barycentric, where)
+    def along(rows: Index, s: Array, where: Array) -> Array:
+        return tested(rows, np.stack([1 - s, s]), where)
 
     if vertices == 2:
         means = over_edges(straight_edges(corners), count, along, (coefficient,))
     else:
-        means = over_triangles(Straight(corners), np.arange(count), inside, coefficients=(coefficient,))
+        means = over_triangles(Straight(corners), np.arange(count), tested, coefficients=(coefficient,))
     return Integrals(means.value[:-1], means.value[-1], means.doubt[:-1], means.is_certain)
 
 

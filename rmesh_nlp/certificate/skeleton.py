@@ -101,10 +101,15 @@ class Skeleton:
             return self.ends
         return np.vstack([self.ends, self.nodes.shape[1] + np.arange(self.ends.shape[1])])
 
-    def places(self, k: int) -> Index:
-        """(3, k, elements) where the k functions along an element's edge stand among those of the edge."""
+    def traces(self, components: int, k: int) -> Index:
+        """(elements, 3 k components) numbers of the traces of each element.
+
+        Edge by edge, all have k moments of each component, those of the ends first.
+        """
         added = np.broadcast_to(np.arange(2, k)[:, None], (3, k - 2, self.areas.size))
-        return np.concatenate([self.place, added], axis=1)
+        along = k * self.edges[:, None] + np.concatenate([self.place, added], axis=1)
+        numbers = components * along[:, :, None] + np.arange(components)[:, None]
+        return np.ascontiguousarray(numbers.reshape(3 * k * components, -1).T)
 
     def gradients(self, displacement: Array) -> Array:
         """(components, 2, 1 or 3, elements) gradients of a displacement, by coefficients (components, nodes).
