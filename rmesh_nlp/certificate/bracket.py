@@ -163,7 +163,7 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     pressure, friction = field.balance.pressure, field.balance.friction
     stresses = np.stack([friction, pressure])[-n:]
     total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
-    slipping = np.abs(friction) - conditions.friction if n == 2 else np.zeros_like(pressure)
+    slipping = np.abs(friction) - conditions.friction
     parts = (np.abs(np.where(conditions.held[:, None], 0.0, total)), -pressure * edge, slipping * edge)
     return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
 

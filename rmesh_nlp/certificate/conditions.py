@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from rmesh_nlp.assessment.parts import edge_parts, straight_edges
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
-from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, tractions, values_at
+from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, tractions, values_at, values_on
 from rmesh_nlp.certificate.polynomials import Index, lowered
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.coefficients import Coefficient
 
 Mask = NDArray[np.bool_]
 
@@ -183,7 +183,7 @@ def _linear_below(friction: Coefficient, corners: Array) -> tuple[Array, bool]:
     parts = edge_parts(at, corners.shape[2], (friction,))
     inner = ONE_SIDED * (parts.end - parts.begin)
     s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
-    values = on_points(friction, at(parts.owner, s)[0].reshape(2, -1)).reshape(s.shape)
+    values = values_on(friction, at(parts.owner, s)[0])
     least = np.min(samples, axis=0)
     np.minimum.at(least, parts.owner, np.min(values, axis=1))
     is_split = np.bincount(parts.owner, minlength=least.size) > 1

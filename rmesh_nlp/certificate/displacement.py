@@ -13,9 +13,8 @@ from rmesh_nlp.certificate.polynomials import degree_of
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
-from rmesh_nlp.problem import ContactProblem, Motion, Place
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, Place
 from rmesh_nlp.problem.body import Body, Edges
-from rmesh_nlp.problem.coefficients import Coefficient
 
 GIVEN = "the given displacement is not"
 """Begins a fault that no stand-off removes."""
@@ -31,8 +30,7 @@ def friction_work(problem: ContactProblem, skeleton: Skeleton, conditions: Condi
     """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
     work = np.zeros(conditions.contact.size)
     if problem.frictional:
-        straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
-        body = Body(straight, skeleton.nodes)
+        body = Body(replace(problem, motion=Motion(None)), skeleton.nodes)
         for part in conditions.parts:
             along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
             work[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, along)[0]
@@ -64,22 +62,26 @@ def penetration(
     so where the offset is a parabola. Elsewhere the gap is sampled, and what its second differences allow
     between samples is added.
     """
-    inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
-    parts = [(o, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS) for o in inside]
-    along_edges = skeleton.along(skeleton.order)
+    along = skeleton.along(skeleton.order)
+    places = [
+        (obstacle, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS)
+        for obstacle in problem.obstacles
+        if obstacle.boundary is Place.INTERIOR
+    ]
     for part in conditions.parts:
-        parts.append((part.obstacle, skeleton.ends[:, part.edges], along_edges[:, part.edges], SAMPLE_POINTS))
+        places.append((part.obstacle, skeleton.ends[:, part.edges], along[:, part.edges], SAMPLE_POINTS))
     size = float(np.max(np.abs(displacement), initial=0.0))
-    depths = [0.0]
-    for obstacle, cells, nodes, points in parts:
-        if cells.size:
-            along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, nodes])
-            depths.append(_depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
-    return max(depths)
+    depths = [
+        _depth(obstacle, skeleton.nodes[:, cells], displacement[:, nodes], points, size)
+        for obstacle, cells, nodes, points in places
+        if cells.size
+    ]
+    return max(depths, default=0.0)
 
 
-def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:
-    samples, vertices = values_at(offset, corners, points), len(points)
+def _depth(obstacle: Obstacle, corners: Array, u: Array, points: Array, size: float) -> float:
+    samples, vertices = values_at(obstacle.offset, corners, points), len(points)
+    along = np.einsum("c,cve->ve", obstacle.normal, u)
     order = degree_of(along, vertices)
     small = DEVIATION * max(size, float(np.max(np.abs(samples))))
     of_offset, error = interpolated(order, samples, points)
@@ -91,7 +93,7 @@ def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, siz
     share = 1 / 2 if vertices == 2 else 1.0
     between = share * np.max(np.abs(bends).reshape(-1, samples.shape[1]), axis=0)
     least = np.where(holds, np.min(along + of_offset, axis=0), np.min(gap, axis=0) - between)
-    depth = float(np.max(-least))
+    depth = -float(np.min(least))
     return depth if depth > small else 0.0
 
 

@@ -9,7 +9,8 @@ neighbours. Loads of degree k on the triangle are balanced.
 With the Jacobian F of the map from the reference triangle and J = det F, a flux is ``F tau / J``, of
 divergence ``div tau / J`` and with the same flux through the edges. A stress is ``F sigma F^T / J``, of
 divergence ``F div sigma / J`` and with F times the forces through the edges. So a basis on the reference
-triangle, an :class:`Element`, is all there is to say of a new one. There are two:
+triangle, an :class:`Element`, is all there is to say of a new one: name its parts, and fields among which it
+is found. There are two:
 :func:`rmesh_nlp.certificate.raviart_thomas.raviart_thomas` and
 :func:`rmesh_nlp.certificate.johnson_mercier.johnson_mercier`.
 """
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.linalg
 
 from rmesh_nlp.certificate.polynomials import Index, elevation, mass, powers, raised
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, edge_normals
@@ -46,24 +48,30 @@ class Pieces:
     @cached_property
     def shares(self) -> Array:
         """(parts,) areas of the parts of a triangle of area 1."""
-        return np.asarray(np.linalg.det(self.corners))
+        return np.linalg.det(self.corners)
 
     @cached_property
     def mass(self) -> Array:
         """(parts, functions, functions) integrals of products of functions, on a triangle of area 1."""
-        return np.asarray(self.shares[:, None, None] * mass(self.degree + 1, self.degree + 1, 3))
+        return self.shares[:, None, None] * mass(self.degree + 1, self.degree + 1, 3)
 
     @cached_property
     def linear(self) -> Array:
         """(parts, functions, 3) coefficients of linear functions, by their values at the vertices."""
-        return np.asarray(powers(self.degree + 1, 3) / (self.degree + 1) @ self.corners)
+        return powers(self.degree + 1, 3) / (self.degree + 1) @ self.corners
 
     @cached_property
     def restriction(self) -> Array:
         """(parts, functions, functions) coefficients on the parts of polynomials of degree k."""
         nodes = powers(self.degree, 3) / self.degree @ self.corners
         values = functions(self.degree, np.moveaxis(nodes, 2, 0))
-        return np.asarray(to_coefficients(self.degree, 3) @ np.moveaxis(values, 0, 2))
+        return to_coefficients(self.degree, 3) @ np.moveaxis(values, 0, 2)
+
+    def fields(self, functions: Array) -> Array:
+        """All fields each value of which is, on one part, a combination of these functions."""
+        parts, values = len(self.corners), self.matrix.shape[2]
+        every = np.einsum("fg,pq,vw->pfvqgw", functions, np.eye(parts), np.eye(values))
+        return every.reshape(parts, len(functions), values, -1)
 
     def divergence(self, field: Array, corners: Array) -> Array:
         """(components, parts, functions, ...) coefficients of degree k.
@@ -97,38 +105,39 @@ class Pieces:
     @cached_property
     def _traces(self) -> Array:
         """(3 (k + 1), coefficients) coefficients along the edges, ends first."""
-        left, reduced = self._beside(0), np.linalg.pinv(elevation(self.degree + 1, 2))
+        reduced = np.linalg.pinv(elevation(self.degree + 1, 2))
         rows = np.zeros((3, self.degree + 1, self.linear[..., 0].size))
         for row, (a, b) in zip(rows, np.eye(3)[AFTER], strict=True):
-            row[:, left[tuple(a), tuple(b)]] = reduced
+            row[:, self._along[tuple(a), tuple(b)]] = reduced
         return rows.reshape(-1, rows.shape[2])
 
     @cached_property
     def _conformity(self) -> tuple[Array, Array]:
         """(m, coefficients) what must vanish, and (m, 3) along which edge, in barycentric coordinates."""
-        left, right, raising = self._beside(0), self._beside(1), elevation(self.degree + 1, 2)
-        every = np.eye(self.degree + 2)
+        raising, forward = elevation(self.degree + 1, 2), powers(self.degree + 1, 2).tolist()
+        every, backward = np.eye(len(forward)), [forward.index(power[::-1]) for power in forward]
         rows, directions = [], []
-        for (a, b), numbers in left.items():
+        for (a, b), numbers in self._along.items():
             row = np.zeros((len(every), self.linear[..., 0].size))
-            if (a, b) in right:
-                row[:, numbers], row[:, right[a, b]] = every, -every
+            if (b, a) in self._along:
+                row[:, numbers], row[:, self._along[b, a][backward]] = every, -every
             else:
                 row[:, numbers] = every - raising @ np.linalg.pinv(raising)
             rows.append(row)
             directions += [np.subtract(b, a)] * len(row)
         return np.vstack(rows), np.array(directions)
 
-    def _beside(self, side: int) -> dict[tuple[Point, Point], Index]:
-        """Numbers of the coefficients along edges, by their ends, of the part left (0) or right (1) of them."""
-        order = self.degree + 1
+    @cached_property
+    def _along(self) -> dict[tuple[Point, Point], Index]:
+        """Numbers of the coefficients along the edges of the parts, counter-clockwise, by the ends."""
+        order, edges = self.degree + 1, {}
         number = {tuple(power): i for i, power in enumerate(powers(order, 3).tolist())}
-        edges: dict[tuple[Point, Point], Index] = {}
         for part, corners in enumerate(self.corners.tolist()):
-            for a, b in np.roll(AFTER, side, axis=1):
-                along = powers(order, 2) @ np.eye(3, dtype=np.int64)[[a, b]]
+            for ends in AFTER:
+                along = powers(order, 2) @ np.eye(3, dtype=np.int64)[ends]
                 numbers = np.array([number[tuple(power)] for power in along.tolist()])
-                edges[tuple(corners[a]), tuple(corners[b])] = part * len(number) + numbers
+                first, last = (tuple(corners[end]) for end in ends)
+                edges[first, last] = part * len(number) + numbers
         return edges
 
 
@@ -140,6 +149,23 @@ class Element:
     free: Array  # without divergence
     loaded: Array  # for each function of degree k and each component that whose divergence it is
 
+    @classmethod
+    def among(cls, pieces: Pieces, free: Array, loaded: Array) -> Element:
+        """Those combinations of fields that have no faults, and no divergence or that of the loads.
+
+        The loaded ones are the combinations of least coefficients.
+        """
+        corners = CORNERS[..., None]
+
+        def conditions(fields: Array) -> Array:
+            parts = pieces.divergence(fields, corners), pieces.faults(fields, corners)
+            return np.vstack([part.reshape(-1, fields.shape[3]) for part in parts])
+
+        loads = np.einsum("pfi,cd->cpfid", pieces.restriction, np.eye(len(pieces.matrix)))
+        loads = loads.reshape(loads[..., 0, 0].size, -1)
+        inverse = np.linalg.pinv(conditions(loaded))[:, : len(loads)]
+        return cls(pieces, free @ scipy.linalg.null_space(conditions(free)), loaded @ inverse @ loads)
+
     @cached_property
     def basis(self) -> Array:
         """All of them, the free ones first."""
@@ -150,7 +176,7 @@ class Element:
         """(values^2, n^2) integrals of products of values of two functions, on a triangle of area 1."""
         M = self.pieces.mass
         of_values = np.einsum("pfak,pfg,pgbl->abkl", self.basis, M, self.basis, optimize=True)
-        return np.asarray(of_values.reshape(-1, self.basis.shape[3] ** 2))
+        return of_values.reshape(-1, self.basis.shape[3] ** 2)
 
     @cached_property
     def forces(self) -> Array:

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
-from rmesh_nlp.certificate.hybrid import Hybrid, contact_start, hybrid
+from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import Loads
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import DualEnergy, solve
@@ -144,13 +144,13 @@ def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
     """
     skeleton, contact = assembled.skeleton, assembled.conditions.contact
     degree, edge = assembled.conditions.degree, skeleton.lengths[contact]
-    along = skeleton.along(degree)[:, contact]
+    along, elements = skeleton.along(degree)[:, contact], assembled.conditions.inside.elements
     pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
-    if assembled.inside or skeleton.order == 2:
-        inside = guess.pressure[skeleton.inside(degree)].T.ravel()[: assembled.inside]
+    if elements.size or skeleton.order == 2:
+        inside = guess.pressure[skeleton.inside(degree)[:, elements]].T.ravel()
         touching = np.append(inside, pressure) > 0
         solved = _solved(assembled, touching, friction)
-        if assembled.inside or solved.status is Status.CONVERGED:
+        if elements.size or solved.status is Status.CONVERGED:
             force = np.maximum(solved.normal_force, 0.0)
             return balanced(assembled, solved.u, force, solved.tangential_force)
     return balanced(assembled, *_improved(assembled, pressure, friction, products))
@@ -162,7 +162,7 @@ def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> 
     friction = friction[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     # friction turns where the slip is zero, and traces are counted from those of the base
-    base = system.tangents.T @ contact_start(assembled)[: bound.size]
+    base = system.tangents.T @ assembled.slips[: bound.size]
     from_zero = replace(system, load=system.load + system.stiffness @ base)
     solved = solve(from_zero, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
@@ -177,13 +177,14 @@ def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Bala
     W = assembled.known.copy()
     W[~held] = u
     reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
-    inside = force[: assembled.inside].reshape(-1, len(conditions.inside.offset)).T
+    inside, pressure = np.split(force, [conditions.inside.offset.size])
+    functions = len(conditions.inside.offset)
     return Balance(
         traces=(assembled.turn.T @ W)[assembled.numbers],
-        pressure=force[assembled.inside :].reshape(shape) / edge,
+        pressure=pressure.reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        inside=inside / skeleton.areas[conditions.inside.elements],
+        inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
     )
 
 
@@ -194,7 +195,7 @@ def _improved(
 
     One step of projected conjugate gradients: the dual function is quadratic.
     """
-    dual = DualEnergy(assembled.system, contact_start(assembled))
+    dual = DualEnergy(assembled.system, assembled.slips)
     bound = assembled.system.slip_bound
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])

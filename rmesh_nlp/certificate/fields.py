@@ -96,7 +96,7 @@ class Fields:
         matrix = self.element.pieces.matrix
         each, F = matrix / matrix.sum(axis=(0, 1)), self.skeleton.jacobian
         pushed = np.einsum("idv,eij,edg,jgw->evw", each, self.turn, F, matrix, optimize=True)
-        return np.asarray(pushed / (2 * self.skeleton.areas)[:, None, None])
+        return pushed / (2 * self.skeleton.areas)[:, None, None]
 
     @cached_property
     def prescribed(self) -> Array:
@@ -144,7 +144,7 @@ class Fields:
     def stiffness(self) -> Array:
         """(elements, traces, traces): forces by the traces."""
         by_trace = self._roots[1]
-        return np.asarray(by_trace.transpose(0, 2, 1) @ by_trace)
+        return by_trace.transpose(0, 2, 1) @ by_trace
 
     @cached_property
     def source(self) -> Array:
@@ -172,7 +172,7 @@ class Fields:
         strain = np.einsum("evw,pfwe->pfve", self.law.compliance, field)
         tested = np.einsum("pfg,pgve->pfve", self.element.pieces.mass, strain)
         square = np.einsum("pfve,pfve->e", field, tested)
-        return np.asarray(np.maximum(square, 0.0) * self.skeleton.areas / 2)
+        return np.maximum(square, 0.0) * self.skeleton.areas / 2
 
     def mean(self, field: Array) -> Array:
         """(values, elements) means."""

@@ -48,7 +48,7 @@ class Hybrid:
     held: NDArray[np.bool_]  # (traces,), which are given
     start: Array  # (traces,), the base
     known: Array  # (traces,), the given ones, counted from the base
-    inside: int  # number of gaps of an obstacle in the interior
+    slips: Array  # (k contact edges,), the base along the first row of ``conditions.axes``, edges fastest
 
 
 def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) -> Hybrid:
@@ -56,68 +56,50 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
 
     ``computed`` is the field of this displacement, to which ``fields`` add what it lacks.
     """
-    skeleton, contact, inside = fields.skeleton, conditions.contact, conditions.inside
-    n, k = conditions.held.shape[0], conditions.degree + 1
-    numbers, size = skeleton.traces(n, k), skeleton.ends.shape[1] * k * n
-    turn: sp.sparray = _turn(conditions, skeleton.ends.shape[1])
-    exerted = np.bincount(numbers.ravel(), fields.forces(computed).ravel(), size)
-    load = turn @ (_vector(conditions.traction.balanced * skeleton.lengths) - exerted)
-    start = turn @ _vector(moments(u[:, skeleton.along(skeleton.order)], conditions.degree))
-    given = turn @ _vector(conditions.given)
-    held = np.abs(turn @ _vector(np.repeat(conditions.held[:, None], k, axis=1))) > 0.5
-    added = np.zeros(0, dtype=np.int64)
-    if fields.reacts:
-        of_base = moments(u[0, skeleton.displaced], conditions.degree, 3).T
-        added = size + np.arange(of_base.size)
-        numbers, none = np.hstack([numbers, added.reshape(of_base.shape)]), np.zeros(added.size)
-        start, given, held = np.append(start, of_base), np.append(given, none), np.append(held, none > 0)
-        load = np.append(load, (fields.load[0] * skeleton.areas).T)
-        turn = sp.block_diag([turn, sp.eye_array(added.size)])
-    matrix = turn @ _assembled(numbers, fields.stiffness, held.size) @ turn.T
-    load = load + turn @ np.bincount(numbers.ravel(), fields.source.ravel(), held.size)
-    known = np.where(held, given - start, 0.0)
-    free = np.flatnonzero(~held)
-    # contact on the boundary, function by function
-    along = [_contact_traces(conditions, axis).ravel() for axis in range(n)]
-    unit = sp.csr_array(sp.eye_array(held.size))[:, free]
-    normals, gaps = unit[along[-1]], conditions.offset.ravel() + start[along[-1]]
-    tangents, bound = unit[:0], np.zeros(0)
-    if fields.reacts:
-        normals = sp.vstack([unit[added] * inside.sign, normals])
-        gaps = np.append(inside.offset.T + inside.sign * of_base, gaps)
-    elif np.any(conditions.friction > 0):
-        forces = conditions.friction * skeleton.lengths[contact]
-        tangents, bound = unit[along[0]], np.where(held[along[0]], 0.0, forces.ravel())
-    matrix = sp.csc_array(matrix)
+    skeleton, inside, degree = fields.skeleton, conditions.inside, conditions.degree
+    n, k = conditions.held.shape[0], degree + 1
+    on_edges, lengths = skeleton.traces(n, k), skeleton.lengths
+    base = moments(u[:, skeleton.along(skeleton.order)], degree)
+    base_inside = moments(u[:1, skeleton.displaced[:, inside.elements]], degree, 3)
+    turn, none = _turn(conditions, base_inside.size), np.zeros(base_inside.shape)
+    edges, size = turn.shape[0] - none.size, turn.shape[0]
+    added = np.arange(edges, size)
+    numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
+
+    def traces(along: NDArray, within: NDArray) -> Array:
+        return turn @ np.concatenate([along.T.ravel(), within.T.ravel()])
+
+    start, given = traces(base, base_inside), traces(conditions.given, none)
+    held = np.abs(traces(np.repeat(conditions.held[:, None], k, axis=1), none)) > 0.5
+    known, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
+    load = traces(
+        conditions.traction.balanced * lengths, (fields.load[0] * skeleton.areas)[:, inside.elements]
+    )
+    load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)
+    load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
+    matrix = sp.csc_array(turn @ _assembled(numbers, fields.stiffness, size) @ turn.T)
     stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ known)[free]
-    system = ContactSystem(stiffness, rest, 0.0, sp.csr_array(normals), sp.csr_array(tangents), gaps, bound)
-    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, known, added.size)
+    # contact inside, then on the boundary function by function
+    touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
+    unit = sp.csr_array(sp.eye_array(size))[:, free]
+    normals = sp.csr_array(sp.vstack([unit[added] * inside.sign, unit[touching[-1]]]))
+    gaps = (inside.offset + inside.sign * base_inside[0]).T, conditions.offset.ravel() + start[touching[-1]]
+    tangents, bound = unit[:0], np.zeros(0)
+    if np.any(conditions.friction > 0):
+        forces = conditions.friction * lengths[conditions.contact]
+        tangents, bound = unit[touching[0]], np.where(held[touching[0]], 0.0, forces.ravel())
+    system = ContactSystem(stiffness, rest, 0.0, normals, sp.csr_array(tangents), np.append(*gaps), bound)
+    slips = start[touching[0]]
+    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, known, slips)
 
 
-def contact_start(assembled: Hybrid) -> Array:
-    """(k contact edges,) traces of the base along the first row of ``conditions.axes``, edges fastest."""
-    return np.asarray(assembled.start[_contact_traces(assembled.conditions, 0).ravel()])
-
-
-def _contact_traces(conditions: Conditions, axis: int) -> Index:
-    """(k, contact edges) numbers of the traces along a row of ``conditions.axes``."""
-    k = conditions.degree + 1
-    along = k * conditions.contact + np.arange(k)[:, None]
-    return np.asarray(along * conditions.held.shape[0] + axis, dtype=np.int64)
-
-
-def _vector(field: NDArray) -> Array:
-    """A field (components, k, edges), Cartesian, as a vector of traces or forces."""
-    return np.ascontiguousarray(field.transpose(2, 1, 0), dtype=float).ravel()
-
-
-def _turn(conditions: Conditions, edges: int) -> sp.csr_array:
-    n, k = conditions.held.shape[0], conditions.degree + 1
+def _turn(conditions: Conditions, added: int) -> sp.csr_array:
+    """From Cartesian components to the axes of contact edges; the last ``added`` traces are inside."""
+    k, (n, edges) = conditions.degree + 1, conditions.held.shape
     blocks = np.tile(np.eye(n), (edges, 1, 1))
     blocks[conditions.contact] = conditions.axes
-    data = np.repeat(blocks, k, axis=0)
-    rows = sp.bsr_array((data, np.arange(k * edges), np.arange(k * edges + 1)))
-    turn = sp.csr_array(rows)
+    rows = sp.bsr_array((np.repeat(blocks, k, axis=0), np.arange(k * edges), np.arange(k * edges + 1)))
+    turn = sp.csr_array(sp.block_diag([rows, sp.eye_array(added)]))
     turn.eliminate_zeros()
     return turn
 

@@ -41,7 +41,7 @@ def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integ
         return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
 
     def tested(_: Index, barycentric: Array, where: Array) -> Array:
-        values = on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+        values = values_on(coefficient, where)
         return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
 
     def along(rows: Index, s: Array, where: Array) -> Array:
@@ -54,10 +54,14 @@ def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integ
     return Integrals(means.value[:-1], means.value[-1], means.doubt[:-1], means.is_certain)
 
 
+def values_on(coefficient: Coefficient, where: Array) -> Array:
+    """Values (...) at positions (2, ...)."""
+    return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+
+
 def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> Array:
     """Values (points, simplices) at points given by barycentric coordinates (vertices, points)."""
-    where = np.einsum("cve,vp->cpe", corners, barycentric)
-    return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+    return values_on(coefficient, np.einsum("cve,vp->cpe", corners, barycentric))
 
 
 def interpolated(order: int, samples: Array, points: Array) -> tuple[Array, Array]:

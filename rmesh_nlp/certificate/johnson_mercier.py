@@ -16,12 +16,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
 
 from rmesh_nlp.certificate.element import STRESS, Element, Pieces
 from rmesh_nlp.certificate.polynomials import elevation
-from rmesh_nlp.certificate.skeleton import AFTER, CORNERS
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.certificate.skeleton import AFTER
 from rmesh_nlp.fem.bernstein import to_coefficients
 
 
@@ -29,18 +27,5 @@ from rmesh_nlp.fem.bernstein import to_coefficients
 def johnson_mercier() -> Element:
     """Linear stresses on the thirds, and the quadratic ones of least values at vertices and midpoints."""
     thirds = np.stack([[*np.eye(3)[ends], np.full(3, 1 / 3)] for ends in AFTER])
-    pieces, corners = Pieces(STRESS, 1, thirds), CORNERS[..., None]
-
-    def stresses(functions: Array) -> Array:
-        """All stresses of these functions on the thirds."""
-        every = np.einsum("fg,pq,vw->pfvqgw", functions, np.eye(3), np.eye(3))
-        return every.reshape(3, 6, 3, -1)
-
-    def conditions(stress: Array) -> Array:
-        parts = pieces.divergence(stress, corners), pieces.faults(stress, corners)
-        return np.vstack([part.reshape(-1, stress.shape[3]) for part in parts])
-
-    linear, quadratic = stresses(elevation(2, 3)), stresses(to_coefficients(2, 3))
-    wanted = np.einsum("pfi,cd->cpfid", pieces.restriction, np.eye(2)).reshape(18, 6)
-    inverse = np.linalg.pinv(conditions(quadratic))[:, :18]
-    return Element(pieces, linear @ scipy.linalg.null_space(conditions(linear)), quadratic @ inverse @ wanted)
+    pieces = Pieces(STRESS, 1, thirds)
+    return Element.among(pieces, pieces.fields(elevation(2, 3)), pieces.fields(to_coefficients(2, 3)))

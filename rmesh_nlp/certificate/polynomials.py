@@ -59,28 +59,28 @@ def mass(degree: int, other: int, vertices: int) -> Array:
     first, second = powers(degree, vertices)[:, None], powers(other, vertices)
     both, sides = degree + other, vertices - 1
     ways = np.prod(comb(first + second, first), axis=2)
-    return np.asarray(ways / (comb(both, degree) * comb(both + sides, sides)))
+    return ways / (comb(both, degree) * comb(both + sides, sides))
 
 
 def moments(coefficients: Array, degree: int, vertices: int = 2) -> Array:
     """(..., functions of the degree, cells) moments of polynomials with coefficients (..., any, cells)."""
-    return np.asarray(mass(degree, degree_of(coefficients, vertices), vertices) @ coefficients)
+    return mass(degree, degree_of(coefficients, vertices), vertices) @ coefficients
 
 
 def projection(given: Array, vertices: int = 2) -> Array:
     """(..., functions, cells) coefficients of the polynomials with these moments: the L2 projection."""
     degree = degree_of(given, vertices)
     if (degree, vertices) == (1, 3):  # with fewer roundings: the remainder of a load is the root of theirs
-        return np.asarray(12 * given - 3 * given.sum(axis=-2, keepdims=True))
+        return 12 * given - 3 * given.sum(axis=-2, keepdims=True)
     whole = np.rint(np.linalg.inv(mass(degree, degree, vertices)))  # the inverse has whole numbers
-    return np.asarray(whole @ given)
+    return whole @ given
 
 
 def lowered(given: Array, degree: int, vertices: int = 2) -> Array:
     """Moments against the functions of a degree, by those of the same or a higher one."""
     if degree_of(given, vertices) == degree:
         return given
-    return np.asarray(elevation(2, vertices).T @ given)
+    return elevation(2, vertices).T @ given
 
 
 def degree_of(given: Array, vertices: int) -> int:

@@ -15,7 +15,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
 
 from rmesh_nlp.certificate.element import FLUX, Element, Pieces
 from rmesh_nlp.certificate.polynomials import elevation, powers
@@ -24,14 +23,9 @@ from rmesh_nlp.certificate.skeleton import CORNERS
 
 @lru_cache
 def raviart_thomas(degree: int) -> Element:
-    """Polynomials phi of the degree, componentwise, and (x - centre) phi."""
-    pieces, corners = Pieces(FLUX, degree, np.eye(3)[None]), CORNERS[..., None]
-    raising = elevation(degree + 1, 3)
-    size, count = raising.shape
-    polynomials = np.einsum("fg,vw->fvgw", raising, np.eye(2)).reshape(1, size, 2, 2 * count)
-    free = scipy.linalg.null_space(pieces.divergence(polynomials, corners).reshape(count, -1))
+    """Polynomials phi of the degree in each component, and (x - centre) phi."""
+    pieces, raising = Pieces(FLUX, degree, np.eye(3)[None]), elevation(degree + 1, 3)
     # a coefficient of the product has one more power of that coordinate whose vertex multiplies it
     added = powers(degree + 1, 3)[:, None] - powers(degree, 3)
-    radial = np.einsum("fg,fgi,vi->fvg", raising, added, CORNERS - CORNERS.mean(axis=1, keepdims=True))[None]
-    divergence = pieces.divergence(radial, corners).reshape(count, count)
-    return Element(pieces, polynomials @ free, radial @ np.linalg.inv(divergence))
+    radial = np.einsum("fg,fgi,vi->fvg", raising, added, CORNERS - CORNERS.mean(axis=1, keepdims=True))
+    return Element.among(pieces, pieces.fields(raising), radial[None])

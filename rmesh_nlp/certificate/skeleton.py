@@ -46,17 +46,17 @@ class Skeleton:
     @cached_property
     def areas(self) -> Array:
         """(elements,) areas."""
-        return np.asarray(signed_areas(self.nodes, self.triangles))
+        return signed_areas(self.nodes, self.triangles)
 
     @cached_property
     def lengths(self) -> Array:
         """(edges,) lengths."""
-        return np.asarray(np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0))
+        return np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0)
 
     @cached_property
     def corners(self) -> Array:
         """(2, 3, elements) positions of the vertices."""
-        return np.asarray(self.nodes[:, self.triangles])
+        return self.nodes[:, self.triangles]
 
     @cached_property
     def normals(self) -> Array:
@@ -72,7 +72,7 @@ class Skeleton:
     @cached_property
     def diameters(self) -> Array:
         """(elements,) longest edges."""
-        return np.asarray(np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0)))
+        return np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0))
 
     @cached_property
     def owner(self) -> Index:
@@ -118,7 +118,7 @@ class Skeleton:
         """
         derived = self.order * displacement[:, self.displaced[raised(self.order, 3)]]
         slopes = -np.einsum("cvie,die->cdve", derived, self.normals)
-        return np.asarray(slopes / (2 * self.areas))
+        return slopes / (2 * self.areas)
 
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
