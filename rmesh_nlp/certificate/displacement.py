@@ -9,7 +9,7 @@ import numpy as np
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
 from rmesh_nlp.certificate.integrals import interpolated, values_at
-from rmesh_nlp.certificate.polynomials import degree_of
+from rmesh_nlp.certificate.polynomials import degree_of, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
@@ -107,13 +107,13 @@ def _bends(samples: Array) -> tuple[Array, Array]:
     return bends, (first + second) / 2 + np.hypot((first - second) / 2, mixed)  # larger eigenvalue
 
 
-_PLACES = [(i, j) for i in range(LATTICE + 1) for j in range(LATTICE + 1 - i)]
-_LATTICE_POINTS = np.array([[LATTICE - i - j, i, j] for i, j in _PLACES]).T / LATTICE
+_LATTICE = powers(LATTICE, 3)
+_LATTICE_POINTS = _LATTICE.T / LATTICE
 _TRIPLES = np.array(
     [
         [
-            [_PLACES.index((i + k * di, j + k * dj)) for i, j in _PLACES if i * j and i + j < LATTICE]
-            for di, dj in ((1, 0), (0, 1), (1, -1))
+            [_LATTICE.tolist().index(list(point + k * step)) for point in _LATTICE if np.all(point > 0)]
+            for step in np.array([[-1, 1, 0], [-1, 0, 1], [0, 1, -1]])
         ]
         for k in (1, 0, -1)
     ]

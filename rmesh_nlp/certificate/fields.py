@@ -34,7 +34,7 @@ def element_of(problem: ContactProblem) -> Element:
 class Law(NamedTuple):
     """The material of each triangle; strains are gradients, or xx, yy and twice xy."""
 
-    stiffness: Array  # (elements, values, values), fields by strains
+    stiffness: Array  # (values, values, elements), fields by strains
     compliance: Array  # its inverse
     gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
 
@@ -42,27 +42,28 @@ class Law(NamedTuple):
 def law_of(problem: ContactProblem, skeleton: Skeleton) -> Law:
     """The law of a problem on its triangles."""
     values, count = problem.components + 1, skeleton.areas.size
-    stiffness, compliance = np.zeros((2, count, values, values))
+    stiffness, compliance = np.zeros((2, values, values, count))
     gradient_by_energy = np.zeros(count)
     for law, part in problem.regions:
         if isinstance(law, Elastic):
             lam, mu = law.in_plane_lambda, law.lame_mu
             share = lam / (2 * (lam + mu))
-            stiffness[part] = [[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]]
+            direct = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
             inverse = np.array([[1 - share, -share, 0], [-share, 1 - share, 0], [0, 0, 2]])
-            compliance[part] = inverse / (2 * mu)
+            inverse /= 2 * mu
             gradient_by_energy[part] = korn(skeleton)[part] / np.sqrt(min(2 * mu, 2 * (lam + mu)))
         else:
             k = law.conductivity
-            stiffness[part], compliance[part] = k * np.eye(2), np.eye(2) / k
+            direct, inverse = k * np.eye(2), np.eye(2) / k
             gradient_by_energy[part] = 1 / np.sqrt(k)
+        stiffness[:, :, part], compliance[:, :, part] = direct[:, :, None], inverse[:, :, None]
     return Law(stiffness, compliance, gradient_by_energy)
 
 
 def of_displacement(element: Element, law: Law, skeleton: Skeleton, displacement: Array) -> Array:
     """The field of a displacement with coefficients (components, nodes), see :class:`Fields`."""
     strain = np.einsum("idv,idce->vce", element.pieces.matrix, skeleton.gradients(displacement))
-    values = np.einsum("evw,wce->vce", law.stiffness, strain)
+    values = np.einsum("vwe,wce->vce", law.stiffness, strain)
     at_vertices = np.broadcast_to(values, (len(values), 3, values.shape[2]))
     return np.einsum("pfc,vce->pfve", element.pieces.linear, at_vertices, optimize=True)
 
@@ -127,7 +128,12 @@ class Fields:
         With L instead of an inverse, thin triangles cost half as many digits.
         """
         P = self.push
-        metric = P.transpose(0, 2, 1) @ self.law.compliance @ P * self.skeleton.areas[:, None, None]
+        metric = (
+            P.transpose(0, 2, 1)
+            @ np.moveaxis(self.law.compliance, 2, 0)
+            @ P
+            * self.skeleton.areas[:, None, None]
+        )
         n = self.element.basis.shape[3]
         A = (metric.reshape(len(P), -1) @ self.element.products).reshape(-1, n, n)
         free = n - self.prescribed.shape[1]
@@ -169,10 +175,11 @@ class Fields:
 
     def energy(self, field: Array) -> Array:
         """(elements,) stored energies, the integrals of ``C^-1 sigma : sigma / 2``."""
-        strain = np.einsum("evw,pfwe->pfve", self.law.compliance, field)
-        tested = np.einsum("pfg,pgve->pfve", self.element.pieces.mass, strain)
-        square = np.einsum("pfve,pfve->e", field, tested)
-        return np.maximum(square, 0.0) * self.skeleton.areas / 2
+        mass = self.element.pieces.mass
+        strain = np.einsum("vwe,pfwe->pfve", self.law.compliance, field)
+        tested = mass @ strain.reshape(*mass.shape[:2], -1)
+        square = np.sum(field.reshape(tested.shape) * tested, axis=(0, 1)).reshape(field.shape[2:])
+        return np.maximum(square.sum(axis=0), 0.0) * self.skeleton.areas / 2
 
     def mean(self, field: Array) -> Array:
         """(values, elements) means."""

@@ -77,7 +77,10 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
     )
     load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)
     load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
-    matrix = sp.csc_array(turn @ _assembled(numbers, fields.stiffness, size) @ turn.T)
+    count = numbers.shape[1]
+    at = np.repeat(numbers, count, axis=1).ravel(), np.tile(numbers, count).ravel()
+    of_elements = sp.coo_array((fields.stiffness.ravel(), at), shape=(size, size))
+    matrix = sp.csc_array(turn @ sp.csr_array(of_elements) @ turn.T)
     stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ known)[free]
     # contact inside, then on the boundary function by function
     touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
@@ -98,14 +101,7 @@ def _turn(conditions: Conditions, added: int) -> sp.csr_array:
     k, (n, edges) = conditions.degree + 1, conditions.held.shape
     blocks = np.tile(np.eye(n), (edges, 1, 1))
     blocks[conditions.contact] = conditions.axes
-    rows = sp.bsr_array((np.repeat(blocks, k, axis=0), np.arange(k * edges), np.arange(k * edges + 1)))
-    turn = sp.csr_array(sp.block_diag([rows, sp.eye_array(added)]))
+    data = np.concatenate([np.repeat(blocks, k, axis=0), np.ones((added, n, n))])
+    turn = sp.csr_array(sp.bsr_array((data, np.arange(len(data)), np.arange(len(data) + 1))))
     turn.eliminate_zeros()
     return turn
-
-
-def _assembled(numbers: Index, S: Array, size: int) -> sp.csr_array:
-    """Sum of element matrices (elements, k, k) over their numbers (elements, k)."""
-    row = np.broadcast_to(numbers[:, :, None], S.shape).ravel()
-    column = np.broadcast_to(numbers[:, None, :], S.shape).ravel()
-    return sp.csr_array(sp.coo_array((S.ravel(), (row, column)), shape=(size, size)))
