@@ -2,3 +2,7 @@
 
 :func:`rmesh_nlp.solving.certify.certify` bounds the error of a solution with them.
 """
+
+
+class NotCertifiableError(ValueError):
+    """No certificate is known for this kind of problem; the message says which kind."""

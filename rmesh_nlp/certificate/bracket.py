@@ -27,14 +27,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rmesh_nlp.certificate.conditions import Conditions, NotCertifiableError, conditions_of
-from rmesh_nlp.certificate.displacement import displacement_faults, potential
-from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
-from rmesh_nlp.certificate.integrals import Loads, loads
-from rmesh_nlp.certificate.johnson_mercier import equilibrated_stress
+from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.conditions import Conditions, conditions_of
+from rmesh_nlp.certificate.displacement import displacement_faults, friction_work
+from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
+from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
-from rmesh_nlp.certificate.raviart_thomas import equilibrated_flux
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -98,65 +97,55 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
         raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
-    skeleton = skeleton_of(problem, nodes)
-    conditions, load, u = conditions_of(problem, skeleton), loads(problem, skeleton), guess.displacement
-    build = equilibrated_flux if problem.components == 1 else equilibrated_stress
+    skeleton, u = skeleton_of(problem, nodes), guess.displacement
+    conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
+    traction, inside = conditions.traction, conditions.inside
     effort = PRODUCTS[problem.components] if products is None else products
-    field = build(problem, skeleton, conditions, load, guess, effort)
-    balance, strain = field.balance, float(np.sum(field.energy))
-    primal = potential(problem, skeleton, conditions, load, float(np.sum(field.computed)), u)
-    r = oscillation(skeleton, load.remainder, conditions.traction_oscillation, field.gradient_by_energy)
-    spread = field.variation * r + r**2 / 2
-    resultant = balance.pressure * skeleton.lengths[conditions.contact]
-    pressure_work = float(np.sum(resultant * conditions.offset))
-    dual = balance.reaction_work - strain - pressure_work + float(np.sum(field.obstacle_work))
+    field = equilibrated(problem, skeleton, conditions, load, guess, effort)
+    balance, strain, computed = field.balance, float(np.sum(field.energy)), float(np.sum(field.computed))
+    on_edges = balance.pressure * skeleton.lengths[conditions.contact]
+    on_elements = balance.inside * skeleton.areas[inside.elements]
+    pressure_work = float(np.sum(on_edges * conditions.offset) + np.sum(on_elements * inside.offset))
     residual = float(np.max([field.residual, edge_residual(skeleton, conditions, field)]))
     rounding = max(residual, 1e-15) * (strain + abs(balance.reaction_work) + abs(pressure_work))
     doubt = (  # what quadrature of all data may have changed in the bounds
-        load.doubtful_work(u, skeleton)
-        + field.obstacle_doubt
-        + primal.traction_doubt
-        + float(np.sum(resultant * conditions.offset_doubt))
+        load.doubtful_work(u)
+        + traction.doubtful_work(u)
+        + float(np.sum(on_edges * conditions.offset_doubt) + np.sum(on_elements * inside.offset_doubt))
         + abs(balance.reaction_work) * conditions.given_doubt
     )
-    lower, upper = dual - float(np.sum(spread)) - doubt - rounding, primal.energy
-    contact = _contact_gap(skeleton, conditions, field, u, primal.friction)
-    local = field.defect**2 / 2 + spread + field.obstacle_gap + contact
-    if problem.order > conditions.degree:
-        local = local - _unbalanced(skeleton, conditions, load, u)
+    r = oscillation(skeleton, load.remainder, traction.remainder, field.gradient_by_energy)
+    spread = field.variation * r + r**2 / 2
+    dual = balance.reaction_work - strain - pressure_work
+    lower = dual - float(np.sum(spread)) - doubt - rounding
+    friction = friction_work(problem, skeleton, conditions, u)
+    upper = computed - load.work(u) - traction.work(u) + float(np.sum(friction))
+    through = _slack(skeleton, conditions, balance, u) * skeleton.lengths[conditions.contact] + friction
+    local = field.defect**2 / 2 + spread - load.unbalanced_work(u)
+    local += np.bincount(skeleton.owner[conditions.contact], through, local.size)
+    local -= np.bincount(skeleton.owner, traction.unbalanced_work(u), local.size)
+    gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
+    local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
     why = displacement_faults(problem, skeleton, conditions, u)
     if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
         why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
-    if not (conditions.is_certain and load.is_certain and field.is_certain):
+    if not (conditions.is_certain and load.is_certain):
         why = (f"lower: {UNKNOWN}", *why, f"upper: {UNKNOWN}")
     if not residual <= TOLERANCE:
         why = (f"lower: the field is out of equilibrium by {residual:.1e} of the largest force", *why)
     lower_holds, upper_holds = (
         not any(reason.startswith(side) for reason in why) for side in ("lower", "upper")
     )
-    return Bracket(lower, upper, lower_holds, upper_holds, why, local, field.values, primal.norm, residual)
+    norm = float(np.sqrt(2 * computed))
+    return Bracket(lower, upper, lower_holds, upper_holds, why, local, field.mean, norm, residual)
 
 
-def _contact_gap(
-    skeleton: Skeleton, conditions: Conditions, field: EquilibratedField, u: Array, friction: Array
-) -> Array:
-    """(elements,) what contact and friction add to the gap, by the element at the contact edge."""
-    contact, balance = conditions.contact, field.balance
-    along = u[:, skeleton.along(skeleton.order)[:, contact]]
+def _slack(skeleton: Skeleton, conditions: Conditions, balance: Balance, u: Array) -> Array:
+    """(contact edges,) mean work of pressure on the gap and of friction on the slip."""
+    along = u[:, skeleton.along(skeleton.order)[:, conditions.contact]]
     turned = np.einsum("eij,jme->ime", conditions.axes, moments(along, conditions.degree))
-    slack = np.sum(balance.pressure * (turned[-1] + conditions.offset), axis=0)
-    slack = slack + np.sum(balance.friction * turned[0], axis=0)  # none in a scalar problem
-    shares = slack * skeleton.lengths[contact] + friction
-    return np.asarray(np.bincount(skeleton.owner[contact], shares, skeleton.areas.size))
-
-
-def _unbalanced(skeleton: Skeleton, conditions: Conditions, load: Loads, u: Array) -> Array:
-    """(elements,) work of what the field leaves of the loads; none on displacements of its own degree."""
-    body = load.moments - moments(load.balanced, skeleton.order, 3)
-    inside = np.sum(body * u[:, skeleton.displaced], axis=(0, 1)) * skeleton.areas
-    pull = conditions.traction - moments(conditions.applied, skeleton.order)
-    through = np.sum(pull * u[:, skeleton.along(skeleton.order)], axis=(0, 1)) * skeleton.lengths
-    return np.asarray(inside + np.bincount(skeleton.owner, through, inside.size))
+    # there is no friction in a scalar problem
+    return np.sum(balance.pressure * (turned[-1] + conditions.offset) + balance.friction * turned[0], axis=0)
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
@@ -167,17 +156,14 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     contact must press and friction stay within its bound.
     """
     n, k = conditions.held.shape[0], conditions.degree + 1
-    forces = field.forces.reshape(-1, 3, k, n)
-    total = np.zeros((skeleton.ends.shape[1], k, n))
-    np.add.at(total, (skeleton.edges[:, None], skeleton.places(k)), forces.transpose(1, 2, 0, 3))
-    total = total.transpose(2, 1, 0)
-    scale = float(np.max(np.abs(forces), initial=1e-300))
-    total = total - conditions.applied * skeleton.lengths
+    total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel()).reshape(-1, k, n).T
+    scale = float(np.max(np.abs(field.forces), initial=1e-300))
+    total = total - conditions.traction.balanced * skeleton.lengths
     contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
     pressure, friction = field.balance.pressure, field.balance.friction
     stresses = np.stack([friction, pressure])[-n:]
     total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
-    slipping = np.abs(friction) - conditions.friction if n == 2 else np.zeros_like(pressure)
+    slipping = np.abs(friction) - conditions.friction
     parts = (np.abs(np.where(conditions.held[:, None], 0.0, total)), -pressure * edge, slipping * edge)
     return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
 

@@ -17,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.parts import edge_parts, straight_edges
-from rmesh_nlp.certificate.integrals import field_degree, integrals, values_at
-from rmesh_nlp.certificate.polynomials import lowered, projection
+from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.fields import element_of
+from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, tractions, values_at, values_on
+from rmesh_nlp.certificate.polynomials import Index, lowered
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.coefficients import Coefficient
 
 Mask = NDArray[np.bool_]
 
@@ -33,23 +34,25 @@ SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 ONE_SIDED = 1e-9
 """Part of a piece of an edge at which the limit of a coefficient at its end is looked at."""
 
-MIDDLE = 16
-"""Number of the one in the middle."""
-
 DEVIATION = 1e-12
 """Deviations relative to the values themselves that count as none."""
-
-
-class NotCertifiableError(ValueError):
-    """No certificate is known for this kind of problem; the message says which kind."""
 
 
 class ContactPart(NamedTuple):
     """The edges of one obstacle on the boundary, and where they stand among all contact edges."""
 
     obstacle: Obstacle
-    edges: NDArray[np.int64]
+    edges: Index
     place: slice
+
+
+class Inside(NamedTuple):
+    """An obstacle in the interior; moments are against the polynomials of the field's degree on elements."""
+
+    sign: float  # 1 for an obstacle below, -1 above
+    elements: Index  # (m,), those where it is: all of them, or none
+    offset: Array  # (functions, m), moments of the gap without displacement
+    offset_doubt: Array  # (functions, m)
 
 
 @dataclass(frozen=True)
@@ -64,21 +67,15 @@ class Conditions:
     given: Array  # (components, k, edges), moments of the given displacement
     given_doubt: float  # largest doubt of these by quadrature, relative to the largest moment
     given_error: float  # largest distance from what displacements interpolate, relative to the same
-    traction: Array  # (components, order + 1, edges), moments of the given traction, of displacements' order
-    traction_oscillation: Array  # (edges,), L2 norm of the traction less its best approximation
-    traction_doubt: Array  # (components, order + 1, edges), of ``traction`` by quadrature
-    contact: NDArray[np.int64]  # (contact edges,), their numbers; the arrays below run over these
+    traction: Loads
+    contact: Index  # (contact edges,), their numbers; the arrays below run over these
     offset: Array  # (k, contact edges), moments of the initial gap
     offset_doubt: Array  # (k, contact edges)
     friction: Array  # (k, contact edges), a function that nowhere exceeds the friction bound; 0 for a scalar
     axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
-    is_certain: bool  # whether it is known where the data jump and kink
     parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
-
-    @property
-    def applied(self) -> Array:
-        """(components, k, edges) coefficients of the best approximation of the traction."""
-        return projection(lowered(self.traction, self.degree))
+    inside: Inside
+    is_certain: bool  # whether it is known where the data jump and kink
 
     @property
     def degree(self) -> int:
@@ -91,13 +88,12 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
 
     Raises NotCertifiableError for contact that tractions linear on edges cannot express.
     """
-    degree = field_degree(problem)
+    degree, n = element_of(problem).pieces.degree, problem.components
     held, given, given_doubt, given_error, is_certain = _given_displacement(problem, skeleton, degree)
-    traction, oscillation, traction_doubt, is_known = _tractions(problem, skeleton, degree)
-    is_certain &= is_known
+    traction, inside, inside_is_certain = tractions(problem, skeleton), *_inside(problem, skeleton, degree)
+    is_certain &= traction.is_certain and inside_is_certain
     parts = _contact_parts(problem, held)
     contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
-    n = problem.components
     offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
@@ -110,15 +106,14 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
             friction[:, part.place], known = _linear_below(obstacle.friction, corners)
             is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
-    supports, loads = (held, given, given_doubt, given_error), (traction, oscillation, traction_doubt)
-    gaps = offset, offset_doubt, friction, axes
-    return Conditions(*supports, *loads, contact, *gaps, is_certain, parts)
+    supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, axes)
+    return Conditions(*supports, traction, contact, *gaps, parts, inside, is_certain)
 
 
 def _given_displacement(
     problem: ContactProblem, skeleton: Skeleton, degree: int
 ) -> tuple[Mask, Array, float, float, bool]:
-    n, count, order = problem.components, skeleton.ends.shape[1], problem.order
+    n, count = problem.components, skeleton.ends.shape[1]
     held, given = np.zeros((n, count), dtype=bool), np.zeros((n, degree + 1, count))
     doubt, error, is_certain = 0.0, 0.0, True
     for support in problem.supports:
@@ -127,36 +122,24 @@ def _given_displacement(
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            part = integrals(coefficient, corners, order)
-            samples = values_at(coefficient, corners, SAMPLE_POINTS)
-            interpolated = to_coefficients(order, 2) @ samples[[0, -1, MIDDLE]][: order + 1]
+            part = integrals(coefficient, corners, problem.order)
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
-            doubt = max(doubt, float(np.max(part.doubt, initial=0.0)))
+            samples = values_at(coefficient, corners, SAMPLE_POINTS)
+            doubt = np.max(part.doubt, initial=doubt)
+            error = np.max(interpolated(problem.order, samples, SAMPLE_POINTS)[1], initial=error)
             is_certain &= part.is_certain
-            bend = np.abs(samples - functions(order, SAMPLE_POINTS).T @ interpolated)
-            error = max(error, float(np.max(bend, initial=0.0)))
     scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
 
 
-def _tractions(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Array, Array, Array, bool]:
-    n, count = problem.components, skeleton.ends.shape[1]
-    traction, doubt = np.zeros((2, n, size(problem.order, 2), count))
-    oscillation, is_certain = np.zeros(count), True
-    for load in problem.tractions:
-        edges = np.unique(problem.mesh.boundaries[load.boundary])
-        corners = skeleton.nodes[:, skeleton.ends[:, edges]]
-        square = np.zeros(edges.size)  # of the traction less its best approximation, in the mean
-        for i, coefficient in enumerate(load.value):
-            part = integrals(coefficient, corners, problem.order)
-            traction[i][:, edges] += part.moments
-            doubt[i][:, edges] += part.doubt
-            is_certain &= part.is_certain
-            if callable(coefficient):
-                tested = lowered(part.moments, degree)
-                square += np.maximum(part.square - np.sum(projection(tested) * tested, axis=0), 0.0)
-        oscillation[edges] += np.sqrt(square * skeleton.lengths[edges])
-    return traction, oscillation, doubt, is_certain
+def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Inside, bool]:
+    obstacles = [obstacle for obstacle in problem.obstacles if obstacle.boundary is Place.INTERIOR]
+    (sign, offset), *rest = [(obstacle.normal[0], obstacle.offset) for obstacle in obstacles] or [(0.0, 0.0)]
+    if rest:
+        raise NotCertifiableError("there are two obstacles in the interior")
+    elements = np.arange(skeleton.areas.size if obstacles else 0)
+    gap = integrals(offset, skeleton.corners[:, :, elements], degree)
+    return Inside(sign, elements, gap.moments, gap.doubt), gap.is_certain
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:
@@ -200,7 +183,7 @@ def _linear_below(friction: Coefficient, corners: Array) -> tuple[Array, bool]:
     parts = edge_parts(at, corners.shape[2], (friction,))
     inner = ONE_SIDED * (parts.end - parts.begin)
     s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
-    values = on_points(friction, at(parts.owner, s)[0].reshape(2, -1)).reshape(s.shape)
+    values = values_on(friction, at(parts.owner, s)[0])
     least = np.min(samples, axis=0)
     np.minimum.at(least, parts.owner, np.min(values, axis=1))
     is_split = np.bincount(parts.owner, minlength=least.size) > 1

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
-from rmesh_nlp.certificate.integrals import Loads, values_at
-from rmesh_nlp.certificate.polynomials import degree_of, elevation
+from rmesh_nlp.certificate.integrals import interpolated, values_at
+from rmesh_nlp.certificate.polynomials import degree_of, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions, to_coefficients
-from rmesh_nlp.problem import ContactProblem, Motion, Place
+from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, Place
 from rmesh_nlp.problem.body import Body, Edges
-from rmesh_nlp.problem.coefficients import Coefficient
 
 GIVEN = "the given displacement is not"
 """Begins a fault that no stand-off removes."""
@@ -27,36 +26,15 @@ LATTICE = 4
 """Parts of an edge of the lattice in a triangle on which an obstacle in the interior is looked at."""
 
 
-@dataclass(frozen=True)
-class Potential:
-    """J(u) of a displacement, and its parts."""
-
-    energy: float  # J(u), friction included
-    norm: float  # energy norm of u, the root of twice the strain energy
-    friction: Array  # (contact edges,), integrals of the friction bound times the slip
-    traction_doubt: float  # what quadrature of the tractions may have changed
-
-
-def potential(
-    problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, load: Loads, strain: float, u: Array
-) -> Potential:
-    """The potential energy of a displacement ``u`` (components, nodes) with a known strain energy."""
-    along = u[:, skeleton.along(skeleton.order)]
-    traction = float(np.sum(conditions.traction * along * skeleton.lengths))
-    size = np.abs(along) + np.max(np.abs(u), initial=0.0)
-    friction = np.zeros(conditions.contact.size)
+def friction_work(problem: ContactProblem, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+    """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
+    work = np.zeros(conditions.contact.size)
     if problem.frictional:
-        straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
-        body = Body(straight, skeleton.nodes)
+        body = Body(replace(problem, motion=Motion(None)), skeleton.nodes)
         for part in conditions.parts:
-            at_edges = along[:, :, part.edges]
-            friction[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, at_edges)[0]
-    return Potential(
-        strain - load.work(u, skeleton) - traction + float(np.sum(friction)),
-        float(np.sqrt(2 * strain)),
-        friction,
-        float(np.sum(conditions.traction_doubt * size * skeleton.lengths)),
-    )
+            along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
+            work[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, along)[0]
+    return work
 
 
 def displacement_faults(
@@ -84,37 +62,38 @@ def penetration(
     so where the offset is a parabola. Elsewhere the gap is sampled, and what its second differences allow
     between samples is added.
     """
-    inside = [o for o in problem.obstacles if o.boundary is Place.INTERIOR]
-    parts = [(o, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS) for o in inside]
-    along_edges = skeleton.along(skeleton.order)
+    along = skeleton.along(skeleton.order)
+    places = [
+        (obstacle, skeleton.triangles, skeleton.displaced, _LATTICE_POINTS)
+        for obstacle in problem.obstacles
+        if obstacle.boundary is Place.INTERIOR
+    ]
     for part in conditions.parts:
-        parts.append((part.obstacle, skeleton.ends[:, part.edges], along_edges[:, part.edges], SAMPLE_POINTS))
+        places.append((part.obstacle, skeleton.ends[:, part.edges], along[:, part.edges], SAMPLE_POINTS))
     size = float(np.max(np.abs(displacement), initial=0.0))
-    depths = [0.0]
-    for obstacle, cells, nodes, points in parts:
-        if cells.size:
-            along = np.einsum("c,cve->ve", obstacle.normal, displacement[:, nodes])
-            depths.append(_depth(obstacle.offset, skeleton.nodes[:, cells], along, points, size))
-    return max(depths)
+    depths = [
+        _depth(obstacle, skeleton.nodes[:, cells], displacement[:, nodes], points, size)
+        for obstacle, cells, nodes, points in places
+        if cells.size
+    ]
+    return max(depths, default=0.0)
 
 
-def _depth(offset: Coefficient, corners: Array, along: Array, points: Array, size: float) -> float:
-    samples, vertices = values_at(offset, corners, points), len(points)
+def _depth(obstacle: Obstacle, corners: Array, u: Array, points: Array, size: float) -> float:
+    samples, vertices = values_at(obstacle.offset, corners, points), len(points)
+    along = np.einsum("c,cve->ve", obstacle.normal, u)
     order = degree_of(along, vertices)
-    shapes, small = functions(order, points), DEVIATION * max(size, float(np.max(np.abs(samples))))
-    gap = samples + shapes.T @ along
-    if order == 1:
-        coefficients = gap[np.argmax(points, axis=1)]
-        holds = np.max(_bends(samples)[1], axis=0) <= small  # where the offset is concave
-    else:
-        of_offset = to_coefficients(order, vertices) @ samples[_nodes(points)]
-        coefficients = along + of_offset
-        holds = np.max(np.abs(samples - shapes.T @ of_offset), axis=0) <= small
+    small = DEVIATION * max(size, float(np.max(np.abs(samples))))
+    of_offset, error = interpolated(order, samples, points)
+    gap = samples + functions(order, points).T @ along
+    bends, steepest = _bends(samples if order == 1 else gap)
+    # the gap is where its coefficients are, if the offset is of the order, or concave at order 1
+    holds = (np.max(steepest, axis=0) if order == 1 else error) <= small
     # between two samples of an edge a kink halfway lies half of a second difference below them
-    share, bends = 1 / 2 if vertices == 2 else 1.0, _bends(samples if order == 1 else gap)[0]
+    share = 1 / 2 if vertices == 2 else 1.0
     between = share * np.max(np.abs(bends).reshape(-1, samples.shape[1]), axis=0)
-    least = np.where(holds, np.min(coefficients, axis=0), np.min(gap, axis=0) - between)
-    depth = float(np.max(-least))
+    least = np.where(holds, np.min(along + of_offset, axis=0), np.min(gap, axis=0) - between)
+    depth = -float(np.min(least))
     return depth if depth > small else 0.0
 
 
@@ -128,18 +107,13 @@ def _bends(samples: Array) -> tuple[Array, Array]:
     return bends, (first + second) / 2 + np.hypot((first - second) / 2, mixed)  # larger eigenvalue
 
 
-def _nodes(points: Array) -> list[int]:
-    """Which of the points are vertices and middles of edges."""
-    return [int(np.argmin(np.sum((points.T - node) ** 2, axis=1))) for node in elevation(len(points))]
-
-
-_PLACES = [(i, j) for i in range(LATTICE + 1) for j in range(LATTICE + 1 - i)]
-_LATTICE_POINTS = np.array([[LATTICE - i - j, i, j] for i, j in _PLACES]).T / LATTICE
+_LATTICE = powers(LATTICE, 3)
+_LATTICE_POINTS = _LATTICE.T / LATTICE
 _TRIPLES = np.array(
     [
         [
-            [_PLACES.index((i + k * di, j + k * dj)) for i, j in _PLACES if i * j and i + j < LATTICE]
-            for di, dj in ((1, 0), (0, 1), (1, -1))
+            [_LATTICE.tolist().index(list(point + k * step)) for point in _LATTICE if np.all(point > 0)]
+            for step in np.array([[-1, 1, 0], [-1, 0, 1], [0, 1, -1]])
         ]
         for k in (1, 0, -1)
     ]

@@ -22,13 +22,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.certificate.hybrid import Hybrid, contact_start
+from rmesh_nlp.certificate.conditions import Conditions
+from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
+from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
+from rmesh_nlp.certificate.integrals import Loads
+from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import DualEnergy, solve
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.newton_step import BoxStep
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
 
 SOFTER = 10.0
 """By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
@@ -39,13 +44,6 @@ triangles (seeds 300 to 307, refined) then end within 3 % of the least gap, not 
 
 FORCING = 0.1
 """Part of the residual at which conjugate gradients stop."""
-
-WARM = 40
-"""Active sets after which those that began with the contact of a guess give way to a cold solve.
-
-On membranes of 192 to 2,560 triangles the warm ones took 4 to 17, once 57; cold solves take four times as
-long.
-"""
 
 
 @dataclass(frozen=True)
@@ -82,26 +80,59 @@ class Balance:
     pressure: Array  # (k, contact edges) coefficients of Bernstein's polynomials along the contact edges
     friction: Array  # the same; zero in a scalar problem
     reaction_work: float  # of the reactions on the given displacements
-    obstacle_force: Array  # (elements, 3 or 6), reaction of an interior obstacle times the area, coefficients
+    inside: Array  # (functions, m) coefficients of the pressure of an obstacle in the interior
 
 
 @dataclass(frozen=True)
 class EquilibratedField:
     """A flux or stress in equilibrium, element by element; norms are energy norms."""
 
-    values: Array  # (2 or 3, elements), mean flux, or mean stress xx, yy, xy
+    mean: Array  # (2 or 3, elements), of the flux, or of the stress xx, yy, xy
     computed: Array  # (elements,), strain energy of the computed displacement
     energy: Array  # (elements,), complementary energy of this field
     defect: Array  # (elements,), distance between this field and that of the computed displacement
     variation: Array  # (elements,), distance from a field that a polynomial of the loads' degree has
-    forces: Array  # (elements, local traces), coefficients of the tractions times the edge's length
+    forces: Array  # (elements, traces), coefficients of the tractions times the edge's length
     balance: Balance
     residual: float  # largest violation of equilibrium inside elements, relative to the largest force
     gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
-    obstacle_work: Array | float = 0.0  # (elements,), of an interior obstacle's reaction, on it
-    obstacle_gap: Array | float = 0.0  # (elements,), the same on the gap
-    obstacle_doubt: float = 0.0
-    is_certain: bool = True  # whether it is known where the obstacle jumps and kinks
+
+
+def equilibrated(
+    problem: ContactProblem,
+    skeleton: Skeleton,
+    conditions: Conditions,
+    load: Loads,
+    guess: Guess,
+    products: int,
+) -> EquilibratedField:
+    """The field of largest dual energy, or nearly so, as the computed one and a correction.
+
+    ``products`` back-substitutions improve the contact forces of the guess.
+    """
+    element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
+    computed = of_displacement(element, law, skeleton, guess.displacement)
+    lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
+    fields = Fields(element, skeleton, law, lacking, inside.elements.size > 0)
+    balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess, products)
+    correction = fields.of_traces(balanced.traces)
+    field = computed + correction
+    pushing = load.balanced.copy()
+    pushing[0][:, inside.elements] += inside.sign * balanced.inside
+    defect = np.sqrt(2 * fields.energy(correction))
+    mean = fields.mean(field)
+    variation = np.sqrt(2 * fields.energy(field - mean))
+    return EquilibratedField(
+        mean=mean,
+        computed=fields.energy(computed),
+        energy=fields.energy(field),
+        defect=defect,
+        variation=np.minimum(variation, defect) if problem.order <= conditions.degree else variation,
+        forces=fields.forces(field),
+        balance=balanced,
+        residual=fields.imbalance(field, pushing),
+        gradient_by_energy=law.gradient_by_energy,
+    )
 
 
 def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
@@ -113,13 +144,13 @@ def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
     """
     skeleton, contact = assembled.skeleton, assembled.conditions.contact
     degree, edge = assembled.conditions.degree, skeleton.lengths[contact]
-    along = skeleton.along(degree)[:, contact]
+    along, elements = skeleton.along(degree)[:, contact], assembled.conditions.inside.elements
     pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
-    if assembled.inside or skeleton.order == 2:
-        inside = guess.pressure[skeleton.inside(degree)].T.ravel()[: assembled.inside]
+    if elements.size or skeleton.order == 2:
+        inside = guess.pressure[skeleton.inside(degree)[:, elements]].T.ravel()
         touching = np.append(inside, pressure) > 0
         solved = _solved(assembled, touching, friction)
-        if assembled.inside or solved.status is Status.CONVERGED:
+        if elements.size or solved.status is Status.CONVERGED:
             force = np.maximum(solved.normal_force, 0.0)
             return balanced(assembled, solved.u, force, solved.tangential_force)
     return balanced(assembled, *_improved(assembled, pressure, friction, products))
@@ -131,9 +162,9 @@ def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> 
     friction = friction[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     # friction turns where the slip is zero, and traces are counted from those of the base
-    base = system.tangents.T @ contact_start(assembled)[: bound.size]
+    base = system.tangents.T @ assembled.slips[: bound.size]
     from_zero = replace(system, load=system.load + system.stiffness @ base)
-    solved = solve(from_zero, ActiveSet(touching, sliding), WARM)
+    solved = solve(from_zero, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
         solved = solve(from_zero)
     return replace(solved, u=solved.u - base)
@@ -141,17 +172,19 @@ def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> 
 
 def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
     """What the free traces and the contact forces say of elements and edges."""
-    contact, W = assembled.conditions.contact, assembled.traces(u)
-    edge, shape = assembled.skeleton.lengths[contact], assembled.conditions.offset.shape
-    reaction = assembled.reaction(W)[assembled.held] @ (W + assembled.start)[assembled.held]
-    functions = 3 * assembled.conditions.degree  # Bernstein's on a triangle
-    inside = force[: assembled.inside] if assembled.inside else np.zeros(len(assembled.numbers) * functions)
+    skeleton, conditions, held = assembled.skeleton, assembled.conditions, assembled.held
+    edge, shape = skeleton.lengths[conditions.contact], conditions.offset.shape
+    W = assembled.known.copy()
+    W[~held] = u
+    reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
+    inside, pressure = np.split(force, [conditions.inside.offset.size])
+    functions = len(conditions.inside.offset)
     return Balance(
-        traces=assembled.of_elements(W),
-        pressure=force[assembled.inside :].reshape(shape) / edge,
+        traces=(assembled.turn.T @ W)[assembled.numbers],
+        pressure=pressure.reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
-        obstacle_force=inside.reshape(-1, functions),
+        inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
     )
 
 
@@ -162,7 +195,7 @@ def _improved(
 
     One step of projected conjugate gradients: the dual function is quadratic.
     """
-    dual = DualEnergy(assembled.system, contact_start(assembled))
+    dual = DualEnergy(assembled.system, assembled.slips)
     bound = assembled.system.slip_bound
     lower = np.concatenate([np.zeros(pressure.size), -bound])
     upper = np.concatenate([np.full(pressure.size, np.inf), bound])

@@ -6,16 +6,18 @@ where it jumps or kinks.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
 from rmesh_nlp.assessment.parts import Index, Straight, straight_edges
-from rmesh_nlp.certificate.polynomials import lowered, projection
+from rmesh_nlp.certificate.fields import element_of
+from rmesh_nlp.certificate.polynomials import lowered, moments, powers, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions, size
+from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 
@@ -38,72 +40,107 @@ def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integ
         value = float(coefficient)  # all functions have the same integral
         return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
 
-    def tested(barycentric: Array, where: Array) -> Array:
-        values = on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+    def tested(_: Index, barycentric: Array, where: Array) -> Array:
+        values = values_on(coefficient, where)
         return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
 
-    def along(_: Index, s: Array, where: Array) -> Array:
-        return tested(np.stack([1 - s, s]), where)
-
-    def inside(_: Index, barycentric: Array, where: Array) -> Array:
-        return tested(barycentric, where)
+    def along(rows: Index, s: Array, where: Array) -> Array:
+        return tested(rows, np.stack([1 - s, s]), where)
 
     if vertices == 2:
         means = over_edges(straight_edges(corners), count, along, (coefficient,))
     else:
-        means = over_triangles(Straight(corners), np.arange(count), inside, coefficients=(coefficient,))
+        means = over_triangles(Straight(corners), np.arange(count), tested, coefficients=(coefficient,))
     return Integrals(means.value[:-1], means.value[-1], means.doubt[:-1], means.is_certain)
+
+
+def values_on(coefficient: Coefficient, where: Array) -> Array:
+    """Values (...) at positions (2, ...)."""
+    return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
 
 
 def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> Array:
     """Values (points, simplices) at points given by barycentric coordinates (vertices, points)."""
-    where = np.einsum("cve,vp->cpe", corners, barycentric)
-    return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
+    return values_on(coefficient, np.einsum("cve,vp->cpe", corners, barycentric))
 
 
-def field_degree(problem: ContactProblem) -> int:
-    """Degree of equilibrated forces along edges, and of the loads that they balance.
+def interpolated(order: int, samples: Array, points: Array) -> tuple[Array, Array]:
+    """(functions, simplices) coefficients by samples (points, simplices), and (simplices,) largest errors.
 
-    Fluxes are as exact as the displacement. Stresses are of the first degree, those of Johnson and Mercier.
+    ``points`` (vertices, points) are barycentric coordinates, the nodes of the polynomials among them.
     """
-    return problem.order if problem.components == 1 else 1
+    nodes = powers(order, len(points)) / order
+    nearest = np.argmin(np.sum((points.T - nodes[:, None]) ** 2, axis=2), axis=1)
+    coefficients = to_coefficients(order, len(points)) @ samples[nearest]
+    errors = np.abs(samples - functions(order, points).T @ coefficients)
+    return coefficients, np.max(errors, axis=0)
 
 
 @dataclass(frozen=True)
 class Loads:
-    """Sources or body forces, component by component, and their sums over elements."""
+    """Body forces on elements or tractions on edges, and the polynomials that a field balances instead.
 
-    moments: Array  # (components, functions, elements) as in :class:`Integrals`, of the displacements' order
-    doubt: Array  # the same
-    balanced: Array  # (components, functions, elements), the best approximation that a field can balance
-    remainder: Array  # (elements,), L2 norm of what that leaves
-    is_certain: bool  # whether it is known where they jump and kink
+    The polynomials are the best approximations of the degree of the field's tractions. Moments are as in
+    :class:`Integrals`, of the displacements' order.
+    """
 
-    def work(self, displacement: Array, skeleton: Skeleton) -> float:
-        """Integral of f . u for a displacement with coefficients (components, nodes)."""
-        local = displacement[:, skeleton.displaced]
-        return float(np.einsum("cie,cie,e->", self.moments, local, skeleton.areas))
+    nodes: Index  # (functions, cells), nodes of the displacements on each element or edge
+    measure: Array  # (cells,), areas or lengths
+    moments: Array  # (components, functions, cells)
+    doubt: Array  # (components, functions, cells)
+    balanced: Array  # (components, functions of the field's degree, cells) coefficients
+    unbalanced: Array  # (components, functions, cells) moments of what the polynomials leave
+    remainder: Array  # (cells,), L2 norm of that
+    is_certain: bool  # whether it is known where the loads jump and kink
 
-    def doubtful_work(self, displacement: Array, skeleton: Skeleton) -> float:
+    def work(self, displacement: Array) -> float:
+        """On a displacement with coefficients (components, nodes)."""
+        return float(np.sum(self.moments * displacement[:, self.nodes] * self.measure))
+
+    def doubtful_work(self, displacement: Array) -> float:
         """How much the energy may be wrong by the doubt of the moments."""
-        local = np.abs(displacement[:, skeleton.displaced]) + np.max(np.abs(displacement))
-        return float(np.einsum("cie,cie,e->", self.doubt, local, skeleton.areas))
+        local = np.abs(displacement[:, self.nodes]) + np.max(np.abs(displacement))
+        return float(np.sum(self.doubt * local * self.measure))
+
+    def unbalanced_work(self, displacement: Array) -> Array:
+        """(cells,) work of what is not balanced; none if the displacement is of the field's degree."""
+        return np.sum(self.unbalanced * displacement[:, self.nodes], axis=(0, 1)) * self.measure
 
 
-def loads(problem: ContactProblem, skeleton: Skeleton) -> Loads:
-    """Moments of the load of a problem on each element."""
-    n, count = problem.components, skeleton.triangles.shape[1]
-    moments, doubt = np.zeros((2, n, size(problem.order, 3), count))
-    square, varies, is_certain = np.zeros(count), np.zeros(count, dtype=bool), True
-    for law, elements in problem.regions:
-        varies[elements] = any(callable(coefficient) for coefficient in law.load)
-        for i, coefficient in enumerate(law.load):
-            part = integrals(coefficient, skeleton.corners[:, :, elements], problem.order)
-            moments[i][:, elements], doubt[i][:, elements] = part.moments, part.doubt
-            square[elements] += part.square
+def body_forces(problem: ContactProblem, skeleton: Skeleton) -> Loads:
+    """Sources or body forces on each element."""
+    given = [(law.load, elements) for law, elements in problem.regions]
+    return _loads(problem, given, skeleton.corners, skeleton.displaced, skeleton.areas)
+
+
+def tractions(problem: ContactProblem, skeleton: Skeleton) -> Loads:
+    """Given tractions on each edge."""
+    given = [(load.value, np.unique(problem.mesh.boundaries[load.boundary])) for load in problem.tractions]
+    nodes = skeleton.along(problem.order)
+    return _loads(problem, given, skeleton.nodes[:, skeleton.ends], nodes, skeleton.lengths)
+
+
+def _loads(
+    problem: ContactProblem,
+    given: Sequence[tuple[Sequence[Coefficient], Index]],
+    corners: Array,
+    nodes: Index,
+    measure: Array,
+) -> Loads:
+    order, degree, vertices = problem.order, element_of(problem).pieces.degree, corners.shape[1]
+    value, doubt = np.zeros((2, problem.components, *nodes.shape))
+    remainder, is_certain = np.zeros(measure.size), True
+    for coefficients, cells in given:
+        left = np.zeros(len(cells))  # mean square of what the best approximation leaves
+        for i, coefficient in enumerate(coefficients):
+            part = integrals(coefficient, corners[:, :, cells], order)
+            value[i][:, cells] += part.moments
+            doubt[i][:, cells] += part.doubt
             is_certain &= part.is_certain
-    tested = lowered(moments, field_degree(problem), 3)
-    balanced = np.where(varies, projection(tested, 3), tested.sum(axis=1, keepdims=True))
-    beyond = np.maximum(square - np.sum(tested * balanced, axis=(0, 1)), 0.0)
-    remainder = np.sqrt(skeleton.areas * np.where(varies, beyond, 0.0))
-    return Loads(moments, doubt, balanced, remainder, is_certain)
+            if callable(coefficient):
+                tested = lowered(part.moments, degree, vertices)
+                left += np.maximum(part.square - np.sum(tested * projection(tested, vertices), axis=0), 0.0)
+        remainder[cells] += np.sqrt(measure[cells] * left)
+    balanced = projection(lowered(value, degree, vertices), vertices)
+    unbalanced = value - moments(balanced, order, vertices)
+    return Loads(nodes, measure, value, doubt, balanced, unbalanced, remainder, is_certain)

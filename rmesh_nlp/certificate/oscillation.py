@@ -44,7 +44,7 @@ def korn(skeleton: Skeleton) -> Array:
     to_corners = skeleton.corners - centre[:, None]
     ratio = inner / np.sqrt(np.max(np.sum(to_corners**2, axis=0), axis=0))
     beta_squared = ratio**2 / (2 * (1 + np.sqrt(1 - ratio**2)))
-    return np.asarray(np.sqrt(2 / beta_squared))
+    return np.sqrt(2 / beta_squared)
 
 
 def oscillation(skeleton: Skeleton, load: Array, edges: Array, gradient_by_energy: Array) -> Array:
@@ -54,11 +54,9 @@ def oscillation(skeleton: Skeleton, load: Array, edges: Array, gradient_by_energ
     ``gradient_by_energy`` (elements,) constants c with ``|grad v| <= c |v|_T``, rigid motions apart.
     """
     h = skeleton.diameters
-    total = POINCARE * h * load
-    if np.any(edges > 0):
-        loaded = np.flatnonzero(edges > 0)
-        element = skeleton.owner[loaded]
-        ratio = skeleton.lengths[loaded] / skeleton.areas[element]
-        trace = h[element] * np.sqrt(ratio * (POINCARE**2 + POINCARE))
-        total = total + np.bincount(element, trace * edges[loaded], h.size)
-    return np.asarray(total * gradient_by_energy)
+    loaded = np.flatnonzero(edges > 0)
+    element = skeleton.owner[loaded]
+    ratio = skeleton.lengths[loaded] / skeleton.areas[element]
+    trace = h[element] * np.sqrt(ratio * (POINCARE**2 + POINCARE))
+    total = POINCARE * h * load + np.bincount(element, trace * edges[loaded], h.size)
+    return total * gradient_by_energy

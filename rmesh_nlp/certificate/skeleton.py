@@ -6,19 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rmesh_nlp.certificate.polynomials import Index, raised
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem import ContactProblem, Place
 
-Index = NDArray[np.int64]
-
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
-
-BESIDE = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2]])
-"""Functions of degree 2 beside vertex i of a triangle, in the directions of its vertices."""
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
@@ -51,17 +46,17 @@ class Skeleton:
     @cached_property
     def areas(self) -> Array:
         """(elements,) areas."""
-        return np.asarray(signed_areas(self.nodes, self.triangles))
+        return signed_areas(self.nodes, self.triangles)
 
     @cached_property
     def lengths(self) -> Array:
         """(edges,) lengths."""
-        return np.asarray(np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0))
+        return np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0)
 
     @cached_property
     def corners(self) -> Array:
         """(2, 3, elements) positions of the vertices."""
-        return np.asarray(self.nodes[:, self.triangles])
+        return self.nodes[:, self.triangles]
 
     @cached_property
     def normals(self) -> Array:
@@ -77,7 +72,7 @@ class Skeleton:
     @cached_property
     def diameters(self) -> Array:
         """(elements,) longest edges."""
-        return np.asarray(np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0)))
+        return np.sqrt(np.max(np.sum(self.normals**2, axis=0), axis=0))
 
     @cached_property
     def owner(self) -> Index:
@@ -106,21 +101,24 @@ class Skeleton:
             return self.ends
         return np.vstack([self.ends, self.nodes.shape[1] + np.arange(self.ends.shape[1])])
 
-    def places(self, k: int) -> Index:
-        """(3, k, elements) where the k functions along an element's edge stand among those of the edge."""
+    def traces(self, components: int, k: int) -> Index:
+        """(elements, 3 k components) numbers of the traces of each element.
+
+        Edge by edge, all have k moments of each component, those of the ends first.
+        """
         added = np.broadcast_to(np.arange(2, k)[:, None], (3, k - 2, self.areas.size))
-        return np.concatenate([self.place, added], axis=1)
+        along = k * self.edges[:, None] + np.concatenate([self.place, added], axis=1)
+        numbers = components * along[:, :, None] + np.arange(components)[:, None]
+        return np.ascontiguousarray(numbers.reshape(3 * k * components, -1).T)
 
     def gradients(self, displacement: Array) -> Array:
         """(components, 2, 1 or 3, elements) gradients of a displacement, by coefficients (components, nodes).
 
         They are constant on an element, or linear with these values at its vertices.
         """
-        local = displacement[:, self.displaced]
-        # at a vertex the gradient of a parabola is that of twice the coefficients beside it
-        at_vertices = local[:, None] if self.order == 1 else 2 * local[:, BESIDE]
-        slopes = -np.einsum("cvie,die->cdve", at_vertices, self.normals)
-        return np.asarray(slopes / (2 * self.areas))
+        derived = self.order * displacement[:, self.displaced[raised(self.order, 3)]]
+        slopes = -np.einsum("cvie,die->cdve", derived, self.normals)
+        return slopes / (2 * self.areas)
 
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import UNKNOWN, Bracket, refined_bracket
-from rmesh_nlp.certificate.conditions import NotCertifiableError
 from rmesh_nlp.certificate.displacement import GIVEN
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain

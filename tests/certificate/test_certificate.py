@@ -97,10 +97,8 @@ def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pyt
 
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
 def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    build = bracketing.equilibrated_flux
-    monkeypatch.setattr(
-        bracketing, "equilibrated_flux", lambda *given: replace(build(*given), residual=residual)
-    )
+    build = bracketing.equilibrated
+    monkeypatch.setattr(bracketing, "equilibrated", lambda *given: replace(build(*given), residual=residual))
     found = certify(membrane())
     assert not found.guaranteed_lower
     assert "out of equilibrium" in found.why

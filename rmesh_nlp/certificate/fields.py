@@ -1,0 +1,196 @@
+"""Fields of an element on all triangles of a mesh, each found from the traces at the edges of its triangle.
+
+On every triangle that field is sought which balances the load and whose energy, less the work of its forces
+through the edges on given traces of the displacement, is least. Eliminating it leaves the traces alone: the
+forces are ``stiffness @ traces - source``.
+
+The traces of a triangle are, for each edge, counter-clockwise, and each of Bernstein's polynomials along it,
+the moments of the components of the displacement, divided by the length of the edge.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.element import Element
+from rmesh_nlp.certificate.johnson_mercier import johnson_mercier
+from rmesh_nlp.certificate.oscillation import korn
+from rmesh_nlp.certificate.raviart_thomas import raviart_thomas
+from rmesh_nlp.certificate.skeleton import Skeleton
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.problem import ContactProblem, Elastic
+
+
+def element_of(problem: ContactProblem) -> Element:
+    """Fluxes are as exact as the displacement, stresses of the first degree."""
+    return raviart_thomas(problem.order) if problem.components == 1 else johnson_mercier()
+
+
+class Law(NamedTuple):
+    """The material of each triangle; strains are gradients, or xx, yy and twice xy."""
+
+    stiffness: Array  # (values, values, elements), fields by strains
+    compliance: Array  # its inverse
+    gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
+
+
+def law_of(problem: ContactProblem, skeleton: Skeleton) -> Law:
+    """The law of a problem on its triangles."""
+    values, count = problem.components + 1, skeleton.areas.size
+    stiffness, compliance = np.zeros((2, values, values, count))
+    gradient_by_energy = np.zeros(count)
+    for law, part in problem.regions:
+        if isinstance(law, Elastic):
+            lam, mu = law.in_plane_lambda, law.lame_mu
+            share = lam / (2 * (lam + mu))
+            direct = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
+            inverse = np.array([[1 - share, -share, 0], [-share, 1 - share, 0], [0, 0, 2]])
+            inverse /= 2 * mu
+            gradient_by_energy[part] = korn(skeleton)[part] / np.sqrt(min(2 * mu, 2 * (lam + mu)))
+        else:
+            k = law.conductivity
+            direct, inverse = k * np.eye(2), np.eye(2) / k
+            gradient_by_energy[part] = 1 / np.sqrt(k)
+        stiffness[:, :, part], compliance[:, :, part] = direct[:, :, None], inverse[:, :, None]
+    return Law(stiffness, compliance, gradient_by_energy)
+
+
+def of_displacement(element: Element, law: Law, skeleton: Skeleton, displacement: Array) -> Array:
+    """The field of a displacement with coefficients (components, nodes), see :class:`Fields`."""
+    strain = np.einsum("idv,idce->vce", element.pieces.matrix, skeleton.gradients(displacement))
+    values = np.einsum("vwe,wce->vce", law.stiffness, strain)
+    at_vertices = np.broadcast_to(values, (len(values), 3, values.shape[2]))
+    return np.einsum("pfc,vce->pfve", element.pieces.linear, at_vertices, optimize=True)
+
+
+@dataclass(frozen=True)
+class Fields:
+    """The element on all triangles of a mesh, under a load of the degree of its tractions.
+
+    Fields are (parts, functions, values, elements) arrays, see :mod:`rmesh_nlp.certificate.element`.
+
+    With ``reacts`` the load is not balanced alone but with the reaction of an obstacle in the interior. Then
+    further traces of a triangle are the moments of the displacement against Bernstein's polynomials, divided
+    by the area, and the forces on them the coefficients of load and reaction, times the area.
+    """
+
+    element: Element
+    skeleton: Skeleton
+    law: Law
+    load: Array  # (components, functions, elements) coefficients
+    reacts: bool = False
+
+    @cached_property
+    def turn(self) -> Array:
+        """(elements, components, components) forces by those on the reference triangle."""
+        F = self.skeleton.jacobian
+        return F if len(self.load) == 2 else np.ones((len(F), 1, 1))
+
+    @cached_property
+    def push(self) -> Array:
+        """(elements, values, values) values of a field by those on the reference triangle."""
+        matrix = self.element.pieces.matrix
+        each, F = matrix / matrix.sum(axis=(0, 1)), self.skeleton.jacobian
+        pushed = np.einsum("idv,eij,edg,jgw->evw", each, self.turn, F, matrix, optimize=True)
+        return pushed / (2 * self.skeleton.areas)[:, None, None]
+
+    @cached_property
+    def prescribed(self) -> Array:
+        """(elements, m) coefficients of the basis functions with divergence; none if they are to be found."""
+        if self.reacts:
+            return np.zeros((self.skeleton.areas.size, 0))
+        # solving instead of inverting keeps the rounding of thin triangles small
+        divergence = (-2 * self.skeleton.areas * self.load).transpose(2, 0, 1)
+        wanted = np.linalg.solve(self.turn, divergence)
+        return np.ascontiguousarray(wanted.transpose(0, 2, 1)).reshape(len(wanted), -1)
+
+    @cached_property
+    def rows(self) -> Array:
+        """(elements, traces, n) forces by coefficients."""
+        edges = np.einsum("eij,ajn->eain", self.turn, self.element.forces)
+        edges = edges.reshape(len(edges), -1, edges.shape[-1])
+        if not self.reacts:
+            return edges
+        # less the divergence times the area, which is half the Jacobian that it is divided by
+        free, loaded = self.element.free.shape[3], self.element.loaded.shape[3]
+        inflow = np.hstack([np.zeros((loaded, free)), -0.5 * np.eye(loaded)])
+        return np.concatenate([edges, np.broadcast_to(inflow, (len(edges), *inflow.shape))], axis=1)
+
+    @cached_property
+    def _roots(self) -> tuple[Array, Array, Array]:
+        """Cholesky factors L of the free functions' compliance, L^-1 by forces, and L^-1 by the load.
+
+        With L instead of an inverse, thin triangles cost half as many digits.
+        """
+        P = self.push
+        metric = (
+            P.transpose(0, 2, 1)
+            @ np.moveaxis(self.law.compliance, 2, 0)
+            @ P
+            * self.skeleton.areas[:, None, None]
+        )
+        n = self.element.basis.shape[3]
+        A = (metric.reshape(len(P), -1) @ self.element.products).reshape(-1, n, n)
+        free = n - self.prescribed.shape[1]
+        by_load = A[:, :free, free:] @ self.prescribed[:, :, None]
+        try:
+            root = np.linalg.cholesky(A[:, :free, :free])
+        except np.linalg.LinAlgError:
+            raise NotCertifiableError("an element is so thin that rounding loses its stresses") from None
+        right = np.concatenate([self.rows[:, :, :free].transpose(0, 2, 1), by_load], axis=2)
+        solved = np.linalg.solve(root, right)
+        return np.asarray(root, dtype=float), solved[:, :, :-1], -solved[:, :, -1]
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """(elements, traces, traces): forces by the traces."""
+        by_trace = self._roots[1]
+        return by_trace.transpose(0, 2, 1) @ by_trace
+
+    @cached_property
+    def source(self) -> Array:
+        """(elements, traces): less the forces at vanishing traces."""
+        _, by_trace, by_load = self._roots
+        forces = by_trace.transpose(0, 2, 1) @ by_load[:, :, None]
+        forces = forces + self.rows[:, :, by_trace.shape[1] :] @ self.prescribed[:, :, None]
+        return -forces[:, :, 0]
+
+    def of_traces(self, traces: Array) -> Array:
+        """The fields for traces (elements, traces)."""
+        root, by_trace, by_load = self._roots
+        scaled = by_trace @ traces[:, :, None] + by_load[:, :, None]
+        free = np.linalg.solve(root.transpose(0, 2, 1), scaled)[:, :, 0]
+        coefficients = np.hstack([free, self.prescribed])
+        return np.einsum("evw,pfwn,en->pfve", self.push, self.element.basis, coefficients, optimize=True)
+
+    def forces(self, field: Array) -> Array:
+        """(elements, traces) coefficients of the tractions times the lengths of the edges."""
+        through = self.element.pieces.forces(field, self.skeleton.normals)
+        return np.ascontiguousarray(through.reshape(-1, through.shape[-1]).T)
+
+    def energy(self, field: Array) -> Array:
+        """(elements,) stored energies, the integrals of ``C^-1 sigma : sigma / 2``."""
+        mass = self.element.pieces.mass
+        strain = np.einsum("vwe,pfwe->pfve", self.law.compliance, field)
+        tested = mass @ strain.reshape(*mass.shape[:2], -1)
+        square = np.sum(field.reshape(tested.shape) * tested, axis=(0, 1)).reshape(field.shape[2:])
+        return np.maximum(square.sum(axis=0), 0.0) * self.skeleton.areas / 2
+
+    def mean(self, field: Array) -> Array:
+        """(values, elements) means."""
+        return np.einsum("p,pve->ve", self.element.pieces.shares, field.mean(axis=1))
+
+    def imbalance(self, field: Array, load: Array) -> float:
+        """Largest violation of equilibrium with a load in the triangles, relative to the largest force."""
+        pieces, corners, areas = self.element.pieces, self.skeleton.corners, self.skeleton.areas
+        body = np.einsum("pfg,cge->cpfe", pieces.restriction, load)
+        out = pieces.divergence(field, corners) + body
+        share = pieces.shares[:, None, None] * areas
+        largest = max(float(np.max(np.abs(part))) for part in (self.forces(field), load * areas))
+        violations = out * share, pieces.faults(field, corners)
+        return max(float(np.max(np.abs(part))) for part in violations) / max(largest, 1e-300)
