@@ -85,15 +85,10 @@ def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
         ("boundary(top, x**8)", 2**9 / 9),
         ("boundary(right, y**8 + 2)", 1 / 9 + 2),
         ("mean(top, x**8)", 2**8 / 9),
-        ("2*body(x) + mean(top, x)", 2 * 2 + 1),
-        ("-body(x)", -2.0),
-        ("body(x) - mean(top, x)+ -0.5*body(y)", 2 - 1 - 0.5),
-        ("-1.5*body( x )", -3.0),
-        ("1e+1*body(x)+2e-1*body(y)", 20 + 0.2),
-        ("9.e+0*body(x)+1.E-0*body(y)", 19.0),
+        ("body(x) - mean(top, x)+ -0.5*body( y )", 2 - 1 - 0.5),
+        ("1e+1*body(x)+2e-1*body(y)+1.E-0*mean(top, x)", 20 + 0.2 + 1),
         ("mean(top, hypot(3*x, 4*x)) + body(1)", 5 + 2),
-        ("body(x+y*(x-(1)))", 2 + 1 / 2 * (2 - 2)),
-        ("body(2*(x + 1e-3))", 4 + 4e-3),
+        ("-body(2*(x + 1e-3) + y*(x-(1)))", -4 - 4e-3),
         ("boundary(bottom, nx - 2*ny)", 4.0),
         ("boundary(left, -nx*y)", 0.5),
         # of the displacement (0.3 x, -0.2 x)
@@ -243,7 +238,7 @@ def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
     """Also beside the triangle number 0, wherever scikit-fem writes that."""
     mesh, rng, places = rm.shapes.rectangle(3, 2), np.random.default_rng(0), set()
-    for _ in range(20):
+    for _ in range(5):
         shuffled = type(mesh)(mesh.p, mesh.t[:, rng.permutation(mesh.t.shape[1])])
         inside = np.flatnonzero(np.all(shuffled.f2t >= 0, axis=0) & np.any(shuffled.f2t == 0, axis=0))
         for facet in inside:
@@ -459,7 +454,7 @@ def test_files_are_beside_the_file_that_names_them() -> None:
 def test_moduli_and_friction_are_identified(formulation: str) -> None:
     """From the displacement at the lower edge of the same block with other numbers."""
     E, F = DesignVariable("E", 1.0, (0.5, 2.0)), DesignVariable("F", 0.05, (0.0, 0.3))
-    problem = replace(block(E, F), motion=rm.Motion(delta=0.0))
+    problem = replace(block(E, F, n=(4, 2)), motion=rm.Motion(delta=0.0))
     true = rm.solve(problem.at_design({"E": 1.4, "F": 0.2}), "fixed")
     nodes = np.flatnonzero(problem.mesh.p[1] == 0)
     objective = 1e6 * rm.quantities.fit(problem.mesh.p[:, nodes], true.displacement[:, nodes])
