@@ -127,15 +127,6 @@ def test_a_descent_zigzags_if_contact_changes_and_hardly_anything_is_gained(
     assert any(said) == (changes and part < 1)
 
 
-@pytest.mark.parametrize("falls", [True, False])
-def test_a_descent_that_does_not_reach_the_constraints_zigzags_too(falls: bool) -> None:
-    tell = Zigzag()
-    violations = [1.0 / (1 + k) if falls else 1.0 + k % 2 for k in range(2 * WINDOW)]
-    # the objective falls all the while: that is no progress
-    said = [tell(_point(k % 2), violation, -float(k)) for k, violation in enumerate(violations)]
-    assert any(said) == (not falls)
-
-
 def labelled(outer: Outer, q: Array) -> BranchLabel:
     return outer.branches(outer.function(q))
 

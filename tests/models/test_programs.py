@@ -66,18 +66,6 @@ def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multiplier
     np.testing.assert_allclose(rows * lam[: rows.size], 0, atol=1e-9 * scale)
 
 
-def test_bounds_are_move_limits_and_least_areas() -> None:
-    rel = relocation(large_limits())
-    nlp, sizes = rel.nlp, [rel.n_q, rel.n_u, rel.n_s]
-    assert [part.shape[0] for part in nlp.parts.values()] == sizes
-    assert [part.size for part in rel.split(np.arange(rel.n_x))] == sizes
-    np.testing.assert_array_equal(nlp.ubx[: rel.n_q], 1)
-    np.testing.assert_array_equal(nlp.lbx, -nlp.ubx)
-    assert np.all(np.isinf(nlp.ubx[rel.n_q :]))
-    np.testing.assert_array_equal(nlp.lbg[: rel.n_contact + 2 * rel.n_s], 0)
-    np.testing.assert_array_equal(nlp.lbg[-rel.n_valid :], rel.problem.motion.min_area_fraction)
-
-
 def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:
     problem, barrier = no_move_limits(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
     angles = replace(problem, motion=replace(problem.motion, min_angle=10))
