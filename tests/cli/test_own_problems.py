@@ -173,10 +173,9 @@ def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block
 
 def test_advise_prints_what_is_attainable(rmesh, block: Path) -> None:
     block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 4\nny = 2"))
-    said = rmesh("advise block.toml")
+    said = rmesh("advise block.toml --json")
     assert said.code == 0
-    assert "best mesh of as many triangles" in said.out
-    found = json.loads(rmesh("advise block.toml --json").out)
+    found = json.loads(said.out)
     names = ("attainable_factor", "attainable_same_connectivity", "attainable_by_refinement")
     assert all(found[name] >= 1 for name in names)
     assert found["attainable_factor"] >= found["remeshing_factor"]
