@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import ObjectiveCurvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
 from support.solved import example, solved
@@ -68,9 +70,17 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
 def test_a_finish_that_raises_the_objective_or_fails_is_not_taken_and_the_descent_that_is_left_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "finished", lambda outer, point, monitor: (None, 7))
+    begun = []
+
+    def refused(_: Outer, point: Any, monitor: Monitor) -> tuple[None, int]:
+        begun.append((point.value, min(step.objective for step in monitor.steps)))
+        return None, 7
+
+    monkeypatch.setattr(module, "finished", refused)
     solution = rm.solve(SEAL, "nested", objective=LEAK)
     row = solution.record()
+    assert begun
+    assert all(value == pytest.approx(least, rel=1e-12) for value, least in begun)
     assert (solution.success, solution.status) == (True, Status.STALLED)
     assert (EXACT_FINISH in row["outer"], row["b_stationary"]) == (False, False)
     if row["biactive"]:

@@ -9,7 +9,7 @@ from rmesh_nlp.mpcc.finish import Finish, finish, pivot, polished
 from rmesh_nlp.mpcc.lpec import Direction
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ON_H, XY, ScriptedRun, ended, run_of, x, y
+from support.scripted_run import ON_H, XY, ScriptedRun, ended, run_of, two_minima, x, y
 
 S = Status
 DOWN = Direction(-1.0, np.zeros(2), ON_H)
@@ -30,6 +30,18 @@ def scripted(*results, **options):
     return ScriptedRun(branches=lambda _: waiting.pop(0) if len(waiting) > 1 else waiting[0], **options)
 
 
+def test_newton_puts_only_pairs_near_the_corner_into_it():
+    """A linear objective has no minimum in a branch; the second pair is far from its corner."""
+    v = ca.SX.sym("v", 4)
+    run = run_of(MPCC(v, v[0] + v[1] + v[2] + (v[3] - 4.01) ** 2, None, v[:2], v[2:]))
+    z = np.array([0.1, 0.1, 0.2, 4.0])
+    warm = at(z, lam_x=np.zeros(4))
+    assert polished(run, z, warm, 0.15) is None  # one member of the first pair is larger
+    end = polished(run, z, warm, 0.3)
+    assert end.solved
+    assert end.z == pytest.approx([0, 0, 0, 4.01], abs=1e-9)
+
+
 def test_corner_is_not_taken_if_the_branch_ends_lower():
     """From the corner of the second pair f falls, so neither end is stationary."""
     v = ca.SX.sym("v", 4)
@@ -38,6 +50,14 @@ def test_corner_is_not_taken_if_the_branch_ends_lower():
     end = polished(run, z, at(z, lam_x=np.array([0, 9.0, 0, -9.0])), 0.3)
     assert not end.solved
     assert end.z == pytest.approx([0, 0, 0.25, 0], abs=1e-9)
+
+
+def test_newton_s_point_above_the_ceiling_is_none():
+    for ceiling, is_labelled in ((0.9, False), (1.0, True)):
+        run, z = run_of(two_minima()), np.array([2.0, 0.1])
+        end = polished(run, z, at(z), ceiling=ceiling)
+        assert (end is not None) == is_labelled
+        assert [step.phase for step in run.steps] == ["polished"] * is_labelled
 
 
 @pytest.mark.parametrize(("slope", "is_faithful"), [(0.4, True), (0.6, False), (-9.0, True)])
@@ -92,6 +112,16 @@ class TestPivot:
         assert (end.f, end.pivots, end.lpecs, end.status) == expected
         assert (end.stationarity is None) == (end.status is S.UNBOUNDED)
 
+    def test_lower_exact_point_is_sought_far_away_and_then_within_smaller_radii(self):
+        rounding, inexact = at([2.0, 0.0], f=1.0 - 1e-9), at([0.3, 0.3], f=0.5)
+        for last, f in ((at([2.0, 0.0], f=0.9), 0.9), (inexact, 1.0)):
+            run, end = self.descended(inexact, rounding, last, start=(3.0, 0.0), f=1.0)
+            assert (end.f, end.solved) == (f, f == 0.9)
+            radii = [call.options["radius"] for call in run.branch_calls]
+            assert radii[0] is None
+            np.testing.assert_allclose(radii[1:], [[0.4, 0.1], [4e-3, 1e-3]])  # relative to 1 + |z|
+            assert all(call.zero is ON_H for call in run.branch_calls)
+
     def test_wrong_branch_is_left_by_the_descent(self):
         """The finish started on the arm x = 0 of a problem whose corner is not B-stationary crosses it."""
         run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y))
@@ -132,3 +162,21 @@ def test_pairs_with_a_wrong_sign_change_sides_until_all_signs_are_right():
     assert 0 < np.count_nonzero(touching) < n
     assert np.all(end.z[n : 2 * n] > -1e-8)
     assert np.all(end.z[:n] > -0.05 - 1e-8)
+
+
+def test_multipliers_that_lead_nowhere_are_left_and_so_is_a_place_without_a_feasible_point():
+    for results, warms in (([BEST], [BEST]), ([INEXACT, BEST], [BEST, None])):
+        run = scripted(*results, newton_finish=False)
+        assert finish(run, NEAR, search=False, warm=BEST).solved
+        assert [call.options.get("warm") for call in run.branch_calls] == warms
+    nowhere = run_of(MPCC(XY, x, x**2 + y**2, x, y, ubg=-1))
+    end = finish(nowhere, np.array([0.1, 0.2]), search=True)
+    assert not end.solved
+    assert {step.phase for step in nowhere.steps} == {"branch", "signs"}
+
+
+@pytest.mark.parametrize(("negative", "signs"), [(0.9e-8, 1), (1.1e-8, 2)])
+def test_signs_within_the_tolerance_are_right(negative, signs):
+    run = scripted(INEXACT, at([0.0, -negative]), at([0.5, 0.0]))
+    assert finish(run, np.array([0.1, 0.2]), search=True).z[1] <= 0
+    assert len([call for call in run.branch_calls if call.options.get("phase") == "signs"]) == signs

@@ -112,6 +112,22 @@ def test_path_without_a_point_has_no_end():
     assert (run.ts, path.failure, path.finish) == ([1.0], S.FAILED, None)
 
 
+def test_each_step_starts_at_the_one_before():
+    run, _ = followed(restless, warm_duals=True)
+    assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
+    assert [call.warm is not None for call in run.calls] == [False] + [True] * 8
+    run, _ = followed(STALLED_FAR)
+    assert [list(call.z) for call in run.calls[1:4]] == [[1.0, 0.5], [0.5, 0.5], [0.5, 1.0]]
+
+
+@pytest.mark.parametrize(("larger", "steps"), [(0.29, 3), (0.31, 9)])
+def test_corner_of_an_early_finish_is_of_size_sqrt_t(larger, steps):
+    """Three times that at t = 0.01; a linear objective has its minimum at the corner alone."""
+    answers = settled(0.0, z=(0.2, larger))
+    run, path = followed(answers, mpcc=MPCC(XY, x + y, None, x, y))
+    assert (len(run.ts), path.finish.solved) == (steps, True)
+
+
 @pytest.mark.parametrize(("expected", "steps"), [(2.0, 6), (1.95, 6), (1.8, 9)])
 def test_branches_are_descended_over_early_only_from_a_good_point_at_small_t(expected, steps):
     """The branch of the path ends at the corner with f = 2, from which f falls to 1 along y."""
@@ -182,6 +198,17 @@ class TestSecondPath:
         level = probe.objective(probe.unlifted(START, 1.0).x) - below
         path, asked = self.looked(self.HIGHER, {1.0: level}, **options)
         assert (path.finish is None, len(asked)) == (seen == 1, seen)
+
+    @pytest.mark.parametrize(
+        ("status", "point", "steps", "failure"),
+        [(S.STALLED, [1.0, 0.5], 3, S.STALLED), (S.FAILED, [1.0, 0.5], 1, S.FAILED),
+         (S.STALLED, [np.nan, 1.0], 1, S.STALLED), (S.CONVERGED, [1.0, 0.5], 3, None)],
+    )  # fmt: skip
+    def test_steps_that_fail_end_it_unless_they_stalled(self, status, point, steps, failure):
+        path, asked = self.looked(None, answer=ended(point, status, lam_g=np.zeros(0)))
+        expected = [([0.5, 0.5], 1.0), (point, pytest.approx(0.1)), (point, pytest.approx(0.01))]
+        assert (asked, path.failure) == (expected[:steps], failure)
+        assert (path.finish is None) == (steps == 1)
 
     @pytest.mark.parametrize(("rise", "status"), [(0.2, S.CONVERGED), (3.0, S.WORSE)])
     def test_its_finish_must_not_lose_what_it_has_gained(self, rise, status):
