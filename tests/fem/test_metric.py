@@ -134,6 +134,22 @@ def test_evened_keeps_a_part_of_the_differences() -> None:
     )
 
 
+def test_without_second_derivatives_it_is_uniform_and_round() -> None:
+    metric = best_metric(P, [region(np.zeros(3))]).with_triangles(200.0)
+    np.testing.assert_allclose(metric.density, 100.0)
+    np.testing.assert_allclose(metric.tensors[1], 0.0)
+    np.testing.assert_allclose(metric.tensors[[0, 2]], np.sqrt(3) / 4 * 100.0)
+
+
+def test_a_node_of_no_triangle_does_no_harm() -> None:
+    more = np.hstack([P, [[9.0], [9.0]]])
+    metric = best_metric(more, [region(SECONDS[0])])
+    assert np.all(np.isfinite(metric.tensors))
+    assert metric.weights[-1] == 0
+    same = best_metric(P, [region(SECONDS[0])])
+    np.testing.assert_allclose(metric.tensors[:, :-1], same.tensors)
+
+
 LAWS: dict[str, Law] = {
     "laplace": Laplace(conductivity=2.5),
     "plane strain": PlaneStrain(1.3, 0.7),

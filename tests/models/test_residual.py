@@ -134,3 +134,17 @@ def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
     q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0
     found = multipliers(outer.energy, q, gradient).limit
     assert found[node] == pytest.approx(2.0 / 0.4, rel=1e-6)
+
+
+def test_rows_of_an_element_are_its_area_and_then_its_angles(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = EXAMPLES["6.1"](3)
+    outer = Outer.of(replace(problem, motion=Motion(None, min_angle=20.0)))
+    validity = outer.relocation.validity
+    per_element = validity.rows_per_element
+    assert per_element == 4
+    values = np.arange(validity.elements.size * per_element) + 1.0
+    none = np.zeros(outer.n)
+    monkeypatch.setattr("rmesh_nlp.models.residual._released", lambda *_: (none, none, values))
+    found = multipliers(outer.energy, none, none)
+    np.testing.assert_array_equal(found.area[validity.elements], values[::4])
+    np.testing.assert_array_equal(found.angle[validity.elements], values.reshape(-1, 4)[:, 1:].sum(axis=1))

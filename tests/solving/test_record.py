@@ -25,7 +25,7 @@ from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Certificate, Step, Work
+from rmesh_nlp.solving.parts import Certificate, Step, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.progress import summary as one_line
@@ -156,6 +156,22 @@ def test_work_is_summed_over_all_outer_problems() -> None:
 
 
 NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(np.int64(3), 3), (np.bool_(True), True), (np.nan, None), (-np.inf, None), (np.float64(np.inf), None),
+     ("x", "x"), (0.5, 0.5), (0, 0)],
+)  # fmt: skip
+def test_values_become_plain(value: Any, expected: Any) -> None:
+    assert (plain(value), type(plain(value))) == (expected, type(expected))
+
+
+def test_work_is_added_up_and_contact_solves_stand_in_the_record_already() -> None:
+    total = Work(1, 1, 5) + Work(2, 3, 0, 7)
+    assert total == Work(3, 4, 5, 7) + Work()
+    assert total.record() == {"cold_contact_solves": 4, "contact_factorisations": 5, "kkt_factorisations": 7}
+    assert Work(8, 0, 1).record() == {"contact_factorisations": 1}
 
 
 def test_histories_are_plain_and_keep_an_infinite_t() -> None:
