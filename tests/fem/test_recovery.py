@@ -10,7 +10,7 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.fem import recovery
-from rmesh_nlp.fem.recovery import RINGS, Recovered
+from rmesh_nlp.fem.recovery import RINGS
 from rmesh_nlp.fem.recovery import recovered as recovered_in
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import from_arrays, named
@@ -155,12 +155,6 @@ class TestRegions:
                 region.nodes[region.triangles], problem.triangles[:, region.elements]
             )
         np.testing.assert_array_equal(np.sort(np.hstack([left.elements, right.elements])), np.arange(64))
-
-    def test_values_in_elements_are_means_over_their_vertices(self) -> None:
-        second = np.arange(24, dtype=float).reshape(2, 3, 4) ** 2
-        one = Recovered(Laplace(), np.arange(2), np.arange(4), np.array([[0, 1], [1, 3], [2, 2]]), second)
-        expected = np.stack([second[:, :, [0, 1, 2]], second[:, :, [1, 3, 2]]], axis=-1).mean(axis=2)
-        np.testing.assert_allclose(one.in_elements, expected)
 
 
 class TestRounding:

@@ -16,7 +16,7 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem import sampling
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
-from rmesh_nlp.fem.objective import Fields, Objective
+from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
@@ -50,7 +50,7 @@ KINDS = {
 }
 
 
-@pytest.fixture(params=[(name, order) for name in KINDS for order in (1, 2)], ids=str)
+@pytest.fixture(params=[(name, 1 + k % 2) for k, name in enumerate(KINDS)], ids=str)
 def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation]:
     """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
     name, order = request.param
@@ -140,7 +140,7 @@ def varied(seed: int) -> ContactProblem:
     return problem
 
 
-@pytest.mark.parametrize("seeds", [SEEDS[:6], pytest.param(SEEDS, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [SEEDS[:4], pytest.param(SEEDS, marks=pytest.mark.slow)])
 def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
     kinds, parted = set(), 0
     for seed in seeds:
@@ -158,24 +158,23 @@ def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
     assert len(kinds) == 6 or len(seeds) < len(SEEDS)
 
 
-def measured(problem: ContactProblem, objective: str | Objective) -> tuple[float, ContactSolver]:
-    """An objective at the contact solution on the given mesh, and its solver."""
+def errors(problem: ContactProblem) -> tuple[int, list[float]]:
+    """Number of nodes, and squared errors in the energy norm and in L2 of the contact solution."""
     solver = ContactSolver(problem)
     space, given = solver.discretisation.space, solver.given
     u = replace(constant_field(solver.displacement.values(given.u)), space=space)
     fields = Fields(problem, constant_field(problem.mesh.p), u, u)
-    return parse_objective(objective).on(fields).evaluate()(np.zeros(0)), solver
+    functions = (parse_objective(text).on(fields).evaluate() for text in ("error-energy", "error-l2"))
+    return space.n_nodes, [function(np.zeros(0)) for function in functions]
 
 
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("make", [smooth_membrane, smooth_block])
 def test_smooth_solutions_have_full_rates(make: Any, order: int) -> None:
     """Squared errors over the number of nodes N: N^-order in the energy norm, N^-(order + 1) in L2."""
-    for text, rate in (("2*error-energy", order), ("error-l2", order + 1)):
-        found = [measured(make(n, order), text) for n in (6, 12)]
-        nodes = [solver.discretisation.space.n_nodes for _, solver in found]
-        slope = np.log(found[0][0] / found[1][0]) / np.log(nodes[1] / nodes[0])
-        assert slope == pytest.approx(rate, abs=0.12 * rate)
+    (few, coarse), (many, fine) = (errors(make(n, order)) for n in (6, 12))
+    for before, after, rate in zip(coarse, fine, (order, order + 1), strict=True):
+        assert np.log(before / after) / np.log(many / few) == pytest.approx(rate, abs=0.12 * rate)
 
 
 ORDERS = pytest.mark.parametrize("order", [1, 2])

@@ -17,7 +17,6 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, PlaneStrain, Traction, signed_areas
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import Named, fixed, joint, mpcc, nested
 from support.orders import slow_but
@@ -105,17 +104,6 @@ def test_a_mesh_of_one_triangle_is_solved(formulation: str) -> None:
         solve(ContactProblem(mesh, Laplace(1.0), ("left", "bottom")))
 
 
-@pytest.mark.slow
-def test_a_solution_with_elements_at_their_bounds_is_a_start() -> None:
-    problem = EXAMPLES["6.1"](4, 0.9)
-    end = joint.solve(problem)
-    assert end.assessment.final.min_area_ratio == pytest.approx(problem.motion.min_area_fraction, abs=1e-9)
-    outer = Outer.of(problem)
-    q = outer.variables(np.asarray(end.mesh.p))
-    np.testing.assert_allclose(outer.relocation.nodes(q), end.mesh.p, atol=1e-9)
-    assert not outer.is_valid(1.01 * q)
-
-
 def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> None:
     nlp = joint.build(EXAMPLES["6.1"](4))
     start = np.zeros(nlp.n_x)
@@ -160,7 +148,7 @@ def test_other_objectives_go_down(formulation: Named, objective: str) -> None:
 def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named) -> None:
     """A block without lateral contraction, pulled along the foundation that it lies on."""
     problem = ContactProblem(
-        rectangle(3, 1, x=(0, 2)),
+        rectangle(2, 1, x=(0, 2)),
         PlaneStrain.from_young(1000.0, 0.0),
         ("left",),
         Obstacle.graph("bottom", 0.0),
@@ -203,7 +191,7 @@ def _sliding(n: int) -> ContactProblem:
 @pytest.mark.parametrize("make", [_signorini, pytest.param(_sliding, marks=pytest.mark.slow)])
 def test_the_energy_is_never_below_the_exact_one(make: Callable[[int], ContactProblem]) -> None:
     # with gaps at vertices and middles of edges alone that of Example 6.1 is 0.0035 below
-    problem = replace(make(4), order=2)
+    problem = replace(make(3), order=2)
     solutions = [fixed.solve(problem), joint.solve(problem)]
     if make is _signorini:
         solutions.append(joint.solve(replace(problem, motion=Motion(None))))
@@ -248,17 +236,6 @@ def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str
     assert row["regularisation"] == 0.1
     assert row["objective"].endswith("*shape-size")
     assert row["status"] == "converged" or formulation is nested
-
-
-@SLOW
-def test_joint_and_nested_are_stationary_for_the_same_program() -> None:
-    one = nested.solve(unlimited(), regularisation=(1.0, 0.1))
-    two = joint.solve(unlimited(), regularisation=(1.0, 0.1))
-    for solution in (one, two):
-        assert solution.status.value == "converged"
-        assert solution.stationarity_residual < 1e-4
-    gain = one.record()["gain_audited"]
-    assert one.energy_audited == pytest.approx(two.energy_audited, abs=0.05 * gain)
 
 
 @SLOW

@@ -47,7 +47,7 @@ def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(n
 def test_another_objective_of_many_variables_takes_newton_along_areas(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    problem = EXAMPLES["6.1"](4, 0.2)
+    problem = EXAMPLES["6.1"](2, 0.2)
     best = solved(problem, objective="error-l2").record()
     monkeypatch.setattr(outer_solvers, "LARGEST_DENSE", 1)
     row = nested.solve(problem, objective="error-l2").record()
@@ -55,14 +55,6 @@ def test_another_objective_of_many_variables_takes_newton_along_areas(
     assert row["outer"].startswith(NEWTON)
     assert row["objective_value"] <= 1.1 * best["objective_value"]
     assert row["min_area_ratio"] >= problem.motion.min_area_fraction * (1 - 1e-9)
-
-
-@pytest.mark.slow
-def test_a_start_at_a_minimiser_ends_there_and_never_higher() -> None:
-    first = nested.solve(with_areas("6.2"))
-    again = solved(with_areas("6.2"), start=first)
-    np.testing.assert_allclose(again.mesh.p, first.mesh.p, atol=1e-6)
-    assert again.energy <= first.energy + 1e-12 * abs(first.energy)
 
 
 @pytest.mark.slow

@@ -67,18 +67,6 @@ def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multiplier
     np.testing.assert_allclose(rows * lam[: rows.size], 0, atol=1e-9 * scale)
 
 
-def test_bounds_are_move_limits_and_least_areas() -> None:
-    rel = relocation(large_limits())
-    nlp, sizes = rel.nlp, [rel.n_q, rel.n_u, rel.n_s]
-    assert [part.shape[0] for part in nlp.parts.values()] == sizes
-    assert [part.size for part in rel.split(np.arange(rel.n_x))] == sizes
-    np.testing.assert_array_equal(nlp.ubx[: rel.n_q], 1)
-    np.testing.assert_array_equal(nlp.lbx, -nlp.ubx)
-    assert np.all(np.isinf(nlp.ubx[rel.n_q :]))
-    np.testing.assert_array_equal(nlp.lbg[: rel.n_contact + 2 * rel.n_s], 0)
-    np.testing.assert_array_equal(nlp.lbg[-rel.n_valid :], rel.problem.motion.min_area_fraction)
-
-
 def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles() -> None:
     problem, barrier = no_move_limits(EXAMPLES["6.1"](4)), parse_objective("energy + 0.1*quality")
     angles = replace(problem, motion=replace(problem.motion, min_angle=10))
@@ -174,23 +162,22 @@ def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
     np.testing.assert_allclose(product, difference, atol=2e-6 * np.max(np.abs(product)))
 
 
-@pytest.mark.parametrize("factor", [1.5, 0.0])
 @pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
-def test_the_schur_complement_in_q_is_the_dense_hessian(name: str, factor: float) -> None:
+def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
     problem = nlp_of(ENERGIES[name]())
     larger, n, rng = lifted(problem), problem.nlp.n_x, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.nlp.n_g)
-    matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
-    corner = matrix[n:, n:]
-    schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
     function = problem.function
-    expected = factor / problem.scale * dense(curvature_of(function)(function(q)), n)
-    if lam_g.size:
-        expected = expected + function.energy.validity.hessian(q, lam_g).toarray()
-    np.testing.assert_allclose(schur, expected, atol=1e-9 * np.max(np.abs(expected)))
-    # definite, and so stiff that a shift of the size of q's block does not change the complement
-    assert np.linalg.eigvalsh(corner)[0] > 0
-    np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
+    curvature = dense(curvature_of(function)(function(q)), n) / problem.scale
+    areas = function.energy.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
+    for factor in (1.5, 0.0):
+        matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
+        corner, expected = matrix[n:, n:], factor * curvature + areas
+        schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(corner, matrix[n:, :n])
+        np.testing.assert_allclose(schur, expected, atol=1e-9 * np.max(np.abs(expected)))
+        # definite, and so stiff that a shift of the size of q's block does not change the complement
+        assert np.linalg.eigvalsh(corner)[0] > 0
+        np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
 
 
 def test_other_objectives_and_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,24 +2,19 @@
 
 import re
 import subprocess
-from importlib import import_module
-from pathlib import Path
 
 import casadi as ca
 import pytest
 
 from rmesh_nlp import __version__
-from rmesh_nlp.cli import entry
-from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.mpcc import ampl, read, solve
 from rmesh_nlp.mpcc.__main__ import main
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
 from rmesh_nlp.optimize.status import Status
-from support.asl import EXECUTABLE, environment, install, read_sol
+from support.asl import environment, install, read_sol
 from support.nl_files import NL, SOLUTION, binary
 
-ROOT = Path(__file__).resolve().parents[2]
 ACTIVE = NL.replace("1 5\nb", "1 2.5\nb")
 """With x + z <= 2.5, which is active at the minimum: its dual is not zero."""
 MAXIMUM = ACTIVE.replace("O0 0", "O0 1").replace("o0	#+\no76", "o16\no0\no76").replace("2 -2\n", "2 2\n")
@@ -175,12 +170,6 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
     assert (options.t0, options.relaxation) == (0.5, "l1-penalty")
     assert (options.time_limit_s, options.second_path) == (50, False)
     assert options.ipopt_relaxed == options.ipopt_exact == {"tol": 1e-9}
-
-
-def test_console_script_is_the_command():
-    scripts = read_toml(ROOT / "pyproject.toml")["project"]["scripts"]
-    module, _, name = scripts[EXECUTABLE].partition(":")
-    assert getattr(import_module(module), name) is entry.mpcc
 
 
 @pytest.mark.parametrize(

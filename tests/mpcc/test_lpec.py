@@ -14,8 +14,6 @@ from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, linearised, run_of, x, y
 
-ONE = np.ones(1)
-
 
 def test_what_is_active_by_hand():
     """Bounds within 1e-5 (1 + |bound|), members below 1e-6; zero bounds of members are left to the pairs."""

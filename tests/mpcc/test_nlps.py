@@ -6,7 +6,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, Options, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
-from rmesh_nlp.mpcc.nlps import CompiledNLPs, Watch, relaxed_nlp, unlifted_nlp
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, relaxed_nlp, unlifted_nlp
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
 from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
@@ -226,13 +226,6 @@ def test_looser_tolerances_belong_to_their_residual():
     assert loose.excess(np.array([1.0, 3e-4]), ONE) == pytest.approx(3)
 
 
-def test_measure_is_of_the_source_problem():
-    own = compiled(MPCC(XYW, x * p, x + w, x, 2 * y, p=p, lbg=0))
-    f, res, (g, G, H) = own.measure(np.array([3.0, 1.0, -4.0, 99.0]), np.array([5.0, 7.0]))
-    assert (f, list(g), list(G), list(H)) == (15, [-1], [3], [2])
-    assert (res.constraint_violation, res.complementarity, res.product) == (1, 2, 6)
-
-
 def test_branch_fixes_one_member_of_each_pair():
     own = compiled()
     on_first = own.branch(START, ONE, ON_G)
@@ -267,11 +260,3 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     assert result.x == pytest.approx([0, 1], abs=1e-7)
     assert (result.x.size, result.lam_x.size, result.f) == (2, 2, pytest.approx(scale))
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success
-
-
-def test_clock_of_small_problems_is_looked_at_now_and_then():
-    def never(*_):
-        return False
-
-    assert [Watch(never, only_clock=True).every(n) for n in (2, 300, 3000)] == [20, 6, 1]
-    assert (Watch(never).every(2), Watch().every(2)) == (1, 0)

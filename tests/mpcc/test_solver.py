@@ -14,7 +14,6 @@ from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
-from support.switch_detection import switch_detection
 
 KINDS = [ca.SX, ca.MX]
 S = Status
@@ -313,15 +312,6 @@ def test_the_exact_finish_alone_descends_over_the_branches_without_any_relaxatio
         assert set(result.columns()["phase"]) == {"branch"}
         assert result.x == pytest.approx(end, abs=1e-7)
     assert MPCCSolver(TRAP, max_iterations=1).finish([0.5, 0.0]).status is S.ITERATION_LIMIT
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_dynamics_whose_branches_leave_no_freedom_are_solved(seed):
-    """Cross complementarity: a share that is on closes several multipliers with one equation."""
-    instance = switch_detection(3, seed)
-    result = solve(instance.mpcc, instance.x0)
-    assert result.success
-    assert result.constraint_violation <= 1e-8
 
 
 @pytest.mark.slow

@@ -118,12 +118,12 @@ def test_grids_have_equal_axes_and_show_both_meshes(results, figures) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "<VTKFile/>", "no XML"])
-def test_missing_or_broken_solution_file_is_named(results, tmp_path, content) -> None:
+def test_missing_or_broken_solution_file_is_named(tmp_path, content) -> None:
     path = tmp_path / "it.vtu"
     if content is not None:
         path.write_text(content)
     with pytest.raises(BadInputError, match=r"it\.vtu"):
-        write_figures([Result(results[0].record, path, results[0].history)], tmp_path)
+        write_figures([Result(joint_61(), path, tmp_path / "it.csv")], tmp_path)
 
 
 def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

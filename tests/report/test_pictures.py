@@ -164,8 +164,8 @@ def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
 
 
 def test_pictures_are_of_the_first_and_the_last_design() -> None:
-    problem = replace(block(E, H0, BOW), motion=Motion(0))
-    solution = nested.solve(problem, objective="mean(right, uy**2)")
+    problem = replace(block(E, H0, BOW, n=(4, 2)), motion=Motion(0))
+    solution = nested.solve(problem, objective="mean(right, uy**2)", limits={"iterations": 4})
     drawn = dict(pictures(solution, Page()))
     assert {"mesh", "pressure", "motion", "design"} <= set(drawn)
     assert "limits" not in drawn  # no node is relocated

@@ -12,7 +12,6 @@ from rich.console import Console
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
 from rmesh_nlp.solving.advice import Advice, advise, recommended
 from rmesh_nlp.solving.driver import solve
@@ -28,7 +27,7 @@ def parabola(n: int, **changes: Any) -> ContactProblem:
 
 def test_a_parabola_is_best_meshed_by_strips() -> None:
     # right triangles of width h have the error h^2 / 24 of interpolation, on any grid
-    n = 6
+    n = 4
     found = advise(parabola(n))
     assert found.error == pytest.approx(1 / (24 * n**2), rel=1e-6)
     assert found.rate == pytest.approx(1.0, abs=1e-6)
@@ -50,9 +49,8 @@ def test_the_error_is_known_where_energies_of_meshes_do_not_compare() -> None:
     """Data that vary along the boundary are represented better by each finer mesh."""
     exact = (lambda x, y: (x * x - y * y) / 2,)
     sides = ("left", "right", "top", "bottom")
-    problem = parabola(8, law=Laplace(0.0), dirichlet=tuple(Dirichlet(side, exact) for side in sides))
-    assert Solved.of(problem).state.energy != Solved.of(parabola(4)).state.energy
-    assert advise(problem).error == pytest.approx(2 / (24 * 8**2), rel=0.05)
+    problem = parabola(6, law=Laplace(0.0), dirichlet=tuple(Dirichlet(side, exact) for side in sides))
+    assert advise(problem).error == pytest.approx(2 / (24 * 6**2), rel=0.05)
 
 
 @pytest.mark.slow

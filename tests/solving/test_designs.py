@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -36,9 +37,17 @@ LIFT = rm.DesignVariable("lift", 0.01, (0.0, 0.1))
 STIFF = rm.DesignVariable("E", 1.0, (0.2, 5.0))
 
 
+PRESCRIBED = "square(resultant(bottom) - 30)"
+
+
+@cache
+def lifted(formulation: str) -> rm.Solution:
+    return rm.solve(column(LIFT), formulation, objective=PRESCRIBED)
+
+
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_prescribed_resultant(formulation: str) -> None:
-    found = rm.solve(column(LIFT), formulation, objective="square(resultant(bottom) - 30)")
+    found = lifted(formulation)
     assert found.status is Status.CONVERGED
     assert found.design["lift"] == pytest.approx(30 * HEIGHT / (YOUNG * WIDTH), rel=1e-5)
     record = found.record()
@@ -62,7 +71,7 @@ def test_constraint_of_two_variables(formulation: str) -> None:
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     constraint = rm.Constraint("resultant(bottom)", (100.0, np.inf))
-    problem = replace(block(H0, BOW, n=(8, 3), constraints=(constraint,)), motion=rm.Motion(0))
+    problem = replace(block(H0, BOW, n=(4, 2), constraints=(constraint,)), motion=rm.Motion(0))
     found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
     record = found.record()
     assert found.status is Status.CONVERGED
@@ -74,9 +83,8 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
 
 
 def test_a_solve_goes_on_from_a_design() -> None:
-    objective = "square(resultant(bottom) - 30)"
-    first = rm.solve(column(LIFT), "nested", objective=objective)
-    again = rm.solve(column(LIFT), "nested", objective=objective, start=first)
+    first = lifted("nested")
+    again = rm.solve(column(LIFT), "nested", objective=PRESCRIBED, start=first)
     assert again.iterations < first.iterations
     assert again.design["lift"] == pytest.approx(first.design["lift"], rel=1e-6)
 
@@ -111,7 +119,7 @@ def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
     lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
     problem = rm.ContactProblem(
-        mesh=shapes.rectangle(6, 2, x=(0, 3), y=(0, 1)),
+        mesh=shapes.rectangle(3, 1, x=(0, 3), y=(0, 1)),
         law=rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet="left",
         obstacle=rm.Obstacle.graph("bottom", lambda x, y: lift.symbol - 0.001 * x),

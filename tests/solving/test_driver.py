@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.joint import Joint
 from formulations.multistart import MultiStart
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -22,6 +21,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.endings import Ends
 from support.formulations import alternating
+from support.solved import solved
 
 Alternating = alternating()
 
@@ -33,10 +33,10 @@ def problem() -> ContactProblem:
 
 def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactProblem) -> None:
     seen: list[Step] = []
-    solution = solve(problem, Alternating(first_step=0.1), tolerance=1e-2, on_step=seen.append)
+    solution = solve(problem, Alternating(first_step=0.1), tolerance=3e-2, on_step=seen.append)
     record = solution.record()
     assert solution.status is Status.CONVERGED
-    assert solution.gain_audited > 0.9 * solve(problem, Joint()).gain_audited
+    assert solution.gain_audited > 0.9 * solved("joint", "6.2", (4, 2)).gain_audited
     assert (record["formulation"], record["start"]) == ("alternating", "given")
     assert record["settings"] == {"first_step": 0.1}
     assert [step.iteration for step in seen] == list(range(solution.iterations + 1))
@@ -65,16 +65,13 @@ def test_limits_hold_for_it_and_for_what_wraps_it(problem, limits, status, aroun
 
 @pytest.mark.parametrize("during", ["reduced_error", "surviving_gain"])
 def test_ctrl_c_after_the_assessment_keeps_the_solution(problem, during, monkeypatch) -> None:
-    usual = solve(problem)
-
     def press(*_: Any) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(driver, during, press)
     solution = solve(problem, certify=True)
     assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-    assert solution.energy == usual.energy
-    assert usual.error_reduction is not None
+    assert solution.energy == solved("joint", "6.2", (4, 2)).energy
     assert (solution.error_reduction is None) == (during == "reduced_error")
     assert solution.certificate is solution.certificate_remark is None  # nothing more is begun
 
@@ -133,7 +130,7 @@ def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: Contact
         begun.append((outer, q))
         return Outcome(outer, q, Status.CONVERGED)
 
-    first, then = solve(problem, Joint()), solve(problem, Ends(end), start="joint")
+    first, then = solved("joint", "6.2", (4, 2)), solve(problem, Ends(end), start="joint")
     ((outer, q),) = begun
     assert outer.is_near
     np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)

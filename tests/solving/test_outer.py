@@ -16,7 +16,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion, PlaneStrain
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
-from support.formulations import fixed, joint
+from support.solved import solved
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ class TestStart:
 
 class TestAssessment:
     def test_zones_residuals_and_counts_of_a_record(self, outer: Outer) -> None:
-        found, problem = ended(outer, np.zeros(outer.n)), outer.problem
+        found = ended(outer, np.zeros(outer.n))
         rows = outer.discretisation.friction_rows
         sliding = np.count_nonzero(outer.given.active.sliding[rows])
         assert (found.final.sliding_nodes, found.final.sticking_nodes) == (
@@ -104,7 +104,7 @@ class TestAssessment:
         assert sliding > 0
         assert found.own_residuals == found.final.residuals
         assert max(vars(found.own_residuals).values()) < 1e-9
-        still = fixed.solve(problem).record()
+        still = solved("fixed", "6.3", (4, 2)).record()
         assert (still["cold_contact_solves"], still["contact_factorisations"]) == (1, outer.given.iterations)
         smooth = Outer.of(EXAMPLES["6.2"]((4, 2)))
         assert ended(smooth, np.zeros(smooth.n)).final.sliding_nodes is None
@@ -147,14 +147,14 @@ class TestAssessment:
     @pytest.mark.parametrize(("weight", "improved"), [(1e-9, True), (1e6, False)])
     def test_a_distortion_counts_in_what_has_improved(self, outer, weight, improved) -> None:
         """A mesh of lower energy is distorted: whether it is better depends on the weight."""
-        lower, there = joint.solve(outer.problem), Outer.of(outer.problem, f"energy + {weight}*quality")
+        lower, there = solved("joint", "6.3", (4, 2)), Outer.of(outer.problem, f"energy + {weight}*quality")
         found = ended(there, there.variables(lower.mesh.p))
         assert found.gain_audited > 0
         assert found.success == improved
 
     def test_gains_and_areas_are_those_of_the_given_and_the_last_mesh_by_one_rule_each(self) -> None:
         problem = EXAMPLES["6.2"]((4, 2))
-        given, moved = fixed.solve(problem), joint.solve(problem)
+        given, moved = (solved(name, "6.2", (4, 2)) for name in ("fixed", "joint"))
         accurate = given.energy_audited - moved.energy_audited
         assert moved.gain_audited == pytest.approx(accurate, rel=1e-9)
         assert given.gain == given.gain_audited == 0

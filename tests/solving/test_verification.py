@@ -118,27 +118,3 @@ def test_u_against_the_exact_solution_x_on_the_unit_square(text: str, gap: float
     exact = ExactSolution(lambda x, y: x, energy=float("nan"))
     obstacle = replace(base.obstacle, offset=gap)
     assert at_rest(replace(base, law=Laplace(), obstacle=obstacle, exact=exact), text) == pytest.approx(value)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("error-l3", "unknown objective 'error-l3'"),
-        ("energy + ", "unknown objective ''"),
-        ("x*energy", "the weight 'x'"),
-        ("-1*quality", "the weight '-1'"),
-        ("nan*quality", "the weight 'nan'"),
-    ],
-)
-def test_bad_objectives_are_named(text: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        parse_objective(text)
-
-
-def test_weights_may_be_written_with_exponents() -> None:
-    assert parse_objective("1e-3*quality + 1e+2*energy").text == "0.001*quality + 100*energy"
-
-
-def test_errors_need_an_exact_solution() -> None:
-    with pytest.raises(ValueError, match=r"'error-l2' needs an exact or reference solution, and '6\.2'"):
-        at_rest(EXAMPLES["6.2"]((4, 2)), "error-l2")

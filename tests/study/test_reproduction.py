@@ -25,15 +25,13 @@ def statements():
     return reproduce(quick=True)
 
 
-@pytest.mark.parametrize(
-    ("change", "verdict"), [(0.0, MET), (-1e-3, PASSED), (1e-3, NOT_MET)], ids=["met", "passed", "not met"]
-)
-def test_a_final_energy_is_compared_with_the_printed_one(change, verdict, monkeypatch):
-    ends = {name: paper.energy_final - 1e-5 + change for name, paper in PAPER.items()}
+def test_a_final_energy_is_compared_with_the_printed_one(monkeypatch):
+    changes = {"6.1": (0.0, MET), "6.2": (-1e-3, PASSED), "6.3": (1e-3, NOT_MET)}
+    ends = {name: PAPER[name].energy_final - 1e-5 + change for name, (change, _) in changes.items()}
     monkeypatch.setattr(reproduction, "_descents", lambda example, *_, **__: {"joint": ends[example]})
     monkeypatch.setattr(reproduction, "least_energy_with_frozen_friction", lambda *_: ends["6.3"])
-    found = [one.outcome for one in reproduce(quick=True) if "final" in one.what]
-    assert set(found) == {verdict}
+    found = {(one.example, one.outcome) for one in reproduce(quick=True) if "final" in one.what}
+    assert found == {(name, verdict) for name, (_, verdict) in changes.items()}
 
 
 @pytest.mark.slow
@@ -70,7 +68,7 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
 
 def test_frozen_weights_are_those_of_the_given_mesh_in_every_contact_problem():
     """By a search over meshes whose contact problems have the bounds of friction of the given one."""
-    outer = Outer.of(problem := EXAMPLES["6.3"]((4, 2)))
+    outer = Outer.of(problem := EXAMPLES["6.3"]((2, 2)))
     bound, limits = outer.contact.system(problem.mesh.p).slip_bound, outer.relocation.mesh_map
 
     def energy(q):
