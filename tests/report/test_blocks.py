@@ -60,7 +60,7 @@ def test_values_of_the_paper_are_for_its_settings(changes: dict[str, Any], is_pa
     assert len(rows) == (3 if is_paper else 1)
     assert len(body(COSTS, block)) == 1
     if not changes:
-        assert rows[0] == ["paper, given grid", "-1.1246", "-", "-0.4549", "0.4753", "-"]
+        assert rows[0] == ["paper, given grid", "-1.1246", "-", "-0.4549", "0.4753", "-", "-", "-"]
         assert rows[1][:3] == ["paper, relocated", "-1.1246", "-1.4445"]
 
 
