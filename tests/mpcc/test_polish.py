@@ -1,5 +1,7 @@
 """Newton's method on a branch and the projection onto it, by hand and against Ipopt."""
 
+import threading
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.scripted_run import CORNER, ON_G, XY, XYW, run_of, two_minima, w, x, y
 
@@ -100,3 +103,13 @@ def test_dense_rows_are_bordered_and_the_solution_is_that_of_the_whole_matrix():
     system = sp.bmat([[line, border], [border.T, None]], format="csc")
     right = random.normal(size=n + 2)
     assert np.max(np.abs(system @ factorised(system, lambda solve: solve(right)) - right)) <= 1e-10
+
+
+def test_factors_stay_in_the_thread_that_made_them():
+    """SuperLU does not give back memory in another one."""
+    eye = sp.identity(3, format="csc")
+    solved, at = factorised(
+        eye, lambda solve: (solve(np.ones(3)), threading.get_ident()), Budget(Limits(60.0))
+    )
+    assert list(solved) == [1, 1, 1]
+    assert at != threading.get_ident()
