@@ -27,7 +27,7 @@ def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose
     return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}")
 
 
-class ProblemError(ValueError):
+class ProblemError(BadInputError):
     """A problem that contradicts itself.
 
     ``part`` names the part of the problem that is at fault: mesh, law, subdomain, dirichlet, boundary (of an

@@ -15,6 +15,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -205,7 +206,12 @@ def _elastic(
     )
 
 
-EXAMPLES: dict[str, Callable[..., ContactProblem]] = {"6.1": example_61, "6.2": example_62, "6.3": example_63}
+class _Examples(dict[str, Callable[..., ContactProblem]]):
+    def __missing__(self, name: str) -> Callable[..., ContactProblem]:
+        raise unknown("example", name, self)
+
+
+EXAMPLES = _Examples({"6.1": example_61, "6.2": example_62, "6.3": example_63})
 """The paper's examples by number; each takes ``n``, ``delta`` and ``order``."""
 
 

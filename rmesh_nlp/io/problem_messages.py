@@ -160,7 +160,7 @@ def nearest(name: str, choices: list[str]) -> str:
     """The end of a message about an unknown name."""
     if not choices:
         return ""
-    close = difflib.get_close_matches(name, choices, n=1, cutoff=0.4)
+    close = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
     return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(choices)}"
 
 

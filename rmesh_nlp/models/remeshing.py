@@ -147,7 +147,7 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
         try:
             problem, ratio = remeshed_problem(current.problem, current.regions, size, ratio, tolerance, off)
             solved = _solved(problem, current)
-        except (BadInputError, ProblemError):
+        except BadInputError:
             if best is None:
                 raise
             break

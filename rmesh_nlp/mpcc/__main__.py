@@ -75,7 +75,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise ValueError("no file given; see rmesh mpcc --help")
         return max(_solve(path, given, settings) for path in given.paths)
     except (ValueError, OSError, ImportError) as error:
-        print(f"rmesh mpcc: {' '.join(str(error).split())}", file=sys.stderr)
+        said = str(error)
+        if isinstance(error, OSError) and error.filename:
+            said = f"{error.filename}: {error.strerror}"
+        print(f"rmesh mpcc: {' '.join(said.split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("rmesh mpcc: interrupted", file=sys.stderr)

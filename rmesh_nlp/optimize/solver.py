@@ -115,7 +115,8 @@ class Solver:
     Raises
     ------
     ValueError
-        If the plugin refuses an option; at a call, if an array has the wrong length or a start is not finite.
+        If the plugin refuses an option; at a call, if an array has the wrong length, a start is not finite,
+        or Ipopt has not got a linear solver that is asked for.
     KeyboardInterrupt
         At a call, if the user interrupts.
     """
@@ -130,7 +131,7 @@ class Solver:
         every: int = 1,
     ) -> None:
         self.nlp = nlp
-        own = {**(IPOPT_OPTIONS if plugin == "ipopt" else {}), **(options or {})}
+        self._options = own = {**(IPOPT_OPTIONS if plugin == "ipopt" else {}), **(options or {})}
         settings: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,
@@ -168,6 +169,9 @@ class Solver:
             solution = self._function(x0=start, p=p, **{**bounds, **others})
         stats = self._function.stats()
         word = str(stats["return_status"])
+        if word == "Invalid_Option":  # what Ipopt loads when it starts
+            linear = self._options.get("linear_solver", "mumps")
+            raise ValueError(f"Ipopt refuses its options: has it the linear solver {linear!r} here?")
         return NLPResult(
             **{name: flat(solution[name]) for name in ("x", "g", "lam_x", "lam_g")},
             f=float(solution["f"]),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES, PAPER
 from rmesh_nlp.examples.paper import truncated
 from rmesh_nlp.examples.reference import reference_solution, with_reference
@@ -51,6 +52,8 @@ def test_figures_are_truncated_as_the_paper_does() -> None:
 
 
 def test_move_limits_follow_the_mesh_width_unless_given() -> None:
+    with pytest.raises(BadInputError, match="unknown example '6.4': did you mean"):
+        EXAMPLES["6.4"]
     assert EXAMPLES["6.1"]((16, 4)).motion.delta == pytest.approx((0.01375, 0.055))
     assert EXAMPLES["6.2"]((6, 12)).motion.delta == pytest.approx((0.31334, 0.036665))
     assert EXAMPLES["6.1"](4, 0.01).motion.delta == (0.01, 0.01)
