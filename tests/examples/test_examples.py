@@ -52,7 +52,7 @@ def test_figures_are_truncated_as_the_paper_does() -> None:
 
 
 def test_move_limits_follow_the_mesh_width_unless_given() -> None:
-    with pytest.raises(BadInputError, match="unknown example '6.4': did you mean"):
+    with pytest.raises(BadInputError, match=r"unknown example '6\.4': did you mean"):
         EXAMPLES["6.4"]
     assert EXAMPLES["6.1"]((16, 4)).motion.delta == pytest.approx((0.01375, 0.055))
     assert EXAMPLES["6.2"]((6, 12)).motion.delta == pytest.approx((0.31334, 0.036665))
