@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 from formulations.cascade import Cascade
 from formulations.confirmed import Confirmed, first_rule
+from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
@@ -25,6 +26,7 @@ from rmesh_nlp.models.regularisation import weights
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Open
 from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
+from rmesh_nlp.solving.plan import example_objective
 
 MANY = 2000
 """Outer variables above which problems with move limits are solved by Newton-CG: the time of ``joint`` grows
@@ -78,6 +80,9 @@ class Auto(Chooser):
         motion, n = problem.motion, MeshMap.of(problem).n
         if problem.constraints:
             return AllAtOnce(), "mpcc: quantities of the contact are constrained"
+        if problem.has_coulomb and objective.is_energy:
+            why = "fixed: with Coulomb friction no energy is minimised; an objective, such as "
+            return Fixed(), f"{why}{example_objective(problem)!r}, would move nodes"
         if not objective.is_energy:
             return self._around(Nested()), "nested: the objective is not the energy"
         if motion.delta is not None:

@@ -68,13 +68,23 @@ def _check_energy(problem: ContactProblem, objective: Objective, formulation: Fo
     energies = [term.name for _, term in objective.terms if term.name == "energy"]
     if not (energies and formulation.relocates):
         return
-    example = (
-        f"which the objective {objective.text!r} would need: state another one, such as 'mean(top, -uy)'"
-    )
+    example = f"which the objective {objective.text!r} would need: state another one, such as "
+    example += f"{example_objective(problem)!r}, or solve on the mesh as given, by --formulation fixed"
     if problem.has_coulomb:
         raise BadInputError(f"with Coulomb friction no energy is minimised, {example}")
     if problem.design or problem.constraints:
         raise BadInputError(f"energies of different designs do not compare, {example}")
+
+
+def example_objective(problem: ContactProblem) -> str:
+    """An objective that suits a problem: the mean displacement of a boundary that is loaded, or may move."""
+    loaded = [str(traction.boundary) for traction in problem.tractions]
+    taken = {str(support.boundary) for support in problem.supports}
+    taken |= {str(obstacle.boundary) for obstacle in problem.obstacles}
+    free = [name for name in problem.mesh.boundaries or {} if name not in taken]
+    where = next(iter((*loaded, *free)), None)
+    displacement = "-u" if problem.components == 1 else "-uy"
+    return f"body({displacement})" if where is None else f"mean({where}, {displacement})"
 
 
 def _chosen(

@@ -22,6 +22,7 @@ def summary(solution: Any) -> Rows:
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
+        *([] if solution.choices.chosen is None else [("chosen", solution.choices.chosen)]),
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
@@ -100,6 +101,8 @@ def contact_rows(solution: Any) -> Rows:
         for name, values in results.items():
             if name != "tangential_force" or any(values.values()):
                 said = ", ".join(f"{figure(value)} {mesh}" for mesh, value in values.items())
+                if len(set(values.values())) == 1:
+                    said = figure(values["relocated"])
                 rows.append((f"{boundary}: {name.replace('_', ' ')}", said))
     return rows
 

@@ -233,7 +233,7 @@ class TestFormulations:
         assert 0 < np.count_nonzero(touching) < touching.size
         assert "Coulomb" in solution.certificate_remark
 
-    @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "auto", "cascade"])
+    @pytest.mark.parametrize("name", ["joint", "nested", "mpcc", "cascade"])
     def test_there_is_no_energy_to_minimise(self, name: str) -> None:
         with pytest.raises(BadInputError, match="with Coulomb friction"):
             rm.solve(slab(), name)

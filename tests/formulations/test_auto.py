@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 from formulations.auto import Auto
 from formulations.joint import Joint
 from formulations.nested import Nested
@@ -26,6 +27,7 @@ from rmesh_nlp.problem import (
     signed_areas,
 )
 from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.summary import summary
 from support.formulations import auto
 from support.problems import no_move_limits
 
@@ -143,3 +145,15 @@ def test_ctrl_c_keeps_the_best_mesh_or_the_map_that_there_is(n: int, when: Any, 
     assert (solution.status, solution.valid) == (Status.INTERRUPTED, True)
     assert solution.energy <= (solution.energy_initial if coarse else finest[0].energy)
     assert solution.gain_audited > 0
+
+
+def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_named() -> None:
+    example = EXAMPLES["6.3"]((4, 2))
+    rough = replace(example, obstacle=replace(example.obstacle, friction=0.0, coulomb=0.3))
+    solution = rm.solve(rough)
+    assert solution.success
+    assert not np.any(solution.mesh.p != rough.mesh.p)
+    assert solution.choices.chosen is not None
+    assert solution.choices.chosen.startswith("fixed: with Coulomb friction")
+    assert "'mean(load, -uy)'" in solution.choices.chosen
+    assert dict(summary(solution))["contact: normal force"] == f"{solution.record()['resultant']:.6g}"
