@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from typer import Argument, Option
 
 from rmesh_nlp import __version__
+from rmesh_nlp.cli import load
 from rmesh_nlp.cli import options as o
 from rmesh_nlp.errors import BadInputError
 
 app = typer.Typer(add_completion=True, rich_markup_mode=None, pretty_exceptions_enable=False)
-
-
-def load(name: str) -> Any:
-    """A module of the package; those of the commands bring CasADi and all, which help does not need."""
-    return importlib.import_module(f"rmesh_nlp.{name}")
 
 
 def _show_version(wanted: bool) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from skfem import MeshTri
 
-from rmesh_nlp.cli import study as studies
+from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import SUCCESS, located
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
@@ -34,7 +34,6 @@ from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.report.problem_picture import draw_problem
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import NEEDLESS, checked, options
 from rmesh_nlp.study.study_file import is_study
@@ -66,7 +65,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     if is_study(path):
         if order is not None:
             raise BadInputError(f"--order {order} is for problem files: write it into {path}")
-        return studies.check(path)
+        return load("cli.study").check(path)
     problem = load_problem(path, order)
     _, asked = solve_options(path, None, {})
     parts = discretise(problem)
@@ -87,7 +86,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         print(f"warning: {message}")
     target = path.with_suffix(".png") if picture is None else picture
     try:
-        draw_problem(problem.at_design(), target)
+        load("report.problem_picture").draw_problem(problem.at_design(), target)
     except (OSError, ValueError) as error:
         raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
     print(f"drew {target}")

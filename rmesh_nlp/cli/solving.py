@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from rich.console import Console
 
+from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
 from rmesh_nlp.cli.preparing import load_problem, solve_options
-from rmesh_nlp.cli.reporting import draw_solution, draw_study, table
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -23,7 +23,6 @@ from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
 from rmesh_nlp.optimize.budget import deferred
-from rmesh_nlp.report.style import Page
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study import comparison
@@ -99,7 +98,8 @@ def solve_file(
             if interrupted():
                 raise KeyboardInterrupt
             if columns and done.solution is not None and done.row["status"] != INTERRUPTED:
-                draw_solution(results, done.solution, Page(columns))
+                reporting = load("cli.reporting")  # matplotlib and pandas: as long as a small solve
+                reporting.draw_solution(results, done.solution, reporting.Page(columns))
         except KeyboardInterrupt:
             raise InterruptedSolveError(
                 f"all but the figures is kept in {folder}; rmesh figures {folder} draws them"
@@ -203,9 +203,10 @@ def compare(
                 kept = f"{whole} of {len(plan)} solves are kept in {out}"
                 hint = "--resume goes on, rmesh table and rmesh figures show them"
                 raise InterruptedSolveError(f"{kept}; {hint}") from None
-        table(out, voice, verbose)
+        reporting = load("cli.reporting")
+        reporting.table(out, voice, verbose)
         if figures:
-            draw_study(out, voice)
+            reporting.draw_study(out, voice)
     if voice == "json":
         print(f"[{', '.join(to_json(row) for row in rows)}]")
     asked = [row for row in rows if not does_not_apply(row)]
