@@ -104,6 +104,8 @@ class LowerLevelCheck:
 
     def __str__(self) -> str:
         low, high = (f"{value:.3g}" for value in (self.curvature_low, self.curvature_high))
+        if low == "inf":  # constraints leave no direction
+            return f"{self.verdict}, a vertex of the constraints"
         return f"{self.verdict}, least curvature {low if low == high else f'between {low} and {high}'}"
 
 
