@@ -64,7 +64,7 @@ def test_a_study_has_lines_for_failures_and_for_every_so_many(capsys):
     with SolvesProgress(EVERY + 3, 1, each=False) as shown:
         for one in (bad, {**bad, "status": "refused"}, {"key": "k", "found": True}, *[row] * (EVERY - 1)):
             shown.finish(one)
-    lines = capsys.readouterr().err.splitlines()
+    lines = [line for line in capsys.readouterr().err.splitlines() if line]
     assert lines[0] == f"1 of {EVERY + 3} solves have a row already"
     assert lines[1:] == [
         "6.1 a: died, 1.00 s: [gone]", f"{EVERY} of {EVERY + 3} solves", f"{EVERY + 3} of {EVERY + 3} solves"
