@@ -128,6 +128,8 @@ def test_quantities_count_nodes_that_press() -> None:
     alone = admissible(free)
     assert not contact_results(alone.parts.space, free.mesh.p, alone.system, alone.state)
     assert of_all({}) is None
+    both = {"a": ContactResult(1.0, 2.0, 3.0, 4.0), "b": ContactResult(5.0, 6.0, 1.0, 8.0)}
+    assert of_all(both) == ContactResult(6.0, 8.0, 3.0, 12.0)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -61,11 +61,17 @@ def test_constraint_of_two_variables(formulation: str) -> None:
     """The least stiffness that carries the load: at the largest lift, by the constraint on it."""
     carries = rm.Constraint("resultant(bottom)", (60.0, np.inf))
     lifts = rm.Constraint("design(2*lift)", (-np.inf, 0.08))
-    problem = column(LIFT, STIFF, constraints=(carries, lifts))
+    loose = rm.Constraint("design(lift)", (-np.inf, 0.09))
+    problem = column(LIFT, STIFF, constraints=(carries, lifts, loose))
     found = rm.solve(problem, formulation, objective="design(E**2)")
     assert found.status is Status.CONVERGED
     assert found.design["lift"] == pytest.approx(0.04, rel=1e-4)
     assert found.design["E"] == pytest.approx(60 * HEIGHT / (YOUNG * WIDTH * 0.04), rel=1e-4)
+    # the multipliers of the constraints, one active from below, one from above, prove it in two ways
+    outer = rm.Outer.of(problem, "design(E**2)")
+    point = outer.function(outer.variables(np.asarray(found.mesh.p), design=found.design))
+    assert outer.residual(point) < 1e-4
+    assert outer.branches(point).label == "S"
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
