@@ -21,6 +21,8 @@ from support.certificates import distorted
 
 JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
 ROOT = lambda x, y: ca.sqrt(x)  # noqa: E731
+HIDDEN = lambda x, y: ca.if_else(ca.sin(9 * x) > 0.5, 1.0, 0.0)  # noqa: E731
+"""It jumps at zeros of a function that is no polynomial."""
 
 
 def plate(**changes) -> ContactProblem:
@@ -51,7 +53,23 @@ def test_what_jumps_is_integrated_part_by_part() -> None:
     jump = integrals(JUMP, corners)
     assert jump.moments[:, 0] == pytest.approx([0.63**2 / 2, (1 - 0.37**2) / 2])
     assert jump.is_certain
-    assert not integrals(lambda x, y: ca.if_else(ca.sin(9 * x) > 0.5, 1.0, 0.0), corners).is_certain
+    assert not integrals(HIDDEN, corners).is_certain
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.1 + 0.01 * HIDDEN(x, y))},
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), 0.1, friction=lambda x, y: 1 + HIDDEN(x, y))},
+        {"dirichlet": (Dirichlet("left", (0.0, lambda x, y: 0.1 * HIDDEN(y, x))),)},
+        {"tractions": (Traction("top", (0.0, HIDDEN)),)},
+    ],
+    ids=["gap", "friction", "support", "traction"],
+)
+def test_where_one_coefficient_may_jump_at_an_unknown_place_nothing_is_certain(changes) -> None:
+    assert conditions_of(plate(), on(plate())).is_certain
+    problem = plate(**changes)
+    assert not conditions_of(problem, on(problem)).is_certain
 
 
 def test_data_are_doubted_by_what_any_displacement_may_make_of_them() -> None:
