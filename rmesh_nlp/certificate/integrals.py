@@ -131,7 +131,7 @@ def _loads(
     value, doubt = np.zeros((2, problem.components, *nodes.shape))
     remainder, is_certain = np.zeros(measure.size), True
     for coefficients, cells in given:
-        left = np.zeros(len(cells))  # mean square of what the best approximation leaves
+        unmet = np.zeros(len(cells))  # mean square of what the best approximation leaves
         for i, coefficient in enumerate(coefficients):
             part = integrals(coefficient, corners[:, :, cells], order)
             value[i][:, cells] += part.moments
@@ -139,8 +139,8 @@ def _loads(
             is_certain &= part.is_certain
             if callable(coefficient):
                 tested = lowered(part.moments, degree, vertices)
-                left += np.maximum(part.square - np.sum(tested * projection(tested, vertices), axis=0), 0.0)
-        remainder[cells] += np.sqrt(measure[cells] * left)
+                unmet += np.maximum(part.square - np.sum(tested * projection(tested, vertices), axis=0), 0.0)
+        remainder[cells] += np.sqrt(measure[cells] * unmet)
     balanced = projection(lowered(value, degree, vertices), vertices)
     unbalanced = value - moments(balanced, order, vertices)
     return Loads(nodes, measure, value, doubt, balanced, unbalanced, remainder, is_certain)
