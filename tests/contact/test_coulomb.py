@@ -139,20 +139,26 @@ class TestSolver:
         for name, value in {**wrong, "u": -state.u}.items():
             assert laws(replace(state, **{name: value}))[0] > 1e-6 * unit
 
-    def test_contraction_is_that_of_the_fixed_point(self) -> None:
+    @pytest.mark.parametrize("turned", [False, True])
+    def test_contraction_is_that_of_the_fixed_point(self, turned: bool) -> None:
         problem = slab(0.8)
         system = ContactSolver(problem).system(problem.mesh.p)
         state = solve(system)
-        bound = system.bound(state.normal_force)
+        bound, active = system.bound(state.normal_force), state.active
+        if turned:  # as if every other node slid the other way
+            active = ActiveSet(
+                active.touching, (active.sliding * (-1) ** np.arange(bound.size)).astype(np.int8)
+            )
 
         def after(change: np.ndarray) -> np.ndarray:
             bounded = replace(system, slip_bound=bound + change, coulomb=None)
-            return system.bound(bounded.equilibrium(state.active).normal_force)
+            return system.coulomb * bounded.equilibrium(active).normal_force
 
         small = 1e-3 * bound.max()
-        jacobian = [(after(small * unit) - bound) / small for unit in np.eye(bound.size)]
+        first = after(np.zeros(bound.size))
+        jacobian = [(after(small * unit) - first) / small for unit in np.eye(bound.size)]
         expected = np.max(np.abs(np.linalg.eigvals(np.stack(jacobian, axis=1))))
-        assert 0.1 < spectral_radius(system, state.active) == pytest.approx(expected, rel=1e-6)
+        assert 0.01 < spectral_radius(system, active) == pytest.approx(expected, rel=1e-6)
         assert contraction(system, state) >= spectral_radius(system, state.active)
         assert contraction(replace(system, coulomb=None), state) == 0.0
 
