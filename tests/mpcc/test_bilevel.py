@@ -200,6 +200,8 @@ def saddle(f, at, g=(), **bounds):
         (saddle(lambda y: y[1] ** 2 - y[0] ** 2, [0, 0, 0], lbx=[0, -INF]), "no minimum", -2, -2),
         # y >= 0 with y_1 y_2: the Hessian is indefinite, the quadrant has no direction of descent
         (saddle(lambda y: y[0] * y[1], [0, 0, 0, 0], lbx=0), "undecided", -1, 0),
+        (saddle(lambda y: 3 * y[0] * y[1] + (y[0]**2 + y[1]**2) / 2, [0, 0, 0, 0], lbx=0),
+         "undecided", -2, 1),
         # ... and with -y_1 y_2 it has one inside, though along no edge
         (saddle(lambda y: -y[0] * y[1], [0, 0, 0, 0], lbx=0), "no minimum", -1, -1),
         # y_1 = y_2^2 / 2: curvature of the constraint, with its multiplier 1

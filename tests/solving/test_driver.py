@@ -19,7 +19,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
-from support.endings import Ends
+from support.endings import Chooses, Ends
 from support.formulations import alternating
 from support.solved import solved
 
@@ -112,9 +112,12 @@ def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) 
     assert stopped.status in (Status.TIME_LIMIT, Status.INTERRUPTED)
     assert stopped.success
     np.testing.assert_array_equal(stopped.mesh.p, problem.mesh.p)
-    if way != "raised":  # what ends by itself is shown as it is
+    if way != "raised":  # what ends by itself is shown as it is, but not by what chose the formulation
         worse = solve(problem, Ends(end))
         assert (worse.status, worse.success) == (Status.WORSE, False)
+        given = solve(problem, Chooses(end))
+        assert (given.status, given.success) == (Status.STALLED, True)
+        np.testing.assert_array_equal(given.mesh.p, problem.mesh.p)
 
 
 def test_an_invalid_end_is_reported_and_not_hidden(problem: ContactProblem) -> None:

@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.formulation import Formulation
+from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -31,6 +33,16 @@ class Ends(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         return self.end(outer, q, monitor)
+
+
+@dataclass(frozen=True)
+class Chooses(Chooser):
+    """Chooses :class:`Ends`."""
+
+    end: Any
+
+    def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
+        return Choice(Ends(self.end), problem, "there is no other")
 
 
 def ended(
