@@ -4,12 +4,14 @@ python scripts/benchmark_coulomb.py partial       partial slip of Cattaneo and M
 python scripts/benchmark_coulomb.py plate         a plate that is pressed and pushed, five published figures
 python scripts/benchmark_coulomb.py iterations    active sets, ours and those of a fixed point
 python scripts/benchmark_coulomb.py hard          all coefficients, orders and meshes: is each solved?
+python scripts/benchmark_coulomb.py several       small blocks by all active sets: what is warned of
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -21,7 +23,8 @@ from gallery import coulomb_kink
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
@@ -289,7 +292,61 @@ def hard() -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["", "order", "solved", "median of sets", "99 %", "most"])
 
 
-TABLES = {"partial": partial_slip, "plate": plates, "iterations": iterations, "hard": hard}
+def small_block(seed: int) -> ContactProblem:
+    """Three to five contact nodes on a line, a slope or a circle, a coefficient of 0.5 to 8, a body force."""
+    rng = np.random.default_rng(seed)
+    n, m, length, height = rng.integers(2, 5), rng.integers(1, 4), rng.uniform(1, 3), rng.uniform(0.5, 2)
+    rough, slope, radius = rng.uniform(0.5, 8), rng.uniform(-0.5, 0.5), rng.uniform(0.8, 5)
+    foundations = (
+        rm.Obstacle("bottom", coulomb=rough),
+        rm.Obstacle.line("bottom", (0.0, -0.01), (-np.sin(slope), np.cos(slope)), coulomb=rough),
+        rm.Obstacle.circle("bottom", (rng.uniform(0.2, 0.8) * length, -radius), radius, coulomb=rough),
+    )
+    load, sides = (rng.uniform(-200, 200), rng.uniform(-300, 50)), (("top",), ("left",), ("right",))
+    return rm.ContactProblem(
+        rectangle(int(n), int(m), x=(0, length), y=(0, height)),
+        rm.PlaneStrain.from_young(1000.0, rng.uniform(0, 0.45), body_force=load),
+        sides[rng.integers(3)],
+        foundations[rng.integers(3)],
+        rm.Motion(None),
+    )
+
+
+def all_solutions(system: ContactSystem) -> list[Array]:
+    """The displacements of all solutions: open, stick, slide either way, in every combination."""
+    solutions: list[Array] = []
+    for nodes in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=system.offset.size):
+        touching, sliding = (np.array(part) for part in zip(*nodes, strict=True))
+        state = system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
+        size = np.max(np.abs(state.u))
+        is_new = all(np.max(np.abs(state.u - u)) > 1e-6 * size for u in solutions)
+        if is_new and is_solved(system, state):
+            solutions.append(state.u)
+    return solutions
+
+
+def several(count: int = 300) -> pd.DataFrame:
+    """Problems with several solutions, and those of which a record warns, by all active sets."""
+    lines = []
+    for seed in range(count):
+        try:
+            system = system_of(small_block(seed))
+        except rm.ProblemError:  # the foundation passes through a node that is held
+            continue
+        warned = contraction(system, solve(system)) >= 1
+        lines.append((len(all_solutions(system)) > 1, warned, float(system.coulomb[0])))
+    rows = pd.DataFrame(lines, columns=["several", "warned", "F"])
+    groups = rows.groupby("several")
+    return groups.agg(problems=("F", "size"), warned=("warned", "sum"), least_F=("F", "min")).reset_index()
+
+
+TABLES = {
+    "partial": partial_slip,
+    "plate": plates,
+    "iterations": iterations,
+    "hard": hard,
+    "several": several,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

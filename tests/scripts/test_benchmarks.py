@@ -16,7 +16,17 @@ import benchmark_branches
 import benchmark_cost
 import benchmark_peers
 import soak_losses
-from benchmark_coulomb import StickZone, fixed_point, plate, plate_slips, pressed_block, system_of
+from benchmark_coulomb import (
+    StickZone,
+    all_solutions,
+    fixed_point,
+    plate,
+    plate_slips,
+    pressed_block,
+    small_block,
+    system_of,
+    with_coefficient,
+)
 from formulations import cascade
 from gallery import coulomb_kink
 from peer_solvers import nlpsol_mapped, nlpsol_written_out
@@ -249,3 +259,10 @@ def test_a_fixed_point_of_the_bounds_takes_more_active_sets() -> None:
     assert solve(system).iterations < sets
     still = replace(system, coulomb=np.zeros(system.offset.size))
     assert fixed_point(still)[0] <= 2
+
+
+def test_all_active_sets_have_the_solution_that_is_found_and_with_little_friction_no_other() -> None:
+    system = system_of(small_block(1))
+    little = with_coefficient(system, 0.05)
+    (only,) = all_solutions(little)
+    np.testing.assert_allclose(only, solve(little).u, atol=1e-9 * np.max(np.abs(only)))
