@@ -365,17 +365,21 @@ def export(
 
 
 @app.command()
-def figures(folder: o.Folder, columns: o.Columns = 2) -> None:
+def figures(
+    folder: o.Folder,
+    columns: o.Columns = 2,
+    format: Annotated[str, Option("--format", help="png, pdf or svg; the last two for papers.")] = "png",
+) -> None:
     """Make the figures of DIR again.
 
-    Writes PNG and PDF files to DIR/figures from the saved solutions, without relocating again. Of a
-    problem file they are those of rmesh solve, before and after.
+    Writes files to DIR/figures from the saved solutions, without relocating again. Of a problem file they
+    are those of rmesh solve, before and after.
 
     \b
-    rmesh figures results
+    rmesh figures results --format pdf
     rmesh figures results/my --columns 1
     """
-    raise typer.Exit(load("cli.reporting").figures(folder, columns))
+    raise typer.Exit(load("cli.reporting").figures(folder, columns, format))
 
 
 def _voice(json: bool, quiet: bool) -> str:

@@ -1,4 +1,4 @@
-"""Results to figures like 6.1 to 6.10 of the paper, and to profiles; PNG and PDF, nothing is solved here."""
+"""Results to figures like 6.1 to 6.10 of the paper, and to profiles; nothing is solved here."""
 
 from __future__ import annotations
 
@@ -28,7 +28,6 @@ from rmesh_nlp.report.drawing import body_of, colour_bar, draw_deformed, magnifi
 from rmesh_nlp.report.histories import Curve, curve
 from rmesh_nlp.report.study_summary import Chart, charts, is_study
 from rmesh_nlp.report.style import (
-    FORMATS,
     SETTINGS,
     TWO_COLUMNS,
     Look,
@@ -50,7 +49,9 @@ MARKERS = 15  # about as many markers on a curve
 FEW = 100  # axes that span a smaller factor are labelled with numbers in place of powers
 
 
-def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | None = None) -> list[Path]:
+def write_figures(
+    results: Sequence[Result], folder: Path, manifest: Manifest | None = None, kind: str = "png"
+) -> list[Path]:
     """Draw everything that the results hold and return the files.
 
     Figures are noted in the ``manifest`` of the folder above, and no file is replaced that is not. Raises
@@ -64,8 +65,8 @@ def write_figures(results: Sequence[Result], folder: Path, manifest: Manifest | 
                 number += 1
                 stem = f"{safe_name(name)}-{number}"
             if manifest is not None:
-                manifest.claim(*(f"{folder.name}/{stem}.{kind}" for kind in FORMATS))
-            paths += save(figure, folder / stem)
+                manifest.claim(f"{folder.name}/{stem}.{kind}")
+            paths.append(save(figure, folder / stem, kind))
     return paths
 
 

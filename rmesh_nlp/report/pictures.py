@@ -121,11 +121,11 @@ def _title(solution: Drawable) -> str:
 
 
 def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
-    """Draw all there is to see about a solution to PNG and PDF files, nothing that would be all zero."""
+    """Draw all there is to see about a solution, nothing that would be all zero."""
     paths: list[Path] = []
     with rc_context(page.settings):
         for name, figure in pictures(solution, page):
-            paths += style.save(figure, folder / name, settings=page.settings)
+            paths.append(style.save(figure, folder / name, page.kind, page.settings))
     return paths
 
 

@@ -1,4 +1,4 @@
-"""How figures look: widths and letters of print, colours safe for the colour-blind, PNG and PDF."""
+"""How figures look: widths and letters of print, colours safe for the colour-blind."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title 
 FLAT = 0.6  # height over width of a body below which two of them stand one below the other on one column
 TALLEST = 2.0  # height of a panel over its width, at most
 LETTERS, KEY = 13.0, 8  # letters of a legend to the inch, and those that the line before a name takes
-FORMATS = ("png", "pdf")
+FORMATS = ("png", "pdf", "svg")
 FOUNDATION = "0.45"
 SETTINGS: Any = {
     "font.size": 9,
@@ -83,9 +83,10 @@ def look(position: int) -> Look:
 
 @dataclass(frozen=True)
 class Page:
-    """The width of a figure: one or two columns of a printed page, with letters of at least 7 points."""
+    """One or two columns of a printed page, with letters of at least 7 points, and the format of figures."""
 
     columns: int = 2
+    kind: str = "png"
 
     def __post_init__(self) -> None:
         if self.columns not in (1, 2):
@@ -160,12 +161,9 @@ def add_legend(figure: Figure, axes: Sequence[Axes], place: Any = "outside upper
         figure.legend(list(shown.values()), names, loc=place, ncols=columns)
 
 
-def save(figure: Figure, stem: Path, settings: Any = SETTINGS) -> list[Path]:
-    """Write the figure in each format and return the paths."""
-    paths = [stem.with_name(f"{stem.name}.{kind}") for kind in FORMATS]
+def save(figure: Figure, stem: Path, kind: str, settings: Any = SETTINGS) -> Path:
+    """Write the figure in a format and return its path."""
+    path = stem.with_name(f"{stem.name}.{kind}")
     with rc_context(settings):
-        figure.draw_without_rendering()
-        figure.set_layout_engine("none")  # the layout is found once, not for each format
-        for path, kind in zip(paths, FORMATS, strict=True):
-            write_whole(path, partial(figure.savefig, format=kind))
-    return paths
+        write_whole(path, partial(figure.savefig, format=kind))
+    return path

@@ -77,7 +77,7 @@ def test_figures_of_a_foreign_folder_stay_inside(rmesh) -> None:
     (row,) = (result.record for result in read_results(inside))
     (inside / "records.jsonl").write_text(to_json({**row, "example": "../../../esc"}) + "\n")
     assert rmesh("figures in").code == 0
-    assert {path.suffix for path in (inside / "figures").iterdir()} == {".png", ".pdf"}
+    assert {path.suffix for path in (inside / "figures").iterdir()} == {".png"}
     assert [path.name for path in Path().iterdir()] == ["in"]
 
 

@@ -81,13 +81,17 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(rmesh) -> Non
     assert len((out / "records.jsonl").read_text().splitlines()) == 2
     made = [out / name for name in ("table.md", "table.tex", "table.csv")]
     made += sorted((out / "figures").iterdir())
-    assert {path.suffix for path in (out / "figures").iterdir()} == {".png", ".pdf"}
+    assert {path.suffix for path in (out / "figures").iterdir()} == {".png"}
     for path in made:
         path.unlink()
     assert rmesh("table all")[:2] == (0, said.out)
     assert rmesh("figures all").code == 0
     assert all(path.stat().st_size > 0 for path in made)
     assert rmesh("table all --verbose").out == (out / "table.md").read_text()
+    assert rmesh("figures all --format pdf").code == 0
+    assert {path.suffix for path in (out / "figures").iterdir()} == {".png", ".pdf"}
+    said = rmesh("figures all --format jpeg")
+    assert (said.code, "unknown format 'jpeg'" in said.err) == (2, True)
 
 
 @pytest.mark.slow

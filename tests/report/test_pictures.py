@@ -55,7 +55,7 @@ def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
     problem = replace(block_between_two_foundations(), units=Units("mm", "N"))
     paths = write_pictures(joint.solve(problem), tmp_path)
     names = ("mesh", "displacement", "stress", "pressure", "motion", "limits")
-    assert [path.name for path in paths] == [f"{n}.{kind}" for n in names for kind in ("png", "pdf")]
+    assert [path.name for path in paths] == [f"{name}.png" for name in names]
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
