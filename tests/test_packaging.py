@@ -95,6 +95,13 @@ def test_the_links_of_a_page_lead_somewhere(page: str) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
+def test_the_pages_below_a_page_exist(page: str) -> None:
+    for tree in re.findall(r"```\{toctree\}\n(.*?)```", (ROOT / page).read_text(), re.S):
+        for name in re.findall(r"^[\w/]+$", tree, re.M):
+            assert name == "gallery/index" or (ROOT / f"docs/{name}.md").exists(), f"{page}: {name}"
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_the_commands_of_a_page_are_understood(page: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Each line is read by the command line as it stands, up to the work itself."""
 

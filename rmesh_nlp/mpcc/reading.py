@@ -214,7 +214,7 @@ def read_nosbench(path: Path) -> Problem:
 
 def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:
     text = data.get(name)
-    if not isinstance(text, str):
+    if not isinstance(text, str) or not text:  # of an empty text CasADi makes no Function
         raise ValueError(f"{path}: the field {name} is missing or no serialised Function")
     try:
         return ca.Function.deserialize(text)

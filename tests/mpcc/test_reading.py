@@ -209,6 +209,7 @@ def test_nosbench_file_has_its_numbers_and_functions(tmp_path):
     ("change", "words"),
     [
         (lambda data: data.pop("G_fun"), "G_fun is missing"),
+        (lambda data: data.update(H_fun=""), "H_fun is missing or no serialised Function"),
         (lambda data: data.update(H_fun="junk"), "H_fun is no serialised Function"),
         (lambda data: data.pop("w0"), "w0 is missing"),
         (lambda data: data.update(lbw=["low"]), "lbw must be a list of numbers"),

@@ -1,6 +1,7 @@
 """Study files, and the plans that they become."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -49,6 +50,16 @@ def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path)
     plan = plan_of(path, template("mine", "study.toml"))
     assert {solve.variant for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
+
+
+def test_the_study_of_the_page_and_the_settings_that_the_template_suggests_are_valid(path):
+    path.with_name("my.toml").write_text(VALID)
+    page = (Path(__file__).parents[2] / "docs/studies.md").read_text()
+    (text,) = re.findall(r"```toml\n(.*?)```", page, re.S)
+    settings = re.findall(r"^#   (\S.*)$", template("mine", "study.toml"), re.M)
+    assert {solve.variant for solve in plan_of(path, text)} == {"joint", "loose"}
+    suggested = "\n".join(["examples = ['6.1']", *settings])
+    assert {solve.variant for solve in plan_of(path, suggested)} == {"loose"}
 
 
 def test_order_is_an_axis_of_all_problems_and_order_1_has_the_keys_of_old(path):
