@@ -14,7 +14,7 @@ mesh adds them as unknowns sigma. Then
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -79,7 +79,7 @@ class ContactPoint:
 
 @dataclass(frozen=True)
 class Bilevel:
-    """The MPCC and where its parts are; ``length``, ``force`` and ``value`` are the units of the model.
+    """The MPCC in ``x`` and where its parts are; ``length``, ``force`` and ``value`` are units of the model.
 
     ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units. The
     first ``n_equations`` rows of ``mpcc.g`` determine displacement, forces and sums at fixed outer variables;
@@ -179,7 +179,11 @@ class Bilevel:
     def point(self, point: ContactPoint) -> Array:
         """The unknowns ``x`` of a contact solution."""
         x = kkt_unknowns(point, self.friction_rows) / _units(self.length, self.force, self.sizes)
-        return np.append(x, self.summed.sum_values()(x) / self.sums)
+        return np.append(x, self._sum_values(x) / self.sums)
+
+    @cached_property
+    def _sum_values(self) -> Callable[[Array], Array]:
+        return self.summed.sum_values()
 
 
 def _units(length: float, force: float, sizes: tuple[int, ...]) -> Array:

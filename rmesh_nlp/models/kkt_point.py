@@ -54,10 +54,8 @@ class KKTConditions:
             x = self.program.point(point)
             (value,), slope = self._gradient(x, None)
             rows, nonzeros = self._jacobian(x, None)
-            jacobian, held = (
-                sp.csr_array(self._block(nonzeros)),
-                held_by(self.program, point.equilibrium.active),
-            )
+            jacobian = sp.csr_array(self._block(nonzeros))
+            held = held_by(self.program, point.equilibrium.active)
             self._last = point, KKTPoint(self, x, float(value), slope, rows, jacobian, held)
         return self._last[1]
 
@@ -116,6 +114,11 @@ class KKTPoint:
         return np.concatenate([np.arange(program.n_equations), held])
 
     @cached_property
+    def of_q(self) -> sp.csr_array:
+        """C_q."""
+        return sp.csr_array(self.jacobian[self.equations][:, : self.program.n_q])
+
+    @cached_property
     def factors(self) -> SuperLU | None:
         """Of C_y; None where it is singular or not defined."""
         if not np.all(np.isfinite(self.jacobian.data)):
@@ -136,13 +139,13 @@ class KKTPoint:
 
         They are those of functions with derivatives ``slopes`` (..., x.size).
         """
-        nu, n = self.multipliers(slopes), self.program.n_q
-        by_q = slopes[..., :n] + nu @ self.jacobian[self.equations][:, :n]
+        nu = self.multipliers(slopes)
+        by_q = slopes[..., : self.program.n_q] + nu @ self.of_q
         return by_q, -nu[..., self.program.n_equations + self.pairs]
 
     def hessian(self, factor: float = 1.0, constraints: Array | None = None) -> ObjectiveHessian:
         """The second derivative of ``factor F + constraints . c``, c those of the problem, for products."""
-        program, n = self.program, self.program.n_q
+        program = self.program
         slope, multipliers = factor * self.slope, np.zeros(self.rows.size)
         if constraints is not None:
             multipliers[program.n_equations : program.n_equations + program.constraints.size] = constraints
@@ -151,8 +154,7 @@ class KKTPoint:
         numeric, symmetric = self.conditions.hessian
         (nonzeros,) = numeric(self.x, None, np.array([factor]), multipliers)
         lagrangian = sp.csr_array(symmetric(nonzeros))
-        of_q = sp.csr_array(self.jacobian[self.equations][:, :n])
-        return ObjectiveHessian(lagrangian, of_q, self.factors, program.parts.mesh_map.n_positions)
+        return ObjectiveHessian(lagrangian, self.of_q, self.factors, program.parts.mesh_map.n_positions)
 
 
 class ObjectiveHessian:
