@@ -243,6 +243,15 @@ def test_does_not_depend_on_units() -> None:
     assert residual(stiff) == pytest.approx(residual(problem), rel=1e-6)
 
 
+def test_does_not_depend_on_contact_nodes_that_do_not_press() -> None:
+    """A second foundation that nothing meets carries no force, so it adds nothing to the contact's length."""
+    problem = slab(1.0)
+    far = rm.Obstacle("top", (0.0, -1.0), 10.0, coulomb=1.0)
+    assert residual(problem) > 1e-5
+    both = replace(problem, obstacle=(problem.obstacle, far))
+    assert residual(both) == pytest.approx(residual(problem), rel=1e-9)
+
+
 def test_does_not_depend_on_the_frame() -> None:
     """On a slope both the normal and the tangent have two components."""
 

@@ -306,7 +306,11 @@ def test_equilibrium_is_checked_and_can_fail():
     for change in ({"forces": spoilt}, {"balance": pulled}, {"balance": rough}):
         assert edge_residual(skeleton, conditions, replace(field, **change)) > 1e-6
     slippery = replace(conditions, friction=0 * conditions.friction)
+    # friction beyond its bound either way: along the tangent, and against it
+    other_way = replace(slippery, axes=slippery.axes * np.array([[-1.0], [1.0]]))
+    mirrored = replace(field, balance=replace(balance, friction=-balance.friction))
     assert edge_residual(skeleton, slippery, field) > 1e-6
+    assert edge_residual(skeleton, other_way, mirrored) == edge_residual(skeleton, slippery, field)
 
 
 def test_the_oscillation_term_by_hand():

@@ -56,6 +56,18 @@ def test_what_jumps_is_integrated_part_by_part() -> None:
     assert not integrals(HIDDEN, corners).is_certain
 
 
+def test_a_friction_bound_is_not_exceeded_where_it_is_low_between_samples() -> None:
+    """Samples of the edge from 0.5 to 1 are a 64th apart; its bound rises from 0.1 to 0.3 along a 500th."""
+    low = lambda x, y: 0.1 + 100 * (x - 0.703)  # noqa: E731
+    dip = lambda x, y: ca.if_else(x > 0.703, ca.if_else(x < 0.705, low(x, y), 1.0), 1.0)  # noqa: E731
+    problem = plate(obstacle=Obstacle("bottom", (0.0, 1.0), 0.1, friction=dip))
+    conditions = conditions_of(problem, on(problem))
+    middle = problem.mesh.p[0, problem.mesh.facets[:, conditions.contact]].mean(axis=0)
+    assert conditions.is_certain
+    for x, bound in ((0.25, 1.0), (0.75, 0.1), (1.25, 1.0)):
+        assert conditions.friction[:, np.isclose(middle, x)].ravel() == pytest.approx([bound, bound])
+
+
 @pytest.mark.parametrize(
     "changes",
     [

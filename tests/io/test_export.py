@@ -14,7 +14,7 @@ from rich.console import Console
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, cell_data, element_table, gaps, node_table, write_mesh, write_solution
-from rmesh_nlp.io.vtu import read_vtu
+from rmesh_nlp.io.vtu import fields_of, read_vtu
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -66,6 +66,21 @@ def test_frames_of_a_design_have_its_numbers(tmp_path):
     frames = [meshio.read(tmp_path / f"iterations-0000{k}.vtu").point_data["displacement"] for k in (0, 1)]
     np.testing.assert_allclose(frames[1][:, :2].T, expected, atol=1e-12)
     assert not np.allclose(*frames)
+
+
+def test_friction_bound_is_given_plus_coulomb_times_the_pressure_of_each_node() -> None:
+    problem = ContactProblem(
+        rectangle(6, 3, x=(0, 2)),
+        PlaneStrain(100.0, 80.0),
+        "left",
+        Obstacle("bottom", friction=0.5, coulomb=0.3),
+        tractions=(Traction("top", (0.5, -4.0)),),
+    )
+    fields = fields_of(fixed.solve(problem))
+    touched = fields.pressure[fields.contact]
+    assert np.ptp(touched) > 1
+    np.testing.assert_allclose(fields.friction_bound[fields.contact], 0.5 + 0.3 * touched, rtol=1e-12)
+    assert not np.any(fields.friction_bound[~fields.contact])
 
 
 def test_file_has_all_fields(solution, tmp_path):

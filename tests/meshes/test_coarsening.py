@@ -13,6 +13,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -121,6 +122,20 @@ def test_a_small_hole_stays_open(edges: int) -> None:
     assert coarse is not None
     found = coarse.mesh.facets[:, coarse.mesh.boundaries["hole"]]
     assert np.unique(found).size == found.shape[1] >= 3
+
+
+def test_a_hole_of_four_edges_keeps_them_all() -> None:
+    """Of its nodes every second one could go, and would leave a line there and back."""
+    grid = rectangle(12, 12, x=(-6, 6), y=(-6, 6))
+    p = grid.p + 0.5
+    outside = np.max(np.abs(p[:, grid.t].mean(axis=1)), axis=0) > 0.5
+    t = counter_clockwise(p, grid.t[:, outside])
+    mesh = MeshTri(p, t)
+    result = decimated(p, t, Lines(np.zeros(p.shape[1], dtype=bool), mesh.facets[:, mesh.boundary_facets()]))
+    rim = np.flatnonzero(np.isclose(np.max(np.abs(p), axis=0), 0.5))
+    assert rim.size == 4
+    assert np.unique(result.into).size < 0.5 * p.shape[1]
+    assert result.into[rim].tolist() == rim.tolist()
 
 
 def test_nodes_named_by_number_stay_and_are_renumbered() -> None:

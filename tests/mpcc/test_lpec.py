@@ -135,6 +135,17 @@ def test_point_outside_its_bounds_is_put_into_them():
     assert phase_one(run, np.array([-0.1, -0.2])).status is Status.CONVERGED
 
 
+@pytest.mark.parametrize(
+    ("least", "status"), [(0.0, Status.STALLED), (1e-9, Status.STALLED), (1e-3, Status.INFEASIBLE)]
+)
+def test_a_minimum_of_the_violation_within_the_tolerance_is_not_called_infeasible(least, status, monkeypatch):
+    """x^2 + y^2 + least <= 0 has its least violation at zero; the Newton steps onto the branch fail there."""
+    monkeypatch.setattr("rmesh_nlp.mpcc.phase_one.project", lambda *_: None)
+    run, end = end_of(MPCC(XY, x, x**2 + y**2 + least, x, y, ubg=0), [0, 0], only_violation=True)
+    assert run.options.feasibility > 1e-9
+    assert end.status is status
+
+
 @pytest.mark.parametrize("start", [[np.nan, 0.0], [np.inf, 0.0]])
 def test_point_that_is_not_finite_proves_nothing(start):
     run = run_of(MPCC(XY, x, x + y, x, y, lbg=1))

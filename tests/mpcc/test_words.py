@@ -40,6 +40,8 @@ def test_curvature_that_only_an_infeasible_direction_has_is_none():
     result = solve(MPCC(z[:2], SADDLE, None, z[0], -z[1]), 0.0)
     assert result.f == pytest.approx(0, abs=1e-8)
     assert result.success
+    bowls = (z[0] ** 2 + z[1] ** 2) / 10 - z[0] * z[1]  # convex on each branch, not along z0 = z1
+    assert solve(MPCC(z[:2], bowls, None, z[0], z[1]), 0.0).curvature == "not negative"
 
 
 def test_large_problems_say_that_curvature_was_not_tested():
@@ -125,6 +127,7 @@ def test_assembled_model_names_the_function_alone():
         ([0, 0, 7], "The largest residual, 2.0e+00, is in the bounds of x[2] (speed)."),
         ([0, 0, -7], "The largest residual, 6.0e+00, is in g[0], ((gap+speed)-1)."),
         ([-3, 0, 3], "The largest residual, 3.0e+00, is in pair 0, between gap and force."),
+        ([0, -3, 3], "The largest residual, 3.0e+00, is in pair 0, between gap and force."),
         ([0.5, 0.25, 0.5], "The largest residual, 2.5e-01, is in pair 0, between gap and force."),
         ([0, 1, 3], ""),
     ],

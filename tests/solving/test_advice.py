@@ -53,6 +53,13 @@ def test_the_error_is_known_where_energies_of_meshes_do_not_compare() -> None:
     assert advise(problem).error == pytest.approx(2 / (24 * 6**2), rel=0.05)
 
 
+def test_the_share_of_what_is_attainable_is_the_least_error_over_that_of_the_last_mesh() -> None:
+    row = solve(replace(EXAMPLES["6.1"](n=6), motion=Motion(None))).record()
+    initial, last = (row[name] - EXACT_ENERGY_61 for name in ("energy_initial_audited", "energy_audited"))
+    assert 0 < row["share_of_attainable"] < 0.9
+    assert row["attainable_factor"] * row["share_of_attainable"] == pytest.approx(initial / last, rel=1e-6)
+
+
 @pytest.mark.slow
 def test_advice_on_example_61_holds() -> None:
     problem = replace(EXAMPLES["6.1"](n=24), motion=Motion(None))
