@@ -26,7 +26,7 @@ from rmesh_nlp.mpcc.solver import solve
 VARIABLE = "rmesh_mpcc_options"
 _FLAGS = ("-AMPL", "-s", "-v", "-=")
 _WORDS = {"true": True, "yes": True, "false": False, "no": False, "none": None}
-_NOT_TEXT = ("rescues", "ipopt_relaxed", "ipopt_exact", "ipopt_warm")
+_NOT_TEXT = ("ipopt_relaxed", "ipopt_exact", "ipopt_warm")
 """Options that a word cannot say."""
 
 

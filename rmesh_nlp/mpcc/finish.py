@@ -24,7 +24,6 @@ from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
-_FAITHFUL = 1e-2
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 _REACH = 2.0  # first radius of the search for a feasible branch, in units of the largest min(G, H)
 _SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
@@ -57,25 +56,17 @@ class Finish:
         return self.solved, self.stationarity is not None, -self.f if np.isfinite(self.f) else -np.inf
 
 
-def finish(
-    run: Run,
-    z: Array,
-    *,
-    search: bool,
-    warm: NLPResult | None = None,
-    corner: float = 0.0,
-    ceiling: float = np.inf,
-) -> Finish:
+def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
-    From the multipliers ``warm`` of the lifted problem Newton's method is tried before the interior point, or
-    the interior point begins with them. ``search`` looks for another branch if the one next to the point is
-    infeasible. An exact point above ``ceiling`` is neither labelled nor improved: its status is WORSE.
+    From the multipliers ``warm`` of the lifted problem at ``z`` Newton's method is tried before the interior
+    point, or the interior point begins with them. ``search`` looks for another branch if the one next to the
+    point is infeasible.
     """
     zero = run.lifted.smaller(z)
     if warm is not None and run.options.newton_finish:
-        near = polished(run, z, warm, corner, ceiling)
-        if near is not None and _faithful(run, near, z):
+        near = polished(run, warm)
+        if near is not None:
             near = pivot(run, near)
             if near.solved:
                 return near
@@ -89,45 +80,20 @@ def finish(
         return Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
     if result.status is Status.UNBOUNDED:
         return Finish(result.x, result.f, Status.UNBOUNDED)
-    if result.f > ceiling:
-        return Finish(result.x, result.f, Status.WORSE)
     return pivot(run, _labelled(run, result.x, result.f, (result.lam_g, result.lam_x)))
 
 
-def polished(
-    run: Run, z: Array, warm: NLPResult, corner: float = 0.0, ceiling: float = np.inf
-) -> Finish | None:
+def polished(run: Run, warm: NLPResult) -> Finish | None:
     """The exact point next to a relaxed one by Newton's method, labelled; None if there is none.
 
-    Pairs with both members below ``corner`` are put into it if the branch itself gives no stationary point:
-    at a biactive pair that is not S-stationary the relaxed solution stays at the distance sqrt(t), and the
-    relaxations become ever harder to solve. Of large problems only this is tried, and members leave the
-    corner again where f falls along them. A point above ``ceiling`` is none.
+    Of large problems members leave the corner again where f falls along them, and nothing else is tried.
     """
-    zero, near = run.lifted.smaller(z), np.max(z[run.lifted.pairs], axis=0) <= corner
-    if run.lifted.source.n_pairs >= LARGE:
-        return _polished(run, z, warm, zero, ceiling, release=True)
-    end = _polished(run, z, warm, zero, ceiling)
-    if (end is not None and end.solved) or not np.any(near):
-        return end
-    inside = _polished(run, z, warm, zero | near, ceiling)
-    return end if inside is None or (end is not None and end.rank >= inside.rank) else inside
-
-
-def _polished(
-    run: Run, z: Array, warm: NLPResult, zero: BoolArray, ceiling: float, release: bool = False
-) -> Finish | None:
-    point = polish(run, z, zero, warm.lam_g, warm.lam_x, release=release)
-    if point is None or point.f > ceiling:
+    release = run.lifted.source.n_pairs >= LARGE
+    point = polish(run, warm.x, run.lifted.smaller(warm.x), warm.lam_g, warm.lam_x, release=release)
+    if point is None:
         return None
     run.record("polished", 0.0, point.z)
     return _labelled(run, point.z, point.f, (point.lam_rows, point.lam_z))
-
-
-def _faithful(run: Run, near: Finish, z: Array) -> bool:
-    """Whether Newton's method has not gone to another, worse branch than the relaxed point belongs to."""
-    f = run.objective(z)
-    return near.f - f <= _FAITHFUL * max(abs(near.f), abs(f)) + _FAITHFUL**2
 
 
 def _linearised(run: Run, z: Array) -> Linearisation:

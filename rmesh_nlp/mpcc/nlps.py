@@ -10,14 +10,14 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.mpcc.lifting import BoolArray, Lifted, lift, warm_start
+from rmesh_nlp.mpcc.lifting import BoolArray, Lifted, lift
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
-from rmesh_nlp.mpcc.result import Duals, Residuals, excess, residuals
+from rmesh_nlp.mpcc.result import Residuals, excess, residuals
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
@@ -56,18 +56,12 @@ class CompiledNLPs:
         self.options = options
         self.lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
-        self._relaxations: dict[str, tuple[NLP, Evaluator]] = {}
         self._solvers: dict[tuple[str | bool | int, ...], _AnySize] = {}
         self.build_seconds = watch.elapsed
 
     @cached_property
-    def _unlifted(self) -> NLP:
-        return unlifted_nlp(self.lifted.source, self.lifted.base)
-
-    def _relaxed(self, name: str) -> tuple[NLP, Evaluator]:
-        if name not in self._relaxations:
-            self._relaxations[name] = relaxed_nlp(self.lifted, name)
-        return self._relaxations[name]
+    def _relaxed(self) -> tuple[NLP, Evaluator]:
+        return relaxed_nlp(self.lifted, self.options.relaxation)
 
     def _solver(
         self, kind: tuple[str | bool, ...], nlp: NLP, options: dict[str, Any], watch: Watch
@@ -81,34 +75,19 @@ class CompiledNLPs:
         return self._solvers[key]
 
     def relaxed(
-        self, name: str, z: Array, p: Array, t: float, warm: NLPResult | None = None, *,
+        self, z: Array, p: Array, t: float, warm: NLPResult | None = None, *,
         first: bool = False, dependent: bool = False, watch: Watch = UNWATCHED,
     ) -> NLPResult:  # fmt: skip
-        """Solve the relaxation ``name`` at ``t`` from ``z``, and from the multipliers of ``warm``.
+        """Solve the relaxation at ``t`` from ``z``, and from the multipliers of ``warm``.
 
         ``first`` says that ``z`` is a user's start and not another relaxed solution, ``dependent``
         that equations may follow from each other.
         """
-        nlp, _ = self._relaxed(name)
+        nlp, _ = self._relaxed
         first = first and warm is None
         options = self.options.relaxed(nlp.n_x, warm is not None, first, dependent)
-        solver = self._solver((name, warm is not None, first, dependent), nlp, options, watch)
+        solver = self._solver((warm is not None, first, dependent), nlp, options, watch)
         return solver(z, watch.monitor, p=np.append(p, t), **_multipliers(warm))
-
-    def unlifted(self, x: Array, p: Array, t: float, *, watch: Watch = UNWATCHED) -> NLPResult:
-        """Solve Scholtes' relaxation in the unknowns of the source problem, by Ipopt's default settings.
-
-        The point and the multipliers are given as those of the lifted NLP.
-        """
-        source, lifted = self.lifted.source, self.lifted
-        solver = self._solver(("unlifted",), self._unlifted, self.options.unlifted(source.n_x), watch)
-        result = solver(x, watch.monitor, p=np.append(p, t))
-        ends = np.cumsum([source.n_g, source.n_pairs, source.n_pairs])
-        g, G, H, products = np.split(result.lam_g, ends)
-        _, G_value, H_value, _ = np.split(result.g, ends)
-        duals = Duals(result.lam_x, g, G + products * H_value, H + products * G_value)
-        warm = warm_start(lifted, lifted.start(result.x, p[:-1]), 1.0, duals)
-        return replace(result, x=warm.x, lam_x=warm.lam_x, lam_g=warm.lam_g, g=warm.g)
 
     def branch(
         self,
@@ -139,18 +118,18 @@ class CompiledNLPs:
             np.clip(z, lower, upper), watch.monitor, p=p, lbx=lower, ubx=upper, **_multipliers(warm)
         )
 
-    def without_relaxation(self, name: str, result: NLPResult, t: float) -> NLPResult:
+    def without_relaxation(self, result: NLPResult, t: float) -> NLPResult:
         """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
         lifted, n_rows = self.lifted, self.lifted.nlp.n_g
-        _, pull = self._relaxed(name)
+        _, pull = self._relaxed
         lam = result.lam_x.copy()
         np.add.at(lam, lifted.pairs, np.array(pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])))
         return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
 
-    def padded(self, name: str, result: NLPResult) -> NLPResult:
-        """Multipliers of the lifted NLP as a start of a relaxation: its own rows get zero."""
+    def padded(self, result: NLPResult) -> NLPResult:
+        """Multipliers of the lifted NLP as a start of the relaxation: its own rows get zero."""
         n_rows = self.lifted.nlp.n_g
-        extra = self._relaxed(name)[0].n_g - n_rows
+        extra = self._relaxed[0].n_g - n_rows
         return replace(result, lam_g=np.append(result.lam_g[:n_rows], np.zeros(extra)))
 
     def measure(self, z: Array, p: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
@@ -211,42 +190,6 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))
     forces = [ca.densify(ca.gradient(total, member)) for member in (a, b)]
     return nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces))
-
-
-def unlifted_nlp(mpcc: MPCC, base: Derivatives) -> NLP:
-    """Scholtes' relaxation as one writes it first: rows ``g``, ``G >= 0``, ``H >= 0``, ``G H <= t``.
-
-    The last parameters are the weight of the objective and t. Derivatives are composed of those of the
-    source: symbolic ones of the products take CasADi long where pairs are dense.
-    """
-    n, n_g, n_p = mpcc.n_pairs, mpcc.n_g, mpcc.p.shape[0]
-    x, parameters = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", n_p + 2)
-    p, w, t = ca.vertsplit(parameters, [0, n_p, n_p + 1, n_p + 2])
-    ends = [0, n_g, n_g + n, n_g + 2 * n]
-    f, gradient = (w * ca.densify(part) for part in base.grad_f(x, p))
-    rows, jacobian = base.jac_g(x, p)
-    _, G, H = ca.vertsplit(ca.densify(rows), ends)
-    _, J_G, J_H = ca.vertsplit(jacobian, ends)
-    g = ca.vertcat(ca.densify(rows), G * H - t)
-    product_rows = ca.mtimes(ca.diag(H), J_G) + ca.mtimes(ca.diag(G), J_H)
-    hess_lag = None
-    if base.hess_lag is not None:
-        lam_f, lam = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g + 3 * n)
-        lam_g, lam_G, lam_H, products = ca.vertsplit(lam, [*ends, n_g + 3 * n])
-        each = base.hess_lag(x, p, w * lam_f, ca.vertcat(lam_g, lam_G + products * H, lam_H + products * G))
-        mixed = ca.mtimes(J_G.T, ca.mtimes(ca.diag(products), J_H))
-        hess_lag = ca.Function("nlp_hess_l", [x, parameters, lam_f, lam], [each + ca.triu(mixed + mixed.T)])
-    return NLP(
-        x=x, p=parameters, f=f, g=g, lbx=np.asarray(mpcc.lbx), ubx=np.asarray(mpcc.ubx),
-        lbg=np.concatenate([mpcc.lbg, np.zeros(2 * n), np.full(n, -np.inf)]),
-        ubg=np.concatenate([mpcc.ubg, np.full(2 * n, np.inf), np.zeros(n)]),
-        derivatives=Derivatives(
-            grad_f=ca.Function("nlp_grad_f", [x, parameters], [f, gradient]),
-            jac_g=ca.Function("nlp_jac_g", [x, parameters], [g, ca.vertcat(jacobian, product_rows)]),
-            hess_lag=hess_lag,
-            kernels=base.kernels,
-        ),
-    )  # fmt: skip
 
 
 class _AnySize:

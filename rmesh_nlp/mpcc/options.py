@@ -9,14 +9,13 @@ from typing import Any
 
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.budget import Budget, Limits
-from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings, check_positive
+from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 _ADAPTIVE = {"mu_strategy": "adaptive", "mu_oracle": "quality-function"}
 _RELAXED = {"tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
 _FIRST = {"mu_strategy": "monotone", "mu_init": 0.1}
 _WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-6 for push in _PUSHES}}
-_UNLIFTED = {"tol": 1e-4, "bound_relax_factor": 1e-8}
 _EXACT = {
     "tol": 1e-10, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
     # the start is the relaxed solution: do not push it back into the interior
@@ -41,11 +40,9 @@ class Options(Settings):
     t0, factor, t_final : float
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``. With ``LARGE`` pairs
         it starts lower if the members at the start are small.
-    rescues : tuple of (str, float)
-        Further homotopies, relaxation and t0 of each, tried in turn while no stationary point is found. They
-        reckon with equations that follow from each other. Phase I comes after them.
     moves : int
-        Last rescues, below ``LARGE`` pairs: the homotopy from so many moved starts.
+        Where neither the homotopy nor phase I finds a stationary point, below ``LARGE`` pairs: homotopies
+        from so many moved starts, that reckon with equations that follow from each other.
     starts, seed : int
         The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it
         has the objective of a former one at the same t. Limits hold for all starts together.
@@ -59,9 +56,6 @@ class Options(Settings):
         Ipopt on the branch, from these multipliers and with a small barrier, and if that fails from the
         relaxed point alone; better where many bounds are weakly active, or where a factorisation of the
         whole KKT matrix is expensive.
-    second_path : bool
-        Follow a second trajectory to ``crossover``, in the unknowns as they were given, and keep the lower
-        end of the two. Needs expressions: with assembled derivatives there is none, nor with ``LARGE`` pairs.
     time_limit_s : float
         Wall time, the build included, after which the best point so far is returned, with status
         ``time_limit``. Nothing else depends on the clock.
@@ -90,18 +84,12 @@ class Options(Settings):
     t0: Positive = 1.0
     factor: Part = 0.1
     t_final: Positive = 1e-8
-    rescues: tuple[tuple[str, float], ...] = (
-        ("steffensen-ulbrich", 1.0),
-        ("scholtes", 1e-3),
-        ("l1-penalty", 1.0),
-    )
     moves: Limit = 6
     starts: Count = 1
     seed: Limit = 0
     crossover: Positive = 1e-2
     warm_duals: bool = False
     newton_finish: bool = True
-    second_path: bool = True
     time_limit_s: Seconds = math.inf
     max_iterations: Count | None = None
     feasibility: Positive = 1e-8
@@ -116,7 +104,6 @@ class Options(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        check_positive(**{f"t0 of rescue {name}": t for name, t in self.rescues})
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 
@@ -127,22 +114,17 @@ class Options(Settings):
     def relaxed(self, n: int, warm: bool, first: bool = False, dependent: bool = False) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
-        ``dependent`` reckons with equations that follow from each other; that costs iterations.
-
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
+        ``dependent`` reckons with equations that follow from each other; that costs iterations.
         """
         own = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **(_FIRST if first else {})}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 
-    def unlifted(self, n: int) -> dict[str, Any]:
-        """Ipopt options of the second trajectory of ``n`` unknowns: its defaults."""
-        return {"max_iter": _iterations(n), **_UNLIFTED}
-
     def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        own = {"max_iter": _iterations(n), **_EXACT, **(_WARM_EXACT if warm else {})}
+        own = {"max_iter": _iterations(n) // 3, **_EXACT, **(_WARM_EXACT if warm else {})}
         return {**own, **self.ipopt_exact}
 
 

@@ -132,7 +132,7 @@ def result_of(
             status = Status.NO_MINIMUM
     phases = {"homotopy": 0.0, "finish": 0.0}
     for step in run.steps:
-        phases["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
+        phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
     where = ""
     if status is Status.EVALUATION_ERROR:
         where = where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])

@@ -30,9 +30,7 @@ _STEPS, _STEPS_OF_LARGE = 12, 40
 # than half as many as some steps before. A smaller t costs less.
 _SHARE_OF_PAIRS, _SLOW = 2e-3, 4
 _REACH = 1.0  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
-# Added to the Hessian: small, so that flat objectives end sharp, then larger, for directions without
-# curvature in which rounding of the gradient would be a long step.
-_PROXIMAL = (1e-10, 1e-7)
+_PROXIMAL = 1e-10  # added to the Hessian: small, so that flat objectives end sharp
 _DUAL = 1e-9  # subtracted in the block of the rows, which may be dependent
 _STILL = 1e-8  # change of f, relative to 1 + |f|, of a last step that was not quadratic any more
 _SHARP = 1e-3  # where Newton steps end, in units of what is accepted
@@ -152,24 +150,13 @@ def polish(
 ) -> Polished | None:
     """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``.
 
-    ``release`` lets members leave zero where both of a pair are there and f falls along them. It is tried
-    with the least regularisation only.
+    ``release`` lets members leave zero where both of a pair are there and f falls along them.
     """
-    if run.lifted.hessian is None:
+    lifted = run.lifted
+    if lifted.hessian is None:
         return None
-    proximals = _PROXIMAL[:1] if release else _PROXIMAL
-    points = (
-        _newton(run, z, _Branch(run.lifted, zero), lam_rows, lam_z, proximal, release)
-        for proximal in proximals
-    )
-    return next((point for point in points if point is not None), None)
-
-
-def _newton(
-    run: Run, z: Array, branch: _Branch, lam_rows: Array, lam_z: Array, proximal: float,
-    release: bool,
-) -> Polished | None:  # fmt: skip
-    lifted, n_rows, origin = run.lifted, branch.n_rows, z
+    branch, origin = _Branch(lifted, zero), z
+    n_rows = branch.n_rows
     f, gradient, rows, jacobian = lifted.linearise(z, run.p)
     unit = max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
     tolerance = _SHARE * run.options.stationarity * unit
@@ -181,7 +168,7 @@ def _newton(
         run.budget.check()
         hessian = lifted.curvature(z, run.p, lam_rows)
         slope = gradient + jacobian.T @ lam_rows
-        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, proximal, run.budget)
+        step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, _PROXIMAL, run.budget)
         if step is None or not (release or _is_near(z + step[0], origin)):
             return None
         before, z, lam_rows = f, z + step[0], lam_rows + step[1]

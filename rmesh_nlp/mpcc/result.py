@@ -21,7 +21,7 @@ class Measured:
     Attributes
     ----------
     phase : str
-        ``relaxed`` (a relaxation solved at ``t``), ``second`` (one of the second trajectory), ``branch``
+        ``relaxed`` (a relaxation solved at ``t``), ``branch``
         (each pair fixed on one side), ``signs`` (a branch with free signs) or ``polished`` (Newton steps or a
         projection onto the branch, no NLP).
     t : float

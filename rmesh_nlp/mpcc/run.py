@@ -57,24 +57,11 @@ class Run:
             progress(Step.HEADER)
 
     def relaxed(
-        self,
-        name: str,
-        z: Array,
-        t: float,
-        warm: NLPResult | None = None,
-        *,
-        first: bool,
-        dependent: bool = False,
+        self, z: Array, t: float, warm: NLPResult | None = None, *, first: bool, dependent: bool = False
     ) -> NLPResult:
-        """Solve the relaxation ``name`` at ``t``, see :meth:`CompiledNLPs.relaxed`."""
-        parts = (name, z, self.p, t, warm)
-        return self.solve(
-            "relaxed", t, lambda w: self.nlps.relaxed(*parts, first=first, dependent=dependent, watch=w)
-        )
-
-    def unlifted(self, x: Array, t: float) -> NLPResult:
-        """Solve Scholtes' relaxation in the source problem's own unknowns; the result is a lifted one."""
-        return self.solve("second", t, lambda w: self.nlps.unlifted(x, self.p, t, watch=w))
+        """Solve the relaxation at ``t``, see :meth:`CompiledNLPs.relaxed`."""
+        how = {"first": first, "dependent": dependent}
+        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(z, self.p, t, warm, **how, watch=w))
 
     def branch(
         self,

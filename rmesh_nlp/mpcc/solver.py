@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish, polished
-from rmesh_nlp.mpcc.homotopy import Path, first_t, follow, second_path
+from rmesh_nlp.mpcc.homotopy import Path, first_t, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.options import LARGE, Options
+from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.outcome import end_of, is_infeasible, leave_saddles, result_of
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.rescues import rescue
@@ -22,7 +22,6 @@ from rmesh_nlp.mpcc.run import Progress, Run, Watchers
 from rmesh_nlp.mpcc.starts import MultiStart, moved_starts
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.solver import NLPResult
-from rmesh_nlp.optimize.status import Status
 
 
 class MPCCSolver:
@@ -101,15 +100,10 @@ class MPCCSolver:
         limit, rescues, infeasible, curvature = None, 0, False, "not tested"
         try:
             if first is not None and is_first:
-                paths.append(Path(finish=polished(run, z0, first)))
+                paths.append(Path(finish=polished(run, first)))
             if not any(path.ended for path in paths):
                 paths.append(main)
-                t0 = first_t(run, z0)
-                follow(run, main, self.options.relaxation, z0, t0, first if is_first else None, former=former)
-                used = watch.elapsed + nlps.build_seconds
-                if is_first and self._looks_twice(main) and run.budget.remaining > used:
-                    paths.append(Path())
-                    second_path(run, paths[-1], given, main)
+                follow(run, main, z0, first_t(run, z0), first if is_first else None, former)
             if is_first:
                 rescues = rescue(run, paths, given, z0)
             if main.joined is None:
@@ -136,13 +130,6 @@ class MPCCSolver:
             limit = stop.status
         end = end_of(run, [path], z0, limit)
         return result_of(run, end, self.nlps.build_seconds - built, watch.elapsed, 0)
-
-    def _looks_twice(self, path: Path) -> bool:
-        """Whether another trajectory may end lower, and can be had."""
-        unbounded = path.finish is not None and path.finish.status is Status.UNBOUNDED
-        has_expressions = self.mpcc.derivatives is None
-        is_short = 0 < self.mpcc.n_pairs < LARGE
-        return self.options.second_path and has_expressions and is_short and not unbounded
 
 
 def solve(

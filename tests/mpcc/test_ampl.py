@@ -166,10 +166,10 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
     monkeypatch.setattr(
         ampl, "solve", lambda *names, **more: given.append(more["options"]) or solve(*names, **more)
     )
-    called(stub(), "time_limit_s=50", "second_path=no", "ipopt.tol=1e-9")
+    called(stub(), "time_limit_s=50", "newton_finish=no", "ipopt.tol=1e-9")
     (options,) = given
     assert (options.t0, options.relaxation) == (0.5, "l1-penalty")
-    assert (options.time_limit_s, options.second_path) == (50, False)
+    assert (options.time_limit_s, options.newton_finish) == (50, False)
     assert options.ipopt_relaxed == options.ipopt_exact == {"tol": 1e-9}
 
 
@@ -181,7 +181,7 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
         (["absent", "-AMPL"], "absent.nl"),
         (["x", "-AMPL", "tt0=1"], "unknown option 'tt0'"),
         (["x", "-AMPL", "t0=small"], "t0 must be positive and finite, got 'small'"),
-        (["x", "-AMPL", "rescues=1"], "unknown option 'rescues'"),
+        (["x", "-AMPL", "ipopt_warm=1"], "unknown option 'ipopt_warm'"),
         (["x", "-AMPL", "outlev=loud"], "outlev must be 0 .* got 'loud'"),
         (["x", "-AMPL", "tol=1e-9"], r"unknown option 'tol'.* ipopt\.tol for Ipopt's"),
         (["x", "-AMPL", "-q"], "unknown flag '-q'"),

@@ -6,7 +6,7 @@ import pytest
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, Options, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
-from rmesh_nlp.mpcc.nlps import CompiledNLPs, relaxed_nlp, unlifted_nlp
+from rmesh_nlp.mpcc.nlps import CompiledNLPs, relaxed_nlp
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
 from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
@@ -126,9 +126,9 @@ def test_kanzow_schwartz_below_the_corner_and_the_penalty_by_hand():
 @pytest.mark.parametrize("name", RELAXATIONS)
 def test_solution_of_max_x_on_the_diagonal_is_the_corner(name):
     """-x + x y / sqrt(t) on x = y has its minimum at sqrt(t) / 2."""
-    nlps = CompiledNLPs(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), Options())
+    nlps = CompiledNLPs(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), Options(relaxation=name))
     for t in (1.0, 1e-2, 1e-4):
-        result = nlps.relaxed(name, np.array([0.1, 0.1]) * np.sqrt(t), np.ones(1), t)
+        result = nlps.relaxed(np.array([0.1, 0.1]) * np.sqrt(t), np.ones(1), t)
         expected = np.sqrt(t) * (0.5 if name == "l1-penalty" else 1.0)
         assert result.x == pytest.approx([expected] * 2, rel=1e-4)
 
@@ -156,13 +156,10 @@ def assert_derivatives_are_casadis(nlp, seed):
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-@pytest.mark.parametrize("name", [None, "unlifted", *RELAXATIONS])
+@pytest.mark.parametrize("name", [None, *RELAXATIONS])
 def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
     lifted = lift(nonlinear(kind))
-    if name is None:
-        nlp = lifted.nlp
-    else:
-        nlp = unlifted_nlp(lifted.source, lifted.base) if name == "unlifted" else relaxed_nlp(lifted, name)[0]
+    nlp = lifted.nlp if name is None else relaxed_nlp(lifted, name)[0]
     assert_derivatives_are_casadis(nlp, 3)
 
 
@@ -237,18 +234,6 @@ def test_branch_fixes_one_member_of_each_pair():
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
     assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
     assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
-
-
-def test_unlifted_solution_is_that_of_the_lifted_relaxation_with_its_multipliers():
-    own = compiled(MPCC(XYW, (x - 1) ** 2 + (y - 2) ** 2 + w**2, x + w, x, y + w, lbg=0.25))
-    weighted, t = np.array([2.0]), 0.05
-    start = np.array([0.05, 1.8, 0.1])
-    plain = own.unlifted(start, weighted, t)
-    lifted = own.relaxed("scholtes", own.lifted.start(start, np.zeros(0)), weighted, t)
-    assert plain.x == pytest.approx(lifted.x, abs=1e-3)
-    _, gradient, _, jacobian = own.lifted.linearise(plain.x, weighted)
-    assert gradient + jacobian.T @ plain.lam_g + plain.lam_x == pytest.approx(np.zeros(4), abs=1e-3)
-    assert plain.lam_g[0] < -0.1  # x + w >= 1/4 is active
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])

@@ -11,7 +11,6 @@ from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.stationarity import Stationarity
-from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 
@@ -112,7 +111,7 @@ def test_without_an_exact_end_the_nearest_point_has_the_reason(failures, excess,
     assert chosen(Path(failure=S.STALLED)).z is START  # before any NLP has ended
 
 
-HELPLESS = {"ipopt_relaxed": {"max_iter": 1}, "ipopt_exact": {"max_iter": 0}, "second_path": False}
+HELPLESS = {"ipopt_relaxed": {"max_iter": 1}, "ipopt_exact": {"max_iter": 0}}
 """Options with which no NLP ends at a solution."""
 
 
@@ -120,27 +119,19 @@ def relaxed_ts(result):
     return [step.t for step in result.history if step.phase == "relaxed"]
 
 
-def test_other_relaxations_then_phase_one_and_then_moved_starts_are_tried_once():
-    others = (("l1-penalty", 1.0), ("scholtes", 1.0), ("scholtes", 1e-3))
-    result = solve(two_minima(), [0.5, 0.6], rescues=others, moves=2, **HELPLESS)
+def test_phase_one_and_then_moved_starts_are_tried_once():
+    result = solve(two_minima(), [0.5, 0.6], moves=2, **HELPLESS)
     assert not result.success
-    assert relaxed_ts(result) == [1.0, 1.0, 1e-3, 1.0, 1.0]  # scholtes from 1 is the asked one
-    assert result.counts["rescues"] == 2 + 1 + 2
+    assert relaxed_ts(result) == [1.0, 1.0, 1.0]
+    assert result.counts["rescues"] == 1 + 2
+    assert solve(two_minima(), [0.5, 0.6]).counts["rescues"] == 0
 
 
-def test_what_was_empty_is_not_tried_from_a_smaller_t():
+def test_from_a_minimum_of_the_violation_on_no_relaxation_is_solved():
     empty = MPCC(XY, x + y, x**2 + y**2, x, y, ubg=-1)
-    result = solve(empty, 1.0, rescues=(("scholtes", 1e-3), ("l1-penalty", 1.0)), moves=2)
-    assert (result.status, set(relaxed_ts(result))) == (S.INFEASIBLE, {1.0})
-    assert result.counts["rescues"] == 1 + 1 + 2
-
-
-def test_stationary_end_needs_no_rescue_and_a_second_path_as_much_time_as_is_spent(monkeypatch):
-    result = solve(two_minima(), [0.5, 0.6])
-    assert (result.success, result.counts["rescues"]) == (True, 0)
-    assert "second" in result.columns()["phase"]
-    monkeypatch.setattr(Budget, "remaining", property(lambda _: 1e-6))
-    assert "second" not in solve(two_minima(), [0.5, 0.6]).columns()["phase"]
+    result = solve(empty, 1.0, moves=2)
+    assert (result.status, relaxed_ts(result)) == (S.INFEASIBLE, [1.0])
+    assert result.counts["rescues"] == 1 + 2
 
 
 def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
@@ -155,7 +146,7 @@ def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
 
 def test_without_a_label_there_are_no_multipliers():
     mpcc = MPCC(XY, x + y, XY, x, y, lbg=0.5)
-    result = solve(mpcc, [1.0, 1.0], t0=1e-4, rescues=())
+    result = solve(mpcc, [1.0, 1.0], t0=1e-4, moves=0)
     assert (result.success, result.stationarity, result.b_stationary) == (False, "", None)
     for values in (result.lam_x, result.lam_g, result.lam_G, result.lam_H):
         assert values.size
@@ -167,7 +158,7 @@ def test_seconds_are_those_of_the_steps_by_phase():
     result = solve(two_minima(), [0.5, 0.6])
     spent = {"homotopy": 0.0, "finish": 0.0}
     for step in result.history:
-        spent["homotopy" if step.phase in ("relaxed", "second") else "finish"] += step.seconds
+        spent["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
     assert spent["homotopy"] > 0
     assert {name: result.seconds[name] for name in spent} == pytest.approx(spent)
     assert sum(spent.values()) < result.seconds["total"] < 60

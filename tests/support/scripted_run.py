@@ -99,7 +99,7 @@ class ScriptedRun(Run):
         """t of each relaxation."""
         return [call.t for call in self.calls]
 
-    def relaxed(self, name, z, t, warm=None, *, first=False, dependent=False):  # type: ignore[no-untyped-def]
+    def relaxed(self, z, t, warm=None, *, first=False, dependent=False):  # type: ignore[no-untyped-def]
         assert self.relaxations is not None
         self.calls.append(Call(z, t, warm))
         answer = self.relaxations(self.calls[-1])
