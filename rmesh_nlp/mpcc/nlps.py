@@ -150,7 +150,8 @@ class CompiledNLPs:
         _, nonzeros = lifted.jacobian(z, p)
         row_of, column_of = lifted.pattern
         scale = np.ones(source.n_g + 2 * source.n_pairs)
-        np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
+        with np.errstate(invalid="ignore"):  # what is not finite is infinitely far away, below
+            np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
         f, rows = lifted.source_values(x, p[:-1])
         lower = np.append(source.lbg, np.zeros(2 * source.n_pairs))
         upper = np.append(source.ubg, np.full(2 * source.n_pairs, np.inf))

@@ -26,7 +26,7 @@ _WARM_EXACT = {
 }  # fmt: skip
 _DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
 LARGE = 1000
-"""Pairs from which on an NLP is long: then the search is for one good minimum, not for the better of two."""
+"""Pairs from which on an NLP is long."""
 
 
 @dataclass(frozen=True)

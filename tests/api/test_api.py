@@ -192,8 +192,15 @@ def test_type_checkers_see_what_python_sees() -> None:
         assert getattr(rm, name) is value, name
 
 
-def test_nothing_heavy_is_loaded_before_it_is_used() -> None:
-    code = "import sys, rmesh_nlp; dir(rmesh_nlp); print({'casadi', 'numpy', 'rich'} & {*sys.modules})"
+@pytest.mark.parametrize(
+    ("name", "heavy"),
+    [
+        ("rmesh_nlp", {"casadi", "numpy", "rich"}),
+        ("rmesh_nlp.mpcc", {"skfem", "meshio", "pandas", "matplotlib", "jinja2", "pydantic", "typer"}),
+    ],
+)
+def test_nothing_heavy_is_loaded_before_it_is_used(name, heavy) -> None:
+    code = f"import sys, {name}; dir({name}); print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
 
