@@ -9,7 +9,7 @@ slide: so the derivative is looked at with all nodes sliding, one way and the ot
 
 That is no proof: patterns that slide by turns one way and the other have a derivative up to four times as
 large. A bound over all patterns by norms holds for F below 0.2 on 12 x 6 squares and 0.09 on 48 x 24 (Example
-6.3), where the least F with two solutions that was found on small meshes is 4.
+6.3), where the least F with several solutions that was found on small meshes is 3.
 """
 
 from __future__ import annotations

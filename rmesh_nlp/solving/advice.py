@@ -37,7 +37,8 @@ SLOWEST, FASTEST = 1.7, 16.0
 
 AGREE = (0.9, 2.5)
 """Range of the least error by the refined mesh over that by the given one. On random problems of 12 to 30
-nodes (seeds 90000 to 90015) all factors that were 3 to 15 times too large are outside."""
+nodes (seeds 90000 to 90015) all factors that were 3 to 15 times too large are outside. Of 40 others (91000 to
+91039) it leaves 21: 17 are right within a factor of two, two are 4 and 7 times too large."""
 
 UNKNOWN = "not known: this mesh is too coarse for a prediction"
 
