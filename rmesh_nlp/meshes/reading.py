@@ -214,7 +214,7 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
     """Named edges ("line"), as pairs of nodes, and named triangles by their numbers."""
     parts: dict[str, dict[str, list[NDArray]]] = {kind: {} for kind in GROUPS}
     names = {(int(i), int(dim)): name for name, (i, dim) in (file.field_data or {}).items()}
-    offset = 0
+    offset, tagged = 0, set()
     for position, block in enumerate(file.cells):
         if block.type not in GROUPS:
             continue
@@ -226,9 +226,10 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
             for tag in np.unique(tags[tags > 0]).astype(int):
                 name = names.get((tag, dimension), f"{title}-{tag}")
                 part.setdefault(name, []).append(cells[tags == tag])
+                tagged.add(name)
         for name, chosen in (file.cell_sets or {}).items():
             # gmsh's own sets repeat its physical groups; the others are none of the user's
-            if str(name).startswith("gmsh:") or name in part:
+            if str(name).startswith("gmsh:") or name in tagged:
                 continue
             members = _members(name, chosen, position)
             if members.size:

@@ -168,3 +168,20 @@ def test_joint_beats_the_published_energy_of_a_stretched_plate_with_valid_elemen
     # no body force, so no quadrature: the audited energy is the same number
     assert solution.energy_audited == pytest.approx(solution.energy, rel=1e-12)
     assert solution.assessment.final.min_area_ratio >= 0.01
+
+
+def test_a_set_of_several_blocks_is_read_whole(tmp_path) -> None:
+    """gmsh writes a block for each curve to .inp, and a set for the group of them."""
+    nodes = "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 1, 1, 0\n4, 0, 1, 0\n"
+    edges = "".join(f"*ELEMENT, type=T3D2, ELSET=Line{k}\n{k}, {k}, {k + 1}\n" for k in (1, 2, 3))
+    faces = "".join(
+        f"*ELEMENT, type=CPS3, ELSET=Surface{k}\n{k}, {corners}\n"
+        for k, corners in ((4, "1, 2, 3"), (5, "1, 3, 4"))
+    )
+    path = tmp_path / "a.inp"
+    path.write_text(
+        f"{nodes}{edges}{faces}*ELSET, ELSET=held\n1, 3\n*ELSET, ELSET=body\n4, 5\n", encoding="utf-8"
+    )
+    mesh = read_mesh(path)
+    assert mesh.facets[:, mesh.boundaries["held"]].T.tolist() == [[0, 1], [2, 3]]
+    assert mesh.subdomains["body"].tolist() == [0, 1]
