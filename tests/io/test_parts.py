@@ -1,0 +1,26 @@
+"""The parts of the page for analysts: what their contact carries."""
+
+from pathlib import Path
+
+import pytest
+
+import rmesh_nlp as rm
+
+PARTS = Path(__file__).parents[2] / "docs" / "parts"
+
+
+@pytest.mark.parametrize(
+    ("name", "forces"),
+    [
+        ("bracket", {"bottom": 148.0}),
+        ("dam", {"base": 90.82e6}),
+        ("o_ring", {"lower": 0.58, "upper": 0.58}),
+        ("roller", {"arc": 40.0}),  # the load on its top
+    ],
+)
+def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) -> None:
+    """Of a page's figures, at order 2, those at order 1 are within 2 %."""
+    contact = rm.solve(rm.read_problem(PARTS / f"{name}.toml"), "fixed").record()["contact"]
+    assert {boundary: contact[boundary]["normal_force"]["given"] for boundary in contact} == pytest.approx(
+        forces, rel=0.02
+    )
