@@ -9,7 +9,7 @@ import signal
 import threading
 import warnings
 import xml.etree.ElementTree
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as TimedOutError
 from pathlib import Path
@@ -159,8 +159,9 @@ PLAIN_CELLS = ("triangle", "line", "vertex")
 def read_mesh(path: str | Path) -> MeshTri:
     """A mesh from any file that meshio reads.
 
-    Physical groups of gmsh, sets of cells and reference numbers become names; a group without
-    a name is called ``boundary-<number>`` or ``subdomain-<number>``.
+    Physical groups of gmsh, sets of cells and reference numbers become names; a set of nodes (``*NSET``)
+    names the outer edges between them. A group without a name is called ``boundary-<number>`` or
+    ``subdomain-<number>``.
 
     Raises
     ------
@@ -198,7 +199,17 @@ def _mesh(file: meshio.Mesh) -> MeshTri:
         raise ValueError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
     groups = _groups(file)
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
-    return from_arrays(points[:, :2], triangles, groups["line"], groups["triangle"])
+    between = _outer_edges(triangles, file.point_sets or {})
+    return from_arrays(points[:, :2], triangles, between | groups["line"], groups["triangle"])
+
+
+def _outer_edges(triangles: NDArray, sets: Mapping[str, Any]) -> dict[str, NDArray]:
+    """The outer edges between the nodes of each set, as pairs of nodes; sets without any are left out."""
+    edges = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    outer = edges[counts == 1]
+    named = {name: outer[np.all(np.isin(outer, nodes), axis=1)] for name, nodes in sets.items()}
+    return {name: edges for name, edges in named.items() if len(edges)}
 
 
 HINT_OF_GMSH = (

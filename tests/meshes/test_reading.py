@@ -185,3 +185,16 @@ def test_a_set_of_several_blocks_is_read_whole(tmp_path) -> None:
     mesh = read_mesh(path)
     assert mesh.facets[:, mesh.boundaries["held"]].T.tolist() == [[0, 1], [2, 3]]
     assert mesh.subdomains["body"].tolist() == [0, 1]
+
+
+def test_a_set_of_nodes_is_the_boundary_of_the_outer_edges_between_them(tmp_path) -> None:
+    """The diagonal from node 1 to node 3 is inside; one node makes no edge."""
+    path = tmp_path / "a.inp"
+    path.write_text(
+        "*NODE\n1, 0, 0, 0\n2, 1, 0, 0\n3, 1, 1, 0\n4, 0, 1, 0\n*ELEMENT, TYPE=CPS3, ELSET=BODY\n"
+        "1, 1, 2, 3\n2, 1, 3, 4\n*NSET, NSET=CORNER\n1, 2, 3\n*NSET, NSET=ONE\n4\n",
+        encoding="utf-8",
+    )
+    mesh = read_mesh(path)
+    assert {*mesh.boundaries} == {"CORNER"}
+    assert sorted(mesh.facets[:, mesh.boundaries["CORNER"]].T.tolist()) == [[0, 1], [1, 2]]
