@@ -16,14 +16,12 @@ from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.alternating import alternated
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
 from rmesh_nlp.models.outer_solvers import RISE
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.units import Seen, Units
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Positive
 from rmesh_nlp.solving.formulation import Formulation
@@ -42,11 +40,6 @@ ACCEPTABLE, AREAS = 1e-7, 1e-2
 """Ipopt's tolerance where rounding stops it before ``tol``, and how much finer both are with areas.
 
 Without it Example 6.3 with 20 x 10 squares and a weighted quality ends a hundred times less stationary."""
-
-FINE, ALTERNATING = 3000, 0.3
-"""Number of outer variables from which on the start is given alternating displacements of nodes
-(:mod:`rmesh_nlp.models.alternating`), and their length in move limits. The end is then lower by 0.1 to 0.7 %
-of the gain (6.1 with 32 to 128 squares a side); on coarser meshes they change nothing but the start."""
 
 STEPS = 10
 """Most Newton steps from there. Three random problems (seeds 3039, 3133 and 3277) take five, two and two."""
@@ -138,7 +131,7 @@ class Joint(Formulation):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         track, first = monitor.track(outer), outer.energy(q).value
-        result = self.minimised(outer, q, track)
+        program, result = self.minimised(outer, q, track)
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.check()
         # it may leave the move limits by 2e-12
@@ -152,29 +145,26 @@ class Joint(Formulation):
         last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
         if last is not end:
             return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
-        return Outcome(outer, end, status, own=_own(outer, end, result))
+        return Outcome(outer, end, status, own=_own(outer, end, program, result))
 
-    def minimised(self, outer: Outer, q: Array, track: Track) -> NLPResult:
-        """The energy NLP from outer variables ``q`` and the contact solution there."""
-        contact, program = outer.energy(q), outer.relocation
-        distorted = program.objective.has_barrier
-        areas = program.n_valid > 0 or distorted
-        if not areas and outer.n >= FINE:
-            q = alternated(program, q, contact.gradient, ALTERNATING, outer.is_valid)
-            unit = pull(contact.gradient)
-            contact = outer.energy(q)
-        else:
-            unit = half_energy(contact) if areas else pull(contact.gradient)
-        units = _units(program, contact)
+    def minimised(self, outer: Outer, q: Array, track: Track) -> tuple[Relocation, NLPResult]:
+        """The energy NLP, and where Ipopt ends from outer variables ``q`` and the contact solution there."""
+        contact, objective = outer.energy(q), outer.objective
+        areas = outer.relocation.n_valid > 0 or objective.has_barrier
+        unit, length = half_energy(contact) if areas else pull(contact.gradient), _length(contact)
         with track.monitor.budget.during("build"):
-            nlp = program.nlp if units is None else units.program(program.nlp)
-            watch = track if units is None else Seen(units, track, track.see_multipliers)
-            solver = Solver(nlp, options=self.options(areas, unit, distorted), monitor=watch)
-        track.residual = outer.residual.of_program
-        begin = outer.energy.point(q, contact.equilibrium)
-        result = solver(begin) if units is None else units.result(solver(begin / units.x))
+            program = outer.relocation
+            if length != 1:
+                program = relocation(outer.discretisation, objective, length)
+            options = self.options(areas, unit, objective.has_barrier)
+            solver = Solver(program.nlp, options=options, monitor=track)
+        track.residual = lambda x, lam_g: outer.residual.of_state(
+            *program.split(x)[:2], *program.forces(lam_g)
+        )
+        begin = outer.relocation.split(outer.energy.point(q, contact.equilibrium))
+        result = solver(program.unknowns(*begin))
         track.with_violations(result.history["inf_pr"])
-        return result
+        return program, result
 
     def _finished(self, outer: Outer, q: Array, monitor: Monitor) -> Array:
         """Newton steps from where an interior point stopped, if a stationary point is near; else ``q``.
@@ -211,29 +201,20 @@ def is_above(energy: float, start: float) -> bool:
     return energy > start + ROUNDING * abs(start)
 
 
-def _own(outer: Outer, q: Array, result: NLPResult) -> Equilibrium:
+def _own(outer: Outer, q: Array, program: Relocation, result: NLPResult) -> Equilibrium:
     """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
-    rel = outer.relocation
-    _, u, _ = rel.split(result.x)
-    n, n_s = rel.n_contact, rel.friction_rows.size
-    forces = -result.lam_g[: n + 2 * n_s]  # CasADi's multiplier of an active lower bound is negative
-    tangential = np.zeros(n if n_s else 0)
-    tangential[rel.friction_rows] = forces[n + n_s :] - forces[n : n + n_s]
-    active = ActiveSet(forces[:n] > 0, np.sign(tangential).astype(np.int8))
-    system = outer.contact.system(rel.nodes(q))
-    return Equilibrium(u, system.energy(u), forces[:n], tangential, active, Status.CONVERGED, 0)
+    (_, u, _), (normal, friction) = program.split(result.x), program.forces(result.lam_g)
+    tangential = np.zeros(program.n_contact if program.n_s else 0)
+    tangential[program.friction_rows] = friction
+    active = ActiveSet(normal > 0, np.sign(tangential).astype(np.int8))
+    system = outer.contact.system(program.nodes(q))
+    return Equilibrium(u, system.energy(u), normal, tangential, active, Status.CONVERGED, 0)
 
 
-def _units(relocation: Relocation, contact: ReducedPoint) -> Units | None:
-    """Units of displacements and gaps if theirs are far from one, as Ipopt's tolerances are absolute."""
+def _length(contact: ReducedPoint) -> float:
+    """The largest displacement if it is far from one, as Ipopt's tolerances are absolute; else 1."""
     length = float(np.max(np.abs(contact.equilibrium.u)))
-    if length == 0 or ORDINARY[0] <= length <= ORDINARY[1]:
-        return None
-    lengths, rows = relocation.n_u + relocation.n_s, relocation.n_rows - relocation.n_valid
-    return Units(
-        np.append(np.ones(relocation.n_q), np.full(lengths, length)),
-        np.append(np.full(rows, length), np.ones(relocation.n_valid)),
-    )
+    return 1.0 if length == 0 or ORDINARY[0] <= length <= ORDINARY[1] else length
 
 
 def pull(gradient: Array) -> float:

@@ -15,14 +15,13 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from formulations.joint import ACCEPTABLE, ALTERNATING, FINE, is_above, pull
+from formulations.joint import ACCEPTABLE, is_above, pull
 from formulations.kinks import is_stationary
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.alternating import alternated
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, in_units_of
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.status import Status
@@ -206,11 +205,7 @@ class AllAtOnce(Formulation):
         return first
 
     def _path(self, outer: Outer, q: Array, monitor: Monitor, most: int | None = None) -> Outcome:
-        start, begin = q, outer.energy(q)
-        is_energy = outer.objective.is_energy
-        if is_energy and not outer.is_near:
-            q = _in_step(outer, q)
-        point = outer.energy(q)
+        point, is_energy = outer.energy(q), outer.objective.is_energy
         with monitor.budget.during("build"):
             at_start = not np.any(q)
             program = outer.kkt if at_start else in_units_of(outer.discretisation, outer.objective, point)
@@ -218,7 +213,7 @@ class AllAtOnce(Formulation):
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
         x, near = program.point(point), outer.is_near
-        own = _options(outer, program.value / pull(begin.gradient), near)
+        own = _options(outer, program.value / pull(point.gradient), near)
         with monitor.budget.during("build"):
             options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
             solver = MPCCSolver(program.mpcc, **options)
@@ -229,8 +224,8 @@ class AllAtOnce(Formulation):
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         end = _equilibrium(outer, program, result)
-        if is_energy and not near and is_above(end.energy, begin.value):
-            return self._path(outer.near(), start, monitor)
+        if is_energy and not near and is_above(end.energy, point.value):
+            return self._path(outer.near(), q, monitor)
         return Outcome(
             outer,
             outer.clipped(program.split(result.x)[0]),
@@ -260,18 +255,6 @@ def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
     if near:
         return after_energy(scaling)
     return homotopy_options(scaling, TIGHT, CENTRED if outer.has_limits else {})
-
-
-def _in_step(outer: Outer, q: Array) -> Array:
-    """The start on a fine mesh with move limits, with small alternating displacements of the nodes added.
-
-    They are those of ``joint`` (:mod:`rmesh_nlp.models.alternating`), from the same number of outer
-    variables on, so that both begin on the same mesh; the contact problem is solved there. A start that was
-    given by positions stays as it is.
-    """
-    if np.any(q) or outer.relocation.n_valid > 0 or q.size < FINE:
-        return q
-    return alternated(outer.relocation, q, outer.energy(q).gradient, ALTERNATING, outer.is_valid)
 
 
 def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:

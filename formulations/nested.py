@@ -90,7 +90,6 @@ class _Descent:
                     outer.tolerance,
                     outer.constraints,
                 ),
-                budget=monitor.budget,
                 warm=outer.is_near,
             )
         if not self._has_kinks:

@@ -105,12 +105,6 @@ RULES = (
         LIMITED,
         {"formulations.joint:_BARRIER": SMALL_SHIFTS},
     ),
-    Rule(
-        "joint, mpcc: alternating start on fine meshes",
-        (JOINT, MPCC),
-        ("fine",),
-        {"formulations.joint:FINE": 10**9},
-    ),
     Rule("joint: Newton steps from near an end", (JOINT,), ENERGY, {"formulations.joint:NEAR": 0.0}),
     Rule(
         "joint: units of displacements far from one",

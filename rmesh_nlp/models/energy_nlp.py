@@ -22,24 +22,17 @@ import scipy.sparse as sp
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import ROUNDING, Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.fem.assembly import Assembled
+from rmesh_nlp.fem.contact_terms import in_units
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import Validity
-from rmesh_nlp.optimize.constraints import Linearised, Polyhedron
+from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.problem import ContactProblem
-
-KEPT, NEAR_BOUND = 0.01, 1e-2
-"""Part of its slack that a step leaves to an element, since far away the linearisation is not to be trusted;
-elements with no more slack than the second number may lose all of it."""
-
-CROWDED, RETURNS = 20, 10
-"""Violated rows beyond which a step is not corrected, since a shorter step is cheaper; linearisations of a
-correction."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +50,8 @@ class Relocation:
         The validity rows by themselves; none where a barrier stands in their place.
     position_groups : tuple of ElementGroup
         Of the terms of the objective in the positions alone.
+    length : float
+        Unit of displacements, slips and gaps in ``x`` and the rows.
     """
 
     discretisation: Discretisation
@@ -68,6 +63,7 @@ class Relocation:
     validity: Validity
     objective: Objective = ENERGY
     position_groups: tuple[ElementGroup, ...] = ()
+    length: float = 1.0
 
     @cached_property
     def assembled(self) -> Assembled:
@@ -168,22 +164,36 @@ class Relocation:
         return slice(self.n_contact + self.n_s, self.n_contact + 2 * self.n_s)
 
     def split(self, x: Array) -> tuple[Array, Array, Array]:
-        """The parts q, u, s of ``x``."""
+        """Outer variables, displacements and slips of ``x``, the last two in the unit of the problem."""
         q, u, s = np.split(x, [self.n_q, self.n_q + self.n_u])
-        return q, u, s
+        return q, u * self.length, s * self.length
+
+    def unknowns(self, q: Array, u: Array, s: Array) -> Array:
+        """The unknowns ``x`` of outer variables, displacements and slips in the unit of the problem."""
+        return np.concatenate([q, u / self.length, s / self.length])
+
+    def forces(self, lam_g: Array) -> tuple[Array, Array]:
+        """Contact forces, normal and (n_s,) tangential, that multipliers of the NLP are."""
+        # CasADi's multiplier of an active lower bound is negative
+        rows = -lam_g[: self.n_contact + 2 * self.n_s] / self.length
+        normal, minus, plus = np.split(rows, [self.n_contact, self.n_contact + self.n_s])
+        return normal, plus - minus
 
     def nodes(self, q: Array) -> Array:
         """Node positions (2, nodes)."""
         return self.mesh_map.positions.values(q)
 
 
-def relocation(problem: ContactProblem | Discretisation, objective: Objective = ENERGY) -> Relocation:
+def relocation(
+    problem: ContactProblem | Discretisation, objective: Objective = ENERGY, length: float = 1.0
+) -> Relocation:
     """Build the energy NLP of a problem, with assembled derivatives.
 
     The objective is the energy, to which terms in the positions alone may be added: the levels collapse with
     them too. With any other term, a ValueError, the inner problem must stay a constraint. A distortion is
     infinite where an element degenerates and undefined beyond; it then stands in the place of the element
-    areas, which are constraints only if a least angle is asked for as well.
+    areas, which are constraints only if a least angle is asked for as well. Displacements, slips and gaps are
+    measured in units of ``length``.
     """
     if not objective.collapses:
         raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
@@ -191,18 +201,29 @@ def relocation(problem: ContactProblem | Discretisation, objective: Objective = 
     free, n_u, n_s, n_contact = parts.mesh_map, parts.n_u, parts.n_s, parts.n_contact
     replaced = objective.has_barrier and parts.problem.motion.min_angle == 0
     validity = parts.validity.without_rows() if replaced else parts.validity
-    displacement = parts.displacement.numbered_from(free.n)
-    slip = parts.slip.numbered_from(free.n + n_u)
+    displacement = parts.displacement.in_units(length).numbered_from(free.n)
+    slip = parts.slip.in_units(length).numbered_from(free.n + n_u)
     fields = Fields(parts.problem, free.positions, displacement, slip)
     position_groups = parts.objective(objective.in_positions, fields).groups
-    rows = (
+    rows = [
         *(term.on(free.positions, displacement) for term in parts.gaps),
         *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),
-    )
+    ]
+    if length != 1:
+        rows = [in_units(group, length) for group in rows]
     energies = (*parts.energy(free.positions, displacement, slip), *position_groups)
     x = ca.MX.sym("x", free.n + n_u + n_s)
     return Relocation(
-        parts, x, energies, rows, displacement, slip, validity, objective, tuple(position_groups)
+        parts,
+        x,
+        energies,
+        tuple(rows),
+        displacement,
+        slip,
+        validity,
+        objective,
+        tuple(position_groups),
+        length,
     )
 
 
@@ -250,11 +271,7 @@ class SecondDerivatives:
 
 
 class ElementConstraints:
-    """The validity rows of one problem, less their bounds, for :mod:`rmesh_nlp.optimize.trust_region`.
-
-    Areas are bilinear in q, so a step along their linearisation may invert elements. Evaluating them costs
-    nothing beside a contact solve, so what a step violates is taken back on the rows themselves.
-    """
+    """The validity rows of one problem, less their bounds."""
 
     def __init__(self, relocation: Relocation) -> None:
         rows, self._bound = relocation.validity.assembled, relocation.validity.bound
@@ -264,28 +281,10 @@ class ElementConstraints:
 
     def at(self, q: Array) -> Linearised:
         """The rows at a valid ``q``."""
-        slack, jacobian = self._rows(q)
-        floor = np.where(slack > NEAR_BOUND, KEPT * slack, np.minimum(ROUNDING, slack))
-        return Linearised(slack, floor, jacobian)
+        value, jacobian = self._first(q, [])
+        return Linearised(value - self._bound, sp.csr_array(self._jacobian(jacobian)))
 
     def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
         """The Hessian of ``multipliers . rows``."""
         (values,) = self._second(q, [], 0.0, multipliers)
         return self._hessian(values)
-
-    def back(self, q: Array, rows: Linearised, lower: Array, upper: Array, scale: Array) -> Array | None:
-        """A valid point near ``q``, by Newton's method on the rows; None if it fails."""
-        enough = np.minimum(rows.floor, 0.5 * ROUNDING)
-        for _ in range(RETURNS):
-            slack, jacobian = self._rows(q)
-            if np.all(slack >= enough):
-                return q
-            if np.count_nonzero(slack < enough) > CROWDED:
-                return None
-            steps = Polyhedron(lower - q, upper - q, slack - rows.floor, jacobian, scale)
-            q = np.clip(q + steps.project(np.zeros(q.size)), lower, upper)
-        return None
-
-    def _rows(self, q: Array) -> tuple[Array, sp.csr_array]:
-        value, jacobian = self._first(q, [])
-        return value - self._bound, sp.csr_array(self._jacobian(jacobian))

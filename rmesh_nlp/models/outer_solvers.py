@@ -16,9 +16,7 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
 from rmesh_nlp.models.regularised_descent import to_stationary
 from rmesh_nlp.models.second_derivatives import curvature_of
-from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.newton_step import Model, Operator
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
@@ -31,8 +29,8 @@ RISE = 1e-12
 
 LARGEST_DENSE = 1500
 """Number of outer variables up to which an interior point has the Hessian of an objective other than the
-energy, a dense matrix; above it Newton-CG goes along linearised areas. That of the energy is sparse in outer
-variables and displacements, for any number."""
+energy, a dense matrix; above it Newton-CG goes as far as the areas let it. That of the energy is sparse in
+outer variables and displacements, for any number."""
 
 TIGHT = 1e-4
 """newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
@@ -178,7 +176,7 @@ def _descend(
         if guarded and not problem.is_valid(q):
             return None
         point = function(q)
-        return Evaluation(point.value, point.gradient, lambda: _timed(curvature(point), problem.budget))
+        return Evaluation(point.value, point.gradient, lambda: curvature(point))
 
     return minimise(
         evaluate,
@@ -189,21 +187,6 @@ def _descend(
         unit=problem.residual.unit,
         gain_tolerance=gain,
         max_iterations=settings.iterations or 200,
-        constraints=function.energy.validity if nlp.n_g else None,
         settings=settings.newton,
         on_step=lambda iteration, q, evaluation: monitor(iteration, q, evaluation.value),
     )
-
-
-def _timed(model: Model, budget: Budget) -> Operator:
-    """A model whose products end the solve when its time is over.
-
-    One step may take hundreds of products and projections on linearised element areas: without move limits
-    and with many small elements a single step of a mesh of 60 elements took minutes.
-    """
-
-    def product(d: Array) -> Array:
-        budget.check()
-        return model(d)
-
-    return Operator(product, model.diagonal)

@@ -78,4 +78,4 @@ class ReducedConstraints:
         low, high = np.isfinite(lower), np.isfinite(upper)
         slack = np.concatenate([(evaluated.value - lower)[low], (upper - evaluated.value)[high]])
         jacobian = np.vstack([evaluated.jacobian[low], -evaluated.jacobian[high]])
-        return Linearised(slack, slack, sp.csr_array(jacobian))
+        return Linearised(slack, sp.csr_array(jacobian))

@@ -154,7 +154,7 @@ class ReducedEnergy:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
         rows = self.relocation.friction_rows
         slip = self._slips(q, u)[rows] if rows.size else np.zeros(0)
-        return np.concatenate([q, u, np.abs(slip)])
+        return self.relocation.unknowns(q, u, np.abs(slip))
 
     def _slips(self, q: Array, u: Array) -> Array:
         return self.model.slips(self.relocation.nodes(q), u, self.relocation.mesh_map.design(q))

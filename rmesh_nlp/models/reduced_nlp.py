@@ -22,7 +22,7 @@ itself, and dw has no effect. One factorisation takes the place of one back-subs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -38,7 +38,6 @@ from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted
-from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.problem import Place
@@ -68,7 +67,6 @@ class ReducedNLP:
     scale: float
     tolerance: float
     constraints: ReducedConstraints | None = None
-    budget: Budget = field(default_factory=Budget)
     warm: bool = False
 
 

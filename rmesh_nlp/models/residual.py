@@ -56,21 +56,12 @@ class OuterResidual:
         """The residual at a point of the objective; infinite if its gradient is not finite."""
         return self.at(point.q, point.gradient)
 
-    def of_program(self, x: Array, lam_g: Array) -> float:
-        """The residual at an iterate of the energy NLP, whose multipliers are the contact forces.
+    def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
+        """The residual of the energy at q with a solver's own displacements and forces.
 
         It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
-        ``lam_g`` has CasADi's sign, negative at active lower bounds.
         """
-        relocation = self._energy.relocation
-        n, n_s, free = relocation.n_contact, relocation.n_s, relocation.mesh_map
-        normal, minus, plus = np.split(-lam_g[: n + 2 * n_s], [n, n + n_s])
-        q = free.clipped(x[: relocation.n_q])  # an interior point may leave them by rounding
-        return self.at(q, self._energy.gradient(x, normal, plus - minus))
-
-    def of_state(self, q: Array, u: Array, normal_force: Array, friction: Array) -> float:
-        """The residual of the energy at q with a solver's own displacements and forces; no contact solve."""
-        q = self._energy.relocation.mesh_map.clipped(q)
+        q = self._energy.relocation.mesh_map.clipped(q)  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
     def at(self, q: Array, gradient: Array) -> float:

@@ -1,4 +1,4 @@
-"""One step of projected Newton-CG: a quadratic model minimised approximately in a box or a polyhedron.
+"""One step of projected Newton-CG: a quadratic model minimised approximately in a box.
 
 A Cauchy point, then rounds of conjugate gradients on the face of the set where the step is, each with a
 projected search, all on the same model (:mod:`rmesh_nlp.optimize.trust_region`).
@@ -16,13 +16,9 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.constraints import Linearised, Polyhedron
 
 MAX_PRODUCTS = 40
 """Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step."""
-
-MAX_PRODUCTS_CONSTRAINED = 250
-"""The same along constraints: there the conjugate gradients, not the model, end a step."""
 
 WORTHWHILE = 0.06
 """Least part of a step's decrease that the last round of conjugate gradients must give."""
@@ -112,10 +108,6 @@ class BoxStep:
                 break
         return s, self._decrease(s, Hs)
 
-    def rows_active(self, s: Array) -> int:
-        """Number of constraints that are active at a step."""
-        return 0
-
     def _decrease(self, s: Array, Hs: Array) -> float:
         return float(-(self._g @ s + 0.5 * s @ Hs))
 
@@ -186,43 +178,6 @@ class BoxStep:
                 return moved, H_moved
             beta *= SHORTEN
         return np.zeros_like(s), np.zeros_like(s)
-
-
-class ConstrainedStep(BoxStep):
-    """The same where linearised constraints hold too; conjugate gradients run along active ones."""
-
-    def __init__(self, model: Model, g: Array, rows: Linearised) -> None:
-        super().__init__(model, g, max_products=MAX_PRODUCTS_CONSTRAINED)
-        self._rows = rows
-
-    def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
-        """A step within the box and the rows, and the decrease that the model predicts."""
-        room = self._rows.slack - self._rows.floor
-        self._set = Polyhedron(lower, upper, room, self._rows.jacobian, self.scale)
-        return super().within(lower, upper, forcing)
-
-    def rows_active(self, s: Array) -> int:
-        """Number of rows that are active at a step."""
-        return int(self._set.active(s).size)
-
-    def multipliers(self, s: Array) -> Array:
-        """Multipliers of the rows that are active at the step ``s``, by least squares; not negative."""
-        result, active = np.zeros(self._rows.slack.size), self._set.active(s)
-        if active.size:
-            self._face(s)
-            result[active] = np.maximum(self._along.multipliers(self._g + self._product(s)), 0.0)
-        return result
-
-    def _clip(self, s: Array) -> Array:
-        return self._set.nearest(s)
-
-    def _face(self, s: Array) -> NDArray[np.bool_]:
-        free = super()._face(s)
-        self._along = self._set.face(self._set.active(s), free)
-        return free
-
-    def _precondition(self, r: Array) -> Array:
-        return self._along.precondition(r)
 
 
 @dataclass(frozen=True)

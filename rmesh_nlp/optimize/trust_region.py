@@ -1,4 +1,4 @@
-"""Projected Newton-CG with a trust region, for a smooth function in a box and within smooth constraints.
+"""Projected Newton-CG with a trust region, for a smooth function in a box.
 
 In the manner of TRON (C.-J. Lin, J. J. Moré, Newton's method for large bound-constrained optimization
 problems, SIAM J. Optim. 9 (1999) 1100-1127), by the steps of :mod:`rmesh_nlp.optimize.newton_step`.
@@ -7,11 +7,6 @@ problems, SIAM J. Optim. 9 (1999) 1100-1127), by the steps of :mod:`rmesh_nlp.op
   projection then shortens that step, so that the ball never grows although the model is right. In a box the
   same model is used until it has nothing left to give: of the functions here, a derivative costs as much as
   dozens of Hessian products.
-- Constraints that cost nothing beside the function are handled in the manner of feasible sequential quadratic
-  programming (E. R. Panier, A. L. Tits, On combining feasibility, descent and superlinear convergence in
-  inequality constrained optimization, Math. Programming 59 (1993) 261-276): a step obeys their linearisation,
-  the model has the Hessian of the Lagrangian, and what curvature leaves of a violation is taken back before
-  the function, which is the merit, is evaluated.
 - A function that is its own barrier may have :class:`LocalRadii`: a uniform radius is held back everywhere by
   the smallest element. A step that leaves its domain is cut at a part of its way to the boundary, as interior
   points do, and not refused: the cut costs no evaluation.
@@ -27,23 +22,15 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.activity import is_inside
-from rmesh_nlp.optimize.constraints import Constraints
 from rmesh_nlp.optimize.newton_step import (
     MAX_PRODUCTS,
     BoxStep,
-    ConstrainedStep,
     Model,
-    Operator,
     Preconditioner,
     scaled,
 )
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
-
-NEGLIGIBLE, CREEPING = 1e-10, 0.8
-"""Along constraints a descent gives up if the model predicts less than the first part of the decrease so far,
-and the last step has left more than the second part of the residual."""
 
 NOTHING, NOTHING_LOCAL = 1e-16, 1e-20
 """Predicted decrease, relative to the value, below which no step follows; with local radii the second one."""
@@ -77,13 +64,7 @@ class NewtonSettings(Settings):
         First half-width of the trust region, as a part of the longest component of the scaled gradient step;
         of local radii, in widths.
     max_products : int
-        Hessian products of one step without active constraints.
-    close : float
-        Slack at which a constraint counts as met, and from when on steps take account of constraints. If
-        they always do, Newton-CG ends the paper's 6.2 at -4.90994 in place of -4.91034.
-    crowded : int
-        Active constraints of one step beyond which the descent gives up: projections on so many cost more
-        than the rest of a step, and conjugate gradients along them crawl.
+        Hessian products of one step.
     """
 
     sufficient: Positive = 1e-4
@@ -94,8 +75,6 @@ class NewtonSettings(Settings):
     forcing: Part = 0.1
     first_radius: Positive = 0.5
     max_products: Count = MAX_PRODUCTS
-    close: Positive = 1e-2
-    crowded: Count = 20
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -121,7 +100,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class NewtonResult:
-    """Where the method stopped; STALLED where too many constraints were active in a step."""
+    """Where the method stopped; STALLED where no step was left to take and the point is not stationary."""
 
     x: Array
     value: float
@@ -156,12 +135,11 @@ def minimise(
     reference: float | None = None,
     unit: float | None = None,
     max_iterations: int = 200,
-    constraints: Constraints | None = None,
     local: LocalRadii | None = None,
     on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> NewtonResult:
-    """Minimise in the box ``lower <= x <= upper``, and within constraints if there are any.
+    """Minimise in the box ``lower <= x <= upper``.
 
     Converged means two things: the point is stationary, and the model predicts no decrease worth a
     step. On a fine mesh every point is nearly stationary, since no node matters much.
@@ -171,28 +149,22 @@ def minimise(
     evaluate : callable
         Value, gradient and model at a point of the box; None where the function is not defined.
     tolerance : float
-        Stationary: ``max |x - proj(x - r / unit)|`` is at most this, r the gradient of the Lagrangian and
-        ``unit`` by default the size of the function.
+        Stationary: ``max |x - proj(x - g / unit)|`` is at most this, g the gradient and ``unit`` by default
+        the size of the function.
     gain_tolerance : float
         No decrease: the model predicts less than this fraction of the decrease so far, which counts from
         ``reference``, by default the value at the start.
-    constraints : Constraints, optional
-        Obeyed by ``start``; not together with ``local``.
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     """
     use = settings or (NewtonSettings() if local is None else LOCAL)
-    domain = _Box(lower, upper, use)
-    if local is not None:
-        domain = _LocalBox(lower, upper, use, local)
-    elif constraints is not None:
-        domain = _ConstrainedBox(lower, upper, use, constraints)
+    domain = _Box(lower, upper, use) if local is None else _LocalBox(lower, upper, use, local)
     x = np.clip(start, lower, upper)
     current = evaluate(x)
     if current is None:
         return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
     reference, products = current.value if reference is None else reference, 0
-    radius, before = 0.0, np.inf
+    radius = 0.0
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, current):
             return NewtonResult(x, current.value, Status.INTERRUPTED, iteration, products)
@@ -200,7 +172,7 @@ def minimise(
             break
         size = max(abs(current.value), 1e-300)
         domain.arrive(x, current)
-        downhill = np.clip(x - domain.released / (unit or size), lower, upper)
+        downhill = np.clip(x - current.gradient / (unit or size), lower, upper)
         residual = float(np.max(np.abs(x - downhill), initial=0.0))
         stationary = residual <= tolerance
         while True:
@@ -209,18 +181,15 @@ def minimise(
             y, predicted = step.within(*domain.trusted(radius), use.forcing)
             products += step.products
             gained, nothing = reference - current.value, predicted <= domain.nothing * size
-            crowded = step.rows_active(y) > use.crowded
             enough = predicted <= gain_tolerance * gained
-            if not crowded and stationary and (enough or nothing):
+            if stationary and (enough or nothing):
                 return NewtonResult(x, current.value, Status.CONVERGED, iteration, products)
-            creeps = isinstance(step, ConstrainedStep) and tolerance < residual > CREEPING * before
-            creeps = creeps and predicted <= NEGLIGIBLE * gained
-            if crowded or creeps or nothing or radius < domain.least_radius:
+            if nothing or radius < domain.least_radius:
                 return NewtonResult(x, current.value, Status.STALLED, iteration, products)
             part, predicted = domain.cut(y, predicted)
             products += part < 1
-            landed = domain.land(part, y, step)
-            trial = None if landed is None else evaluate(landed)
+            landed = domain.land(part, y)
+            trial = evaluate(landed)
             ratio, rounding = -np.inf, domain.rounding * size
             if trial is not None:
                 ratio = (current.value - trial.value + rounding) / (max(predicted, 0.0) + rounding)
@@ -230,8 +199,8 @@ def minimise(
                 radius = max(part * radius, domain.least_radius)
             elif ratio > use.good:
                 radius = use.grow * radius
-            if landed is not None and trial is not None and ratio > use.sufficient:
-                x, current, before = landed, trial, residual
+            if trial is not None and ratio > use.sufficient:
+                x, current = landed, trial
                 break
     return NewtonResult(x, current.value, Status.ITERATION_LIMIT, max_iterations, products)
 
@@ -248,11 +217,6 @@ class _Box:
     def arrive(self, x: Array, evaluation: Evaluation) -> None:
         """Take note of a new point."""
         self._x, self._g, self._model = x, evaluation.gradient, evaluation.model()
-
-    @property
-    def released(self) -> Array:
-        """Gradient of the Lagrangian."""
-        return self._g
 
     def first_radius(self, step: BoxStep) -> float:
         gradient_step = np.clip(self._x - self._g / step.scale, self._lower, self._upper) - self._x
@@ -271,8 +235,8 @@ class _Box:
         """Part of a step that stays in the domain, and the decrease that the model predicts of it."""
         return 1.0, predicted
 
-    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
-        """The point that a step leads to; None if there is none."""
+    def land(self, part: float, y: Array) -> Array:
+        """The point that a step leads to."""
         return np.clip(self._x + part * (self._width * y), self._lower, self._upper)
 
 
@@ -304,41 +268,3 @@ class _LocalBox(_Box):
             s = part * (self._width * y)
             predicted = -float(self._g @ s + 0.5 * s @ self._model(s))
         return part, predicted
-
-
-class _ConstrainedBox(_Box):
-    """The same within constraints, of which steps take account from when one is first met."""
-
-    def __init__(
-        self, lower: Array, upper: Array, settings: NewtonSettings, constraints: Constraints
-    ) -> None:
-        super().__init__(lower, upper, settings)
-        self._constraints, self._met = constraints, False
-        self._multipliers: Array | None = None  # of the last step that took account of constraints
-
-    def arrive(self, x: Array, evaluation: Evaluation) -> None:
-        super().arrive(x, evaluation)
-        self._rows = self._constraints.at(x)
-        self._fitted = self._rows.fitted(self._g, is_inside(x, self._lower, self._upper))
-        self._met = self._met or bool(np.any(self._rows.slack < self.settings.close))
-
-    @property
-    def released(self) -> Array:
-        return self._g - self._rows.jacobian.T @ self._fitted
-
-    def step(self) -> BoxStep:
-        if not self._met:
-            return super().step()
-        multipliers = self._fitted if self._multipliers is None else self._multipliers
-        model, curvature = self._model, self._constraints.hessian(self._x, multipliers)
-        lagrangian = Operator(lambda d: model(d) - curvature @ d, model.diagonal)
-        return ConstrainedStep(lagrangian, self._g, self._rows)
-
-    def land(self, part: float, y: Array, step: BoxStep) -> Array | None:
-        if isinstance(step, ConstrainedStep):
-            # of a step that will be rejected too: its rows are those that the next one meets
-            self._multipliers = step.multipliers(y)
-        trial = np.clip(self._x + y, self._lower, self._upper)
-        landed = self._constraints.back(trial, self._rows, self._lower, self._upper, step.scale)
-        self._met = self._met or landed is not trial
-        return landed

@@ -201,9 +201,9 @@ def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str,
 
 
 def test_a_change_keeps_what_was_chosen_before() -> None:
-    first = NestedSettings.of({"iterations": 7, "newton": {"close": 0.5}})
+    first = NestedSettings.of({"iterations": 7, "newton": {"forcing": 0.5}})
     both = first.having({"newton": {"max_products": 5}})
-    assert both.changed() == {"iterations": 7, "newton": {"max_products": 5, "close": 0.5}}
+    assert both.changed() == {"iterations": 7, "newton": {"max_products": 5, "forcing": 0.5}}
 
 
 def _pair() -> tuple[Any, ...]:

@@ -1,9 +1,7 @@
-"""Joint: starts with alternating steps, Newton steps from near a stationary point, any unit of length."""
+"""Joint: Newton steps from near a stationary point, any unit of length."""
 
 from __future__ import annotations
 
-from contextlib import suppress
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +13,8 @@ from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
-from rmesh_nlp.models.alternating import alternated, alternating
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.optimize.budget import Limits, StoppedError
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.units import Units
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, Relative, Traction
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -113,70 +108,30 @@ def test_joint_ends_as_well_in_any_unit_of_length(usual: float, length: float) -
     assert residuals[-1] <= 1e-6 < residuals[0]
 
 
-def test_derivatives_in_other_units_are_those_of_the_scaled_program() -> None:
-    nlp, rng = relocation(block(1.0)).nlp, np.random.default_rng(0)
-    units = Units(rng.uniform(0.5, 2, nlp.n_x), rng.uniform(0.5, 2, nlp.n_g))
-    x, lam = 0.1 * rng.uniform(-1, 1, nlp.n_x), rng.uniform(-1, 1, nlp.n_g)
-    here, there = (
-        (*derivatives.grad_f(at, []), *derivatives.jac_g(at, []), derivatives.hess_lag(at, [], 0.7, by))
-        for derivatives, at, by in (
-            (nlp.derivatives, x, lam / units.g),
-            (units.program(nlp).derivatives, x / units.x, lam),
+def test_the_program_in_another_unit_of_length_is_the_same() -> None:
+    problem, rng, length = block(1.0), np.random.default_rng(0), 0.3
+    usual, scaled = relocation(problem), relocation(problem, length=length)
+    parts = usual.split(0.1 * rng.uniform(-1, 1, usual.n_x))
+    unit = np.repeat([1.0, length], [usual.n_q, usual.n_u + usual.n_s])
+    rows = np.repeat([length, 1.0], [usual.n_contact + 2 * usual.n_s, usual.n_valid])
+    lam = rng.uniform(-1, 1, rows.size)
+    assert usual.nlp.derivatives is not None
+    assert scaled.nlp.derivatives is not None
+    expected, measured = (
+        [*derivatives.grad_f(x, []), *derivatives.jac_g(x, []), derivatives.hess_lag(x, [], 0.7, by)]
+        for derivatives, x, by in (
+            (usual.nlp.derivatives, usual.unknowns(*parts), lam / rows),
+            (scaled.nlp.derivatives, scaled.unknowns(*parts), lam),
         )
     )
-    value, gradient, rows, jacobian, hessian = (np.squeeze(part.full()) for part in here)
-    scaled = value, units.x * gradient, rows / units.g, jacobian * units.x / units.g[:, None]
-    for one, two in zip(there, (*scaled, hessian * np.outer(units.x, units.x)), strict=True):
-        np.testing.assert_allclose(np.squeeze(one.full()), two, rtol=1e-9, atol=1e-9)
-
-
-def test_a_program_without_assembled_derivatives_is_refused() -> None:
-    nlp = replace(relocation(block(1.0)).nlp, derivatives=None)
-    with pytest.raises(ValueError, match="without assembled derivatives"):
-        Units(np.ones(nlp.n_x), np.ones(nlp.n_g)).program(nlp)
-
-
-def test_alternating_steps_are_red_and_black_on_a_structured_grid() -> None:
-    problem = EXAMPLES["6.1"](6)
-    relocation = Outer.of(problem).relocation
-    steps = relocation.nodes(alternating(relocation)) - problem.mesh.p
-    i, j = np.rint(6 * problem.mesh.p).astype(int)
-    free = np.all(steps != 0, axis=0)
-    sign = np.sign(steps[0, free]) * (-1.0) ** (i + j)[free]
-    assert free.sum() == 25
-    assert np.all(sign == sign[0])
-
-
-@pytest.mark.parametrize("seed", [None, 3])
-def test_they_go_downhill_from_any_start(seed: int | None) -> None:
-    outer = Outer.of(EXAMPLES["6.1"](8))
-    q = outer.variables(seed=seed)
-    gradient = outer.energy(q).gradient
-    moved = alternated(outer.relocation, q, gradient, 0.1, outer.is_valid)
-    np.testing.assert_allclose(np.abs(moved - q)[np.abs(moved) < 1], 0.1)
-    assert gradient @ (moved - q) < 0
-
-
-def test_they_are_halved_until_the_mesh_is_valid() -> None:
-    outer = Outer.of(EXAMPLES["6.3"]((12, 6)))
-    q = np.zeros(outer.n)
-    assert not outer.is_valid(alternating(outer.relocation))
-    moved = alternated(outer.relocation, q, outer.energy(q).gradient, 1.0, outer.is_valid)
-    assert outer.is_valid(moved)
-    assert np.max(np.abs(moved)) in (0.5, 0.25, 0.125)
-
-
-@pytest.mark.parametrize(
-    ("fine", "name", "size", "added"),
-    [(100, "6.1", 8, True), (1000, "6.1", 8, False), (10, "6.3", (12, 6), False)],
-)
-@pytest.mark.parametrize("formulation", [Joint(), AllAtOnce()], ids=lambda one: one.name)
-def test_solves_start_with_them_on_fine_meshes_without_areas(
-    formulation, fine, name, size, added, monkeypatch
-) -> None:
-    monkeypatch.setattr(f"formulations.{formulation.name}.FINE", fine)
-    outer, first = Outer.of(EXAMPLES[name](size)), []
-    monitor = Monitor(Limits(iterations=1), on_step=lambda step: first.append(step.q))
-    with suppress(StoppedError):
-        formulation.run(outer, np.zeros(outer.n), monitor)
-    assert (np.max(np.abs(alternating(outer.relocation) * first[0])) > 0.2) == added
+    value, gradient, g, jacobian, hessian = (np.squeeze(part.full()) for part in expected)
+    transformed = (
+        value,
+        unit * gradient,
+        g / rows,
+        jacobian * unit / rows[:, None],
+        hessian * np.outer(unit, unit),
+    )
+    for own, other in zip(measured, transformed, strict=True):
+        np.testing.assert_allclose(np.squeeze(own.full()), other, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(scaled.forces(lam)[0], usual.forces(lam / rows)[0])

@@ -89,29 +89,6 @@ def test_element_constraints_have_their_derivatives(make) -> None:
     np.testing.assert_allclose(change, rows.hessian(q, multipliers) @ d, atol=1e-12)
 
 
-@pytest.mark.parametrize(("slack", "floor"), [(0.9, 0.009), (5e-3, 1e-9)])
-def test_a_step_leaves_elements_a_part_of_their_slack_unless_they_have_little(slack, floor) -> None:
-    motion = replace(large_limits().motion, min_area_fraction=1 - slack)
-    rel = relocation(replace(large_limits(), motion=motion))
-    rows = ElementConstraints(rel).at(np.zeros(rel.n_q))
-    np.testing.assert_allclose(rows.slack, slack)
-    np.testing.assert_allclose(rows.floor, floor)
-
-
-def test_inverted_elements_come_back_to_their_floor() -> None:
-    outer = Outer.of(large_limits())
-    rows, one, rng = ElementConstraints(outer.relocation), np.ones(outer.n), np.random.default_rng(0)
-    wild = rng.uniform(-1, 1, outer.n)
-    given = rows.at(0 * one)
-    assert not outer.is_valid(0.6 * wild)
-    back = rows.back(0.6 * wild, given, -one, one, one)
-    assert back is not None
-    assert outer.is_valid(back)
-    assert np.max(np.abs(back)) <= 1
-    np.testing.assert_array_equal(rows.back(back, rows.at(back), -one, one, one), back)
-    assert rows.back(wild, given, -one, one, one) is None  # too many elements to bring back
-
-
 def bumpy(friction: float) -> ContactProblem:
     """A gap along edges depends on the positions of two neighbours, which are of no common element."""
     foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")

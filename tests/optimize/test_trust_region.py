@@ -1,16 +1,14 @@
-"""Trust-region Newton-CG in boxes, within constraints and with local radii."""
+"""Trust-region Newton-CG in boxes and with local radii."""
 
 import itertools
 from typing import Any
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
-from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, NewtonSettings, minimise
 from support.quadratics import Matrix, convex, quadratic
@@ -156,76 +154,6 @@ def test_bad_settings_are_refused_by_name() -> None:
     ):
         with pytest.raises(BadInputError, match=message):
             NewtonSettings.of(given)
-
-
-class Circle:
-    """The constraint ``side (|x|^2 - 1) >= 0``, and the way back along its radius."""
-
-    def __init__(self, side: float) -> None:
-        self.side = side
-
-    def at(self, x: Array) -> Linearised:
-        slack = np.array([self.side * (x @ x - 1)])
-        return Linearised(slack, np.minimum(slack, 0), sp.csr_array(2 * self.side * x[None, :]))
-
-    def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
-        return sp.csc_array(2 * self.side * multipliers[0] * np.eye(2))
-
-    def back(self, x: Array, *_: object) -> Array:
-        return x if self.side * (x @ x - 1) >= 0 else x / np.linalg.norm(x) * (1 + self.side * 1e-12)
-
-
-class Halves:
-    """x <= reach component by component."""
-
-    def __init__(self, reach: float) -> None:
-        self.reach = reach
-
-    def at(self, x: Array) -> Linearised:
-        return Linearised(self.reach - x, np.minimum(self.reach - x, 0), sp.csr_array(-np.eye(2)))
-
-    def hessian(self, x: Array, multipliers: Array) -> sp.csc_array:
-        return sp.csc_array((2, 2))
-
-    def back(self, x: Array, *_: object) -> Array:
-        return x if np.all(x <= self.reach) else np.minimum(x, self.reach)
-
-
-@pytest.mark.parametrize(("side", "reach", "start"), [(1.0, 0.2, (-1.5, 0.2)), (-1.0, 2.0, (-0.7, 0.2))])
-def test_a_curved_constraint_is_followed_to_the_minimiser_on_it(side, reach, start) -> None:
-    # the nearest point of the circle to one inside it, or outside
-    nearest, slacks = np.array([np.cos(1), np.sin(1)]), []
-    result = descent(
-        lambda x: quadratic(2 * np.eye(2), 2 * reach * nearest, x),
-        start,
-        3.0,
-        constraints=Circle(side),
-        gain_tolerance=1e-8,
-        tolerance=2e-5,  # the way back costs 1e-12 in the value, what a step of 1e-6 along the circle gives
-        on_step=lambda iteration, x, here: slacks.append(side * (x @ x - 1)),
-    )
-    assert result.status is Status.CONVERGED
-    np.testing.assert_allclose(result.x, nearest, atol=3e-5)
-    # without the Hessian of the Lagrangian it would creep for hundreds
-    assert result.iterations <= 25
-    assert min(slacks) >= 0
-
-
-def test_a_constraint_that_is_not_met_changes_nothing() -> None:
-    A, b = np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([9.0, 1.0])
-    free, constrained = (
-        descent(lambda x: quadratic(A, b, x), far=1.0, constraints=rows) for rows in (None, Halves(9.0))
-    )
-    np.testing.assert_array_equal(constrained.x, free.x)
-    assert (constrained.iterations, constrained.products) == (free.iterations, free.products)
-
-
-@pytest.mark.parametrize(("crowded", "status", "end"), [(1, Status.STALLED, 0.0), (2, Status.CONVERGED, 0.5)])
-def test_too_many_active_constraints_end_it(crowded: int, status: Status, end: float) -> None:
-    settings, b = NewtonSettings(crowded=crowded, close=1.0, first_radius=9.0), np.array([3.0, 4.0])
-    found = descent(lambda x: quadratic(np.eye(2), b, x), far=9.0, settings=settings, constraints=Halves(0.5))
-    assert found.status is status
-    np.testing.assert_allclose(found.x, end, atol=1e-7)
 
 
 SMALL, LARGE = 0.5 * ZERO, 2 * ZERO
