@@ -11,8 +11,7 @@ corrected.
 3. Coarsest mesh: a schedule of weights, each from where the last one ended.
 4. Each finer mesh: from the prolonged map, at the final weight; few iterations correct it on the finest one
    (F. A. Bornemann, P. Deuflhard, The cascadic multigrid method for elliptic problems, Numer. Math. 75
-   (1996)). A map that does not lower the energy there is not taken
-   (:func:`rmesh_nlp.models.levels.lowers`).
+   (1996)).
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from formulations.schedule import Regularisation, Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.levels import hierarchy, lowers, prolonged
+from rmesh_nlp.models.levels import hierarchy, prolonged
 from rmesh_nlp.models.regularisation import regularised, weights
 from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem
@@ -73,14 +72,10 @@ class Descent(Formulation):
 
 @dataclass(frozen=True)
 class Level:
-    """What was done on one mesh: whether the prolonged map was taken, None on the coarsest mesh, and the end.
-
-    ``energy`` is that at the end, without the distortion.
-    """
+    """What was done on one mesh; ``energy`` is that at the end, without the distortion."""
 
     nodes: int
     triangles: int
-    taken: bool | None
     energy: float
     iterations: int
     contact_solves: int
@@ -116,9 +111,6 @@ class Cascade(Formulation):
         A descent ends where the model predicts less than this part of the error.
     iterations : int
         Limit of a descent.
-    brief : int
-        The same on the finest mesh, where that is a uniform refinement of the next coarser one: a map is
-        prolonged less well to others.
     """
 
     regularisation: Positive = 3e-3
@@ -127,7 +119,6 @@ class Cascade(Formulation):
     coarsest: Count = 60
     end: Positive = 3e-4
     iterations: Count = 20
-    brief: Count = 10
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -142,10 +133,11 @@ class Cascade(Formulation):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        descent = Descent(self.end, self.iterations)
         inner: Formulation = Levels(self)
         if outer.is_near:
-            inner = Schedule(Descent(self.end, self.iterations), (self.regularisation,), self.distortion)
-        return Confirmed(inner, Descent(self.end, self.brief)).run(outer, q, monitor)
+            inner = Schedule(descent, (self.regularisation,), self.distortion)
+        return Confirmed(inner, descent).run(outer, q, monitor)
 
 
 @dataclass(frozen=True)
@@ -166,9 +158,8 @@ class Levels(Formulation):
                         outer if problem is outer.problem else Outer.of(problem, tolerance=outer.tolerance)
                     )
                 first, solves = monitor.iterations, monitor.spent.contact_solves
-                taken = None
                 if ends:
-                    outcome, taken = self._corrected(level, ends[-1], monitor, brief=level is outer)
+                    outcome = self._corrected(level, ends[-1], monitor)
                 else:
                     outcome = self._searched(level, monitor)
                 if outcome.outer.gain is None:  # stopped before there was a map
@@ -177,7 +168,7 @@ class Levels(Formulation):
                 sizes = problem.mesh.p.shape[1], problem.mesh.t.shape[1]
                 reached = outcome.outer.energy(outcome.q).equilibrium.energy
                 spent = monitor.iterations - first, monitor.spent.contact_solves - solves
-                levels.append(Level(*sizes, taken, reached, *spent))
+                levels.append(Level(*sizes, reached, *spent))
                 budget.check()
 
         monitor.attempt(descend)
@@ -191,15 +182,11 @@ class Levels(Formulation):
                 q = 0.5 * q
             outcome = Outcome(end, q, monitor.end)
         gain, weight = outcome.outer.gain or 0.0, chosen.regularisation
-        remarks = [f"over meshes of {', '.join(str(level.nodes) for level in levels)} nodes"]
-        if left := [str(level.nodes) for level in levels if level.taken is False]:
-            remarks.append(
-                f"on {', '.join(left)} nodes from where they were given: the map raised the energy"
-            )
+        remark = f"over meshes of {', '.join(str(level.nodes) for level in levels)} nodes"
         return outcome.having(
             Regularisation(weight, chosen.distortion, weight * gain, gain),
             CascadeFigures("newton", [asdict(level) for level in levels]),
-            remarks=(*remarks, *outcome.remarks),
+            remarks=(remark, *outcome.remarks),
         )
 
     def _searched(self, level: Outer, monitor: Monitor) -> Outcome:
@@ -220,19 +207,14 @@ class Levels(Formulation):
         error = (coarser.gain or 0.0) * coarse / fine
         return level.knowing(error).minimising(regularised(error, chosen.regularisation, chosen.distortion))
 
-    def _corrected(
-        self, level: Outer, before: Outcome, monitor: Monitor, *, brief: bool
-    ) -> tuple[Outcome, bool]:
-        """Where a descent from the map of the next coarser mesh ends, and whether the map was taken."""
+    def _corrected(self, level: Outer, before: Outcome, monitor: Monitor) -> Outcome:
+        """Where a descent from the map of the next coarser mesh ends."""
         chosen = self.settings
         with monitor.budget.during("build"):
             weighted = self._weighted(level, before.outer)
             q = _mapped(before, weighted)
-            taken = lowers(weighted.energy, q)
-        is_nested = level.problem.mesh.t.shape[1] == 4 * before.outer.problem.mesh.t.shape[1]
-        # what is not a correction of a map takes more than a few iterations
-        limit = chosen.brief if brief and is_nested and taken else chosen.iterations
-        return monitor.run(Descent(chosen.end, limit), weighted, q if taken else np.zeros(level.n)), taken
+        start = q if weighted.energy.is_defined(q) else np.zeros(level.n)
+        return monitor.run(Descent(chosen.end, chosen.iterations), weighted, start)
 
 
 def _mapped(coarse: Outcome, fine: Outer) -> Array:

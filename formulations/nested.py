@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from formulations.kinks import EXACT_FINISH, Zigzag, finished, is_stationary
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models import outer_solvers
-from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON, NestedSettings, OuterResult
+from rmesh_nlp.models.outer_solvers import NEWTON, NestedSettings, OuterResult
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, reduced_nlp
 from rmesh_nlp.optimize.status import Status
@@ -127,8 +127,7 @@ class _Descent:
             return over or (zigzag is not None and zigzag(point := outer.function(at), *outer.merit(point)))
 
         result = outer_solvers.solved(program, q, watch, self._settings)
-        if result.method == INTERIOR:
-            self._monitor.work += Work(kkt_factorisations=result.iterations)
+        self._monitor.work += Work(kkt_factorisations=result.factorised)
         self._monitor.check()
         self._before += result.iterations
         return result

@@ -1,4 +1,4 @@
-"""Levels of a cascade of meshes: coarser meshes, prolongation of a map to a finer one, whether it helps."""
+"""Levels of a cascade of meshes: coarser meshes, and prolongation of a map to a finer one."""
 
 from __future__ import annotations
 
@@ -8,26 +8,25 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import Index
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.unrefinement import Coarse, unrefined
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 from rmesh_nlp.problem.rigid import rigid_motions
 
-TURNS = (0.6, 0.3, 0.15)
-"""Radians by which a curve may turn along an edge of a coarser mesh; the next one is tried where its arc cuts
-through triangles."""
+TURN = 0.3
+"""Radians by which a curve may turn along an edge of a coarser mesh."""
 
 WORTHWHILE = 2.0
 """Least factor by which a coarser mesh must be coarser."""
@@ -36,21 +35,12 @@ WORTHWHILE = 2.0
 def coarsened(problem: ContactProblem, least: int = 60) -> ContactProblem | None:
     """The same problem on a coarser mesh with at least ``least`` nodes; None if there is none.
 
-    The mesh of which the given one is the uniform refinement, if it is one and not too coarse; else nodes
-    are taken out, fewer where the arcs of curves would cut through triangles. Nodes that the problem names by
-    number stay, and are renumbered.
+    Nodes are taken out. Those that the problem names by number stay, and are renumbered.
     """
-    coarse = unrefined(problem.mesh)
-    if coarse is not None and set(_numbers(problem)) <= set(coarse.nodes.tolist()):
-        return _on(problem, coarse, least)
-    for turn in TURNS if problem.motion.curves else TURNS[:1]:
-        try:
-            candidate = _on(problem, _decimated(problem, turn), least)
-        except ValueError:
-            continue  # nothing is left of a boundary or a subdomain
-        if candidate is not None:
-            return candidate
-    return None
+    try:
+        return _on(problem, *_decimated(problem), least)
+    except ValueError:
+        return None  # nothing is left of a boundary or a subdomain
 
 
 def hierarchy(problem: ContactProblem, coarsest: int, budget: Budget) -> list[ContactProblem]:
@@ -79,13 +69,13 @@ def _numbers(problem: ContactProblem) -> list[int]:
     return [*problem.motion.numbers, *(load.node for load in problem.point_loads)]
 
 
-def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem | None:
-    """The problem on a coarser mesh; None if that is not what it should be."""
-    n, size = problem.mesh.p.shape[1], coarse.mesh.p.shape[1]
+def _on(problem: ContactProblem, mesh: MeshTri, nodes: Index, least: int) -> ContactProblem | None:
+    """The problem on a coarser mesh of some of its nodes; None if that is not what it should be."""
+    n, size = problem.mesh.p.shape[1], mesh.p.shape[1]
     if size < least or WORTHWHILE * size > n:
         return None
-    number = {int(old): new for new, old in enumerate(coarse.nodes)}
-    motion, triangles = problem.motion, f"{coarse.mesh.t.shape[1]} triangles"
+    number = {int(old): new for new, old in enumerate(nodes)}
+    motion, triangles = problem.motion, f"{mesh.t.shape[1]} triangles"
     places: dict[str, Any] = {
         name: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, name))
         for name in ("pinned", "slides", "free")
@@ -98,31 +88,34 @@ def _on(problem: ContactProblem, coarse: Coarse, least: int) -> ContactProblem |
     loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
     try:
         coarser = replace(
-            problem, mesh=coarse.mesh, motion=motion, point_loads=loads, size=triangles, reference=None
+            problem, mesh=mesh, motion=motion, point_loads=loads, size=triangles, reference=None
         )
     except ProblemError:
         return None  # too coarse for what the problem says
     return coarser if Body(coarser, coarser.mesh.p).is_upright() else None  # too coarse for its curves
 
 
-def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array, turn: float) -> NDArray[np.int64]:
-    """Some of the nodes on a curve, between which it turns by little more than ``turn``."""
+def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array) -> NDArray[np.int64]:
+    """Some of the nodes on a curve, between which it turns by little more than ``TURN``."""
     t = curve.nearest(points[:, nodes])
     order = np.argsort(t)
     angle = np.unwrap(np.arctan2(*curve.velocity(t[order])[::-1]))
-    turned = np.floor(np.abs(angle - angle[0]) / turn)
+    turned = np.floor(np.abs(angle - angle[0]) / TURN)
     return nodes[order][np.append(True, np.diff(turned) > 0)]
 
 
-def _decimated(problem: ContactProblem, turn: float) -> Coarse:
-    """The mesh with nodes taken out; corners, nodes with a number, at kinks and enough on curves stay."""
+def _decimated(problem: ContactProblem) -> tuple[MeshTri, Index]:
+    """The mesh with nodes taken out, and the numbers that its nodes had.
+
+    Corners, nodes with a number, at kinks and enough on curves stay.
+    """
     mesh = problem.mesh
     on_line, tangent = sliding_directions(problem)
     kept = np.zeros(mesh.p.shape[1], dtype=bool)
     kept[on_line] = ~(np.any(tangent[:, on_line] != 0, axis=0) | (on_curve(problem)[on_line] >= 0))
     kept[[*_numbers(problem), *problem.kink_nodes]] = True
     for name, curve in problem.motion.curves.items():
-        kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p, turn)] = True
+        kept[_turning(curve, problem.boundary_nodes((name,)), mesh.p)] = True
     lines = Lines(kept, mesh.facets[:, line_facets(mesh)])
     result = decimated(mesh.p, problem.triangles, lines)
     nodes = np.unique(result.triangles)
@@ -137,7 +130,7 @@ def _decimated(problem: ContactProblem, turn: float) -> Coarse:
         members = place[np.asarray(elements)]
         subdomains[name] = members[members >= 0]
     coarse = from_arrays(mesh.p[:, nodes].T, number[result.triangles].T, boundaries, subdomains)
-    return Coarse(coarse, nodes)
+    return coarse, nodes
 
 
 CANDIDATES = 16
@@ -199,9 +192,8 @@ def prolonged(
 ) -> Array:
     """Outer variables of a finer mesh that follow the ``shift`` (2, coarse nodes) of a coarser one.
 
-    On a uniform refinement every element stays as valid as the one it is a part of. On another mesh
-    an element may be inverted, since it lies across several: there the shift is smoothed, and if that does
-    not help, made smaller as a whole.
+    An element that lies across several may be inverted: there the shift is smoothed, and if that does not
+    help, made smaller as a whole.
     """
     X0, triangles, mesh_map = fine.problem.mesh.p, fine.problem.triangles, fine.mesh_map
     before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + shift))
@@ -234,19 +226,3 @@ def _smoothed(shift: Array, triangles: NDArray, nodes: NDArray) -> Array:
     result = shift.copy()
     result[:, nodes] = (total / count)[:, nodes]
     return result
-
-
-def lowers(energy: ReducedEnergy, q: Array) -> bool:
-    """Whether the energy at ``q`` is below that of the mesh as given.
-
-    Where a foundation is curved that is the continuous energy (:mod:`rmesh_nlp.assessment.admissible`), since
-    what a coarse map gains by penetration does not last on a finer mesh.
-    """
-    rel = energy.relocation
-    if not energy.is_defined(q):
-        return False
-    state = energy(q).equilibrium
-    if any(part.level is not None for part in rel.problem.obstacles) or rel.problem.motion.curves:
-        continuous = energy.assessor.solve(rel.nodes(q), state.active)
-        return bool(continuous.energy < energy.assessor.initial.energy)
-    return bool(state.energy < energy.given.energy)

@@ -6,7 +6,7 @@ Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
-from rmesh_nlp.models.regularised_descent import to_stationary
+from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import Solver
@@ -31,6 +31,10 @@ LARGEST_DENSE = 1500
 """Number of outer variables up to which an interior point has the Hessian of an objective other than the
 energy, a dense matrix; above it Newton-CG goes as far as the areas let it. That of the energy is sparse in
 outer variables and displacements, for any number."""
+
+NEAR = 3e-3
+"""First-order residual at which Newton-CG hands over to the interior point where a distortion keeps the
+elements valid (chosen on Example 6.1)."""
 
 TIGHT = 1e-4
 """newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
@@ -86,12 +90,13 @@ class NestedSettings(Settings):
 
 @dataclass(frozen=True)
 class OuterResult:
-    """Where an outer solver stopped; ``method`` is what it ran, where its name leaves that open."""
+    """Where an outer solver stopped, what it ran, and how many of its iterations factorise a KKT matrix."""
 
     q: Array
     status: Status
     iterations: int
     method: str = ""
+    factorised: int = 0
 
 
 def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
@@ -132,9 +137,9 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
     q = clipped(result.x)
     if not (np.isfinite(result.f) and is_better(function(q))):
         status = Status.STALLED if result.converged else result.status
-        return OuterResult(start, status, result.iterations, INTERIOR)
+        return OuterResult(start, status, result.iterations, INTERIOR, result.iterations)
     status = Status.CONVERGED if result.converged or stationary else result.status
-    return OuterResult(q, status, result.iterations, INTERIOR)
+    return OuterResult(q, status, result.iterations, INTERIOR, result.iterations)
 
 
 def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
@@ -142,22 +147,41 @@ def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nested
     function = problem.function
     is_energy = isinstance(function, ReducedEnergy)
     if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
-        most = settings.iterations or 200
-        result = to_stationary(
-            function,
-            start,
-            problem.residual,
-            tolerance=problem.tolerance,
-            max_iterations=most,
-            on_step=monitor,
-        )
-    elif settings.enough is not None and problem.constraints is None:
+        return _distorted(problem, function, start, monitor, settings)
+    if settings.enough is not None and problem.constraints is None:
         result = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
     elif problem.nlp.n_g and (is_energy or start.size <= LARGEST_DENSE or problem.constraints is not None):
         return interior(problem, start, monitor, settings)
     else:
         result = _descend(problem, start, monitor, settings)
     return OuterResult(result.x, result.status, result.iterations, NEWTON)
+
+
+def _distorted(
+    problem: ReducedNLP, function: ReducedEnergy, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
+    """Newton-CG to near a stationary point, with a distortion, and an interior point from there."""
+    over, norm = False, np.inf
+
+    def watch(iteration: int, q: Array, value: float) -> bool:
+        nonlocal over, norm
+        over, norm = bool(monitor(iteration, q, value)), problem.residual(function(q))
+        return over or norm <= max(NEAR, problem.tolerance)
+
+    most = settings.iterations or 200
+    result = descend(function, start, gain_tolerance=0.0, max_iterations=most, on_step=watch)
+    if norm <= problem.tolerance:
+        return OuterResult(result.x, Status.CONVERGED, result.iterations, NEWTON)
+    if over or result.iterations == most:
+        return OuterResult(result.x, result.status, result.iterations, NEWTON)
+    first = result.iterations
+    end = interior(
+        replace(problem, warm=True),
+        result.x,
+        lambda iteration, q, value: monitor(first + iteration, q, value),
+        settings if settings.iterations is None else replace(settings, iterations=most - first),
+    )
+    return replace(end, iterations=first + end.iterations, method=f"{NEWTON}, then {INTERIOR}")
 
 
 def _descend(

@@ -2,14 +2,12 @@
 
 Far from a stationary point conjugate gradients with the diagonal are the cheapest per iteration. Near it the
 second derivatives are nearly singular in many directions, along which elements slide past each other at
-hardly any cost; there one factorisation of the second derivatives in outer variables and displacements
-together is a nearly exact preconditioner, and Newton's method converges quadratically.
+hardly any cost: there an interior point goes on (:mod:`rmesh_nlp.models.outer_solvers`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,21 +15,13 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
-from rmesh_nlp.models.second_derivatives import Curvature, Hessian
-from rmesh_nlp.optimize.newton_step import Preconditioner, Shifted, positive_definite
-from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import LOCAL, Evaluation, LocalRadii, NewtonResult, minimise
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.second_derivatives import Curvature
+from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
 
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
-
-NEAR = 3e-3
-"""First-order residual below which the second derivatives are factorised (chosen on Example 6.1)."""
-
-FORCING = 0.01
-"""Conjugate gradients stop at this part of the residual they began with, on the way to a stationary point."""
 
 OnPoint = Callable[[int, Array, float], bool | None]
 
@@ -44,8 +34,6 @@ def descend(
     reference: float | None = None,
     max_iterations: int = 100,
     on_step: OnPoint | None = None,
-    forcing: float = LOCAL.forcing,
-    preconditioner: Callable[[Hessian, Array], Preconditioner | None] | None = None,
 ) -> NewtonResult:
     """Descend from outer variables ``q``; see :func:`rmesh_nlp.optimize.trust_region.minimise`.
 
@@ -74,9 +62,7 @@ def descend(
         local=LocalRadii(
             lambda x: node_widths(relocation, x),
             lambda x, step: longest_valid(relocation, x, step),
-            preconditioner,
         ),
-        settings=replace(LOCAL, forcing=forcing),
         on_step=None if on_step is None else lambda i, x, evaluation: on_step(i, x, evaluation.value),
     )
 
@@ -120,40 +106,3 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
         roots = np.stack([middle / square, constant / middle])
     real = np.isfinite(roots) & (roots > 0)
     return float(min(1.0, np.min(roots[real], initial=1.0)))
-
-
-def to_stationary(
-    energy: ReducedEnergy,
-    q: Array,
-    residual: Callable[[ReducedPoint], float],
-    *,
-    tolerance: float,
-    max_iterations: int,
-    on_step: OnPoint,
-) -> NewtonResult:
-    """Descend from ``q``, with a distortion, until the first-order residual is at most ``tolerance``.
-
-    The status is CONVERGED then, and STALLED where the descent ends before; it stops if ``on_step`` returns
-    True.
-    """
-    norm = float("inf")
-
-    def report(iteration: int, x: Array, value: float) -> bool:
-        nonlocal norm
-        norm = residual(energy(x))
-        return bool(on_step(iteration, x, value)) or norm <= tolerance
-
-    def factorised(model: Hessian, width: Array) -> Shifted | None:
-        return positive_definite(*model.joint(width)) if norm <= NEAR else None
-
-    result = descend(
-        energy,
-        q,
-        gain_tolerance=0.0,
-        max_iterations=max_iterations,
-        on_step=report,
-        forcing=FORCING,
-        preconditioner=factorised,
-    )
-    status = Status.STALLED if result.status is Status.CONVERGED else result.status
-    return replace(result, status=Status.CONVERGED if norm <= tolerance else status)

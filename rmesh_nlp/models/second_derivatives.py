@@ -104,13 +104,6 @@ class Hessian:
         corner = rotated.K[:, inside][inside]
         return Lifted(sp.csc_array(outer), sp.csc_array(mixed), corner, inside, rotated.F.size)
 
-    def joint(self, width: Array) -> tuple[sp.csc_array, int]:
-        """The matrix of :meth:`lifted` with q in units of ``width``, and n: its first n unknowns are q."""
-        lifted, scale = self.lifted(), sp.diags_array(width)
-        mixed = lifted.mixed @ scale
-        matrix = sp.block_array([[scale @ lifted.outer @ scale, mixed.T], [mixed, lifted.stiffness]])
-        return sp.csc_array(matrix), width.size
-
     def __call__(self, d: Array) -> Array:
         """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
         if d.ndim == 2 or d.size > DENSE:

@@ -8,12 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from rmesh_nlp.evaluation import Array
 
@@ -32,13 +30,6 @@ DECREASE = 0.01
 SHORTEN_CAUCHY, SHORTEN, SEARCHES = 0.25, 0.5, 30
 """Factors of the steps that are tried for a Cauchy point and in a projected search, and most tries of
 that."""
-
-FIRST_SHIFT, GROWTH, LARGEST_SHIFT = 1e-3, 10.0, 1e6
-"""First multiple of the mean diagonal that is added to an indefinite matrix, factor between shifts, and the
-largest one that is tried."""
-
-Preconditioner = Callable[[Array], Array]
-"""A symmetric positive definite operator on gradients."""
 
 
 class Model(Protocol):
@@ -75,27 +66,19 @@ def scaled(model: Model, width: Array) -> Operator:
 class BoxStep:
     """Minimises ``g . s + 1/2 s . H s`` approximately over a box that contains s = 0.
 
-    The conjugate gradients are preconditioned by the inverse diagonal of the model, or by what is given: on a
-    face its principal part is taken, which is positive definite again.
+    The conjugate gradients are preconditioned by the inverse diagonal of the model.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        g: Array,
-        preconditioner: Preconditioner | None = None,
-        max_products: int = MAX_PRODUCTS,
-    ) -> None:
-        self._model, self._g, self._preconditioner = model, g, preconditioner
+    def __init__(self, model: Model, g: Array, max_products: int = MAX_PRODUCTS) -> None:
+        self._model, self._g = model, g
         self.scale, self.products, self.max_products = model.diagonal(), 0, max_products
-        self._free: NDArray[np.bool_] | slice = slice(None)
 
     def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box, and the decrease that the model predicts."""
         self._lower, self._upper = lower, upper
         s, Hs = self._cauchy()
         while self.products < self.max_products:
-            free = self._face(s)
+            free = (s > self._lower) & (s < self._upper)
             gradient = self._g + Hs
             residual = np.where(free, gradient, 0.0)
             if self._dual_norm(residual) <= forcing * self._dual_norm(np.where(free, self._g, 0.0)):
@@ -116,19 +99,7 @@ class BoxStep:
         return self._model(d)
 
     def _dual_norm(self, r: Array) -> float:
-        return float(np.sqrt(np.maximum(r @ self._precondition(r), 0.0)))
-
-    def _precondition(self, r: Array) -> Array:
-        if self._preconditioner is None:
-            return r / self.scale
-        z = np.zeros_like(r)
-        z[self._free] = self._preconditioner(r)[self._free]
-        return z
-
-    def _face(self, s: Array) -> NDArray[np.bool_]:
-        """The variables that are off their bounds at ``s``."""
-        self._free = free = (s > self._lower) & (s < self._upper)
-        return free
+        return float(np.sqrt(np.maximum(r @ (r / self.scale), 0.0)))
 
     def _clip(self, s: Array) -> Array:
         return np.clip(s, self._lower, self._upper)
@@ -150,7 +121,7 @@ class BoxStep:
         """Steps over the free variables, until they converge or lead far out of the box."""
         far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
         w, r = np.zeros_like(residual), -residual
-        z = self._precondition(r)
+        z = r / self.scale
         p, rz = z.copy(), float(r @ z)
         target = forcing**2 * rz
         while self.products < self.max_products:
@@ -160,7 +131,7 @@ class BoxStep:
                 return w + far / max(float(np.max(np.abs(p))), 1e-300) * p
             alpha = rz / curvature
             w, r = w + alpha * p, r - alpha * Hp
-            z = self._precondition(r)
+            z = r / self.scale
             rz, old = float(r @ z), rz
             if rz <= target or np.max(np.abs(w)) > far:
                 break
@@ -178,56 +149,3 @@ class BoxStep:
                 return moved, H_moved
             beta *= SHORTEN
         return np.zeros_like(s), np.zeros_like(s)
-
-
-@dataclass(frozen=True)
-class Shifted:
-    """A factorised symmetric matrix, made positive definite by a multiple of the identity on a part of it.
-
-    ``factor`` is that of ``matrix + shift I``, I on the first ``n`` unknowns, ``shift`` in units of the mean
-    size of their diagonal; ``factorisations`` is how many it took to find the shift.
-    """
-
-    factor: Any
-    n: int
-    shift: float
-    factorisations: int
-
-    def __call__(self, r: Array) -> Array:
-        """The first n unknowns of the inverse times ``r`` (n,), zero on the others."""
-        whole = np.zeros(self.factor.shape[0])
-        whole[: self.n] = r
-        return np.asarray(self.factor.solve(whole)[: self.n])
-
-
-def positive_definite(matrix: sp.csc_array, n: int) -> Shifted | None:
-    """Factorise ``matrix + shift I`` with the least shift of a sequence that makes it positive definite.
-
-    ``L D L^T`` without interchanges: by Sylvester's law of inertia the signs of D are those of the
-    eigenvalues. The identity is that of the first n unknowns; the symmetric matrix (m, m) must be positive
-    definite on the others. None if no shift helps.
-    """
-    unit = max(float(np.mean(np.abs(matrix.diagonal()[:n]))), 1e-300)
-    on_first = sp.diags_array(np.where(np.arange(matrix.shape[0]) < n, unit, 0.0), format="csc")
-    shift, count = 0.0, 0
-    while shift <= LARGEST_SHIFT:
-        factor, count = _signed_factor(sp.csc_array(matrix + shift * on_first)), count + 1
-        if factor is not None:
-            return Shifted(factor, n, shift, count)
-        shift = GROWTH * shift if shift else FIRST_SHIFT
-    return None
-
-
-def _signed_factor(matrix: sp.csc_array) -> Any:
-    """The factors, or None if a pivot is not positive."""
-    indices, starts = (a.astype(np.int32, copy=False) for a in (matrix.indices, matrix.indptr))
-    matrix = sp.csc_array((matrix.data, indices, starts), shape=matrix.shape)
-    try:
-        factor = splu(
-            matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-        )
-    except RuntimeError:  # exactly singular
-        return None
-    if not np.array_equal(factor.perm_r, factor.perm_c) or np.min(factor.U.diagonal(), initial=1.0) <= 0:
-        return None
-    return factor

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from rmesh_nlp.optimize.newton_step import (
     MAX_PRODUCTS,
     BoxStep,
     Model,
-    Preconditioner,
     scaled,
 )
 from rmesh_nlp.optimize.status import Status
@@ -115,13 +113,10 @@ class LocalRadii:
 
     ``widths`` has the positive widths (n,) of the trust region at a point, for radius 1. ``longest`` takes a
     point and a step to the part of the step, at most 1, that stays well within the domain of the function.
-    ``preconditioner`` makes that of the conjugate gradients, in units of the widths, from model and widths;
-    where it is None, or returns None, the diagonal of the model serves.
     """
 
     widths: Callable[[Array], Array]
     longest: Callable[[Array, Array], float]
-    preconditioner: Callable[[Any, Array], Preconditioner | None] | None = None
 
 
 def minimise(
@@ -229,7 +224,7 @@ class _Box:
 
     def step(self) -> BoxStep:
         """The minimiser of the model."""
-        return BoxStep(self._model, self._g, max_products=self.settings.max_products)
+        return BoxStep(self._model, self._g, self.settings.max_products)
 
     def cut(self, y: Array, predicted: float) -> tuple[float, float]:
         """Part of a step that stays in the domain, and the decrease that the model predicts of it."""
@@ -251,16 +246,14 @@ class _LocalBox(_Box):
 
     def arrive(self, x: Array, evaluation: Evaluation) -> None:
         super().arrive(x, evaluation)
-        self._width = width = self._local.widths(x)
-        make = self._local.preconditioner
-        self._preconditioner = None if make is None else make(self._model, width)
+        self._width = self._local.widths(x)
 
     def first_radius(self, step: BoxStep) -> float:
         return self.settings.first_radius
 
     def step(self) -> BoxStep:
         model, slope = scaled(self._model, np.asarray(self._width)), self._width * self._g
-        return BoxStep(model, slope, self._preconditioner, self.settings.max_products)
+        return BoxStep(model, slope, self.settings.max_products)
 
     def cut(self, y: Array, predicted: float) -> tuple[float, float]:
         part = self._local.longest(self._x, self._width * y)

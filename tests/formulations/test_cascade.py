@@ -1,4 +1,4 @@
-"""The cascade of meshes: weights and work of its levels, maps not taken, and what an interrupt keeps."""
+"""The cascade of meshes: weights and work of its levels, and what an interrupt keeps."""
 
 from dataclasses import replace
 from typing import Any
@@ -29,14 +29,13 @@ def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
     row, (coarse, fine) = solution.record(), solution.record()["cascade"]
     assert [level["nodes"] for level in (coarse, fine)] == [25, 81]
     assert [level["triangles"] for level in (coarse, fine)] == [32, 128]
-    assert [level["taken"] for level in (coarse, fine)] == [None, True]
     # the error falls like the number of nodes
     coarser = coarsened(problem, 20)
     assert coarser is not None
     error = gain_estimate(coarser).value * 25 / 81
     assert row["gain_estimate"] == pytest.approx(error)
     assert row["regularisation_weight"] == pytest.approx(0.003 * error)
-    assert row["iterations"] == coarse["iterations"] + fine["iterations"] <= 4 * 6 + 6
+    assert row["iterations"] == coarse["iterations"] + fine["iterations"] <= 5 * 6
     assert 0 < coarse["contact_solves"] + fine["contact_solves"] <= row["contact_solves"]
     assert fine["energy"] == pytest.approx(solution.energy)
     assert solution.energy < solution.energy_initial
@@ -47,10 +46,7 @@ def test_a_map_that_folds_triangles_is_not_taken(monkeypatch: pytest.MonkeyPatch
         return np.random.default_rng(0).uniform(-9, 9, given[-1].n_q)
 
     monkeypatch.setattr(module, "prolonged", folded)
-    row = rm.solve(square(8), coarsest=20, iterations=2).record()
-    assert row["cascade"][-1]["taken"] is False
-    assert "on 81 nodes from where they were given" in row["chosen"]
-    assert row["gain_audited"] > 0
+    assert rm.solve(square(8), coarsest=20, iterations=2).record()["gain_audited"] > 0
 
 
 def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
@@ -70,7 +66,7 @@ def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
         {"schedule": (1.0, -1.0)},
         {"schedule": "x"},
         {"distortion": "oval"},
-        {"brief": 0},
+        {"iterations": 0},
     ],
 )
 def test_bad_settings_are_refused(bad: dict[str, Any]) -> None:

@@ -12,44 +12,18 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.meshes.unrefinement import unrefined
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.levels import coarsened, prolonged
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Relative
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.lines import sliding_directions
-from support.problems import shuffled
 from support.quality import shape_quality, sizes
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_refinement_is_undone_in_any_order(seed: int) -> None:
-    coarse = random_problem(seed).mesh
-    fine, _ = shuffled(coarse.refined(1), seed)
-    back = unrefined(fine)
-    assert back is not None
-    assert back.mesh.t.shape == coarse.t.shape
-    assert {tuple(np.round(p, 9)) for p in back.mesh.p.T} == {tuple(np.round(p, 9)) for p in coarse.p.T}
-    np.testing.assert_array_equal(fine.p[:, back.nodes], back.mesh.p)
-    assert sizes(back.mesh) == pytest.approx(sizes(coarse))
-
-
-def test_what_is_no_refinement_is_not_taken_for_one() -> None:
-    mesh = rectangle(4, 4)
-    p = mesh.p.copy()
-    p[:, mesh.interior_nodes()[0]] += 1e-3
-    corner = named(mesh, subdomains={"a": lambda x: np.sum(x, axis=0) < 0.3})
-    # a name that ends in the middle of a coarse edge
-    part = named(mesh, {"part": lambda x: (x[1] == 0) & (x[0] < 0.2)})
-    for other in (rectangle(5, 4), replace(mesh, doflocs=p), part, corner):
-        assert unrefined(other) is None
-    assert unrefined(mesh) is not None
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -85,7 +59,6 @@ def test_edges_of_coarser_meshes_have_the_directions_of_the_given_one(
 ) -> None:
     """A map found with other directions is of little use on the given mesh."""
     mesh = rectangle(*size, x=(0, 3), diagonal=diagonal)
-    assert unrefined(mesh) is None
     coarse = coarsened(ContactProblem(mesh, Laplace(1.0), "left", motion=Motion(None)), least=20)
     assert coarse is not None
     assert 0.2 < coarse.mesh.p.shape[1] / mesh.p.shape[1] < 0.32

@@ -73,7 +73,7 @@ def test_nodes_that_are_nearly_on_the_curve_are_put_onto_it() -> None:
 
 
 def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:
-    problem = plate({"hole": HOLE}, h=1.2)
+    problem = plate({"hole": HOLE}, h=0.6)
     fine, local, coarse = refined(problem), locally_refined(problem, np.arange(40)), coarsened(problem, 30)
     assert coarse is not None
     assert max(off(other, other.mesh, "hole", HOLE) for other in (fine, local, coarse)) < 1e-12

@@ -172,12 +172,11 @@ def test_products_of_the_energy_are_derivatives_of_its_gradient(
     np.testing.assert_allclose(both, np.column_stack([alone(d), alone(other)]), atol=1e-10 * size)
     np.testing.assert_allclose(both[:, 0], product, atol=1e-10 * size)
     # the same as a Schur complement of a sparse matrix
-    width = rng.uniform(0.5, 2, d.size)
-    sparse, n = hessian.joint(width)
-    matrix = sparse.toarray()
-    schur = matrix[:n, :n] - matrix[:n, n:] @ np.linalg.solve(matrix[n:, n:], matrix[n:, :n])
-    np.testing.assert_allclose(schur @ d, width * hessian(width * d), atol=1e-9 * np.max(np.abs(schur)))
-    assert np.linalg.eigvalsh(matrix[n:, n:]).min() > 0
+    lifted = hessian.lifted()
+    outer, mixed, stiffness = (part.toarray() for part in (lifted.outer, lifted.mixed, lifted.stiffness))
+    schur = outer - mixed.T @ np.linalg.solve(stiffness, mixed)
+    np.testing.assert_allclose(schur @ d, product, atol=1e-9 * np.max(np.abs(schur)))
+    assert np.linalg.eigvalsh(stiffness).min() > 0
 
 
 @pytest.mark.parametrize("distortion", DISTORTIONS)
