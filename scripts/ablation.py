@@ -153,12 +153,6 @@ RULES = (
         ENERGY,
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
-    Rule(
-        "Newton: factorised second derivatives near the end",
-        (AUTO,),
-        FREE,
-        {"rmesh_nlp.models.regularised_descent:NEAR": 0.0},
-    ),
     Rule("contact: patience with blocks", CONTACT, ALL, {f"{ACTIVE_SET}:PATIENCE": 10**6}),
     Rule("contact: guess by the dual", CONTACT, ALL, {f"{ACTIVE_SET}:FEW": 10**6}),
     Rule("contact: refinement of linear solves", CONTACT, ALL, {f"{ACTIVE_SET}:EXACT": 1.0}),

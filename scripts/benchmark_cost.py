@@ -38,7 +38,7 @@ from rows import command_line, markdown, timed
 PARTS = {
     "models": "contact.solver:ContactSolver models.reduced_model:ReducedEnergy "
     "models.second_derivatives:Curvature",
-    "coarser": "models.levels:hierarchy models.levels:prolonged models.levels:lowers",
+    "coarser": "models.levels:hierarchy models.levels:prolonged",
     "descents": "models.regularised_descent:descend",
     "metric": "models.remeshing:metric_start",
     "estimate": "models.regularisation:gain_estimate",

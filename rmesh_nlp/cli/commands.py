@@ -153,8 +153,8 @@ def check(
 def advise(file: o.File, order: o.Order = None, json: o.Json = False) -> None:
     """Say what moving nodes, a new mesh and refinement can attain, before anything moves.
 
-    Solves on the given mesh and on its uniform refinement; factors are how many times less the error of
-    the energy is than on the given mesh.
+    Solves on the given mesh and on its uniform refinement, and moves the nodes of a coarse mesh; factors are
+    how many times less the error of the energy is than on the given mesh.
 
     \b
     rmesh advise my.toml

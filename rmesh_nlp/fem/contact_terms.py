@@ -35,7 +35,7 @@ from rmesh_nlp.fem.fields import (
 )
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import Obstacle, at
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_number
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient
 from rmesh_nlp.problem.data import ContactSet
 
 FRICTION_DEGREE = 31
@@ -242,18 +242,6 @@ def coulomb_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda) -> (0, F(X) lambda)`` of one contact node."""
     (X, x, y), pressure = _node(shares), ca.SX.sym("lambda")
     return ca.Function("coulomb", [X, pressure], [0, at(obstacle.coulomb, x, y) * pressure], OPEN)
-
-
-def coefficient_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """Coulomb's coefficients that vary, of positions: a row per gap with friction."""
-    terms = []
-    for part, numbers in _frictional(space):
-        if not is_number(part.obstacle.coulomb):
-            for which, vertices, shares in space.kinds(part.nodes):
-                X, x, y = _node(shares)
-                value = ca.Function("coefficient", [X], [0, at(part.obstacle.coulomb, x, y)], OPEN)
-                terms.append(ElementTerm(value, (vertices,), numbers[None, which]))
-    return terms
 
 
 def bound_force_groups(

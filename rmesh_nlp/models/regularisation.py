@@ -19,7 +19,7 @@ from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.edge_gains import edge_gains
+from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 
@@ -45,8 +45,8 @@ ESTIMATE_SOLVES = 2
 def gain_estimate(problem: ContactProblem | ContactSolver) -> GainEstimate:
     """Estimate the error of the continuous energy of the mesh as given, by two contact solves.
 
-    Where the contact problem cannot be solved on the refined mesh, or its energy does not fall, the gains of
-    new nodes on edges estimate it.
+    Where the contact problem cannot be solved on the refined mesh, or its energy does not fall, the error of
+    interpolation by recovered derivatives estimates it.
     """
     solver = problem if isinstance(problem, ContactSolver) else ContactSolver(problem)
     given = admissible(solver.discretisation, start=solver.given.active)
@@ -54,7 +54,7 @@ def gain_estimate(problem: ContactProblem | ContactSolver) -> GainEstimate:
     floor = LEAST_GAIN * max(abs(given.energy), 1e-300)
     if refined is not None and refined.status is Status.CONVERGED and refined.energy < given.energy:
         return GainEstimate(given.energy, max(EXTRAPOLATION * (given.energy - refined.energy), floor))
-    return GainEstimate(given.energy, max(float(edge_gains(solver.problem).sum()), floor))
+    return GainEstimate(given.energy, max(Solved(solver, solver.given).error, floor))
 
 
 def _refined(given: Admissible) -> Admissible | None:

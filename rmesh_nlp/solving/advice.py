@@ -3,6 +3,7 @@
 Two contact solves, on the given mesh and on its uniform refinement, give the error of the energy, and
 derivatives from which the least error of a mesh of as many triangles follows
 (:mod:`rmesh_nlp.fem.interpolation_error`). That error is extrapolated to the limit of fine meshes from both.
+What moving the nodes gains is measured on a coarse mesh: the best positions are a map of the domain.
 """
 
 from __future__ import annotations
@@ -17,11 +18,15 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.mmg import MISSING, is_available
 from rmesh_nlp.models.attainable import LeastErrors
-from rmesh_nlp.models.best_map import best_map
+from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import polynomial_degree
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving.driver import solve
+
+NODES = 300
+"""Largest number of nodes of the mesh on which nodes are moved."""
 
 WORTHWHILE = 1.25
 """Factor of the error below which no mesh of as many nodes is recommended."""
@@ -50,8 +55,8 @@ SOLVES = {"relocate": 80, "remesh": 80, "refine": 5}
 class Advice:
     """What ``rmesh advise`` finds; factors are errors of the given mesh over those of another one.
 
-    They are None where the given mesh and its refinement do not agree about derivatives of the solution;
-    refining is recommended then.
+    Those by derivatives of the solution are None where the given mesh and its refinement do not agree about
+    them; refining is recommended then.
 
     Attributes
     ----------
@@ -62,8 +67,8 @@ class Advice:
     attainable_factor : float
         By the best mesh of as many triangles.
     attainable_same_connectivity : float
-        By moving the nodes alone, roughly: by the best map of a coarse mesh, for the interpolation error. Too
-        large where the solution varies in one direction.
+        By moving the nodes alone, at least: what the assessment claims for a mesh of at most ``NODES`` nodes;
+        None where it claims nothing.
     attainable_by_refinement : float
         By local refinement to as many triangles, at best.
     remeshing_factor : float
@@ -100,7 +105,7 @@ class Advice:
             ("rmesh solve --remesh", _less(self.remeshing_factor, _cost("remesh"))),
             (
                 "rmesh solve: nodes move",
-                _less(self.attainable_same_connectivity, _cost("relocate"), roughly=True),
+                _less(self.attainable_same_connectivity, _cost("relocate")),
             ),
             ("refined locally, as many triangles", _less(self.attainable_by_refinement, ", at best")),
             ("refined uniformly, four times as many", _less(4**self.rate, _cost("refine"))),
@@ -143,22 +148,32 @@ def advise(problem: ContactProblem) -> Advice:
         )
     motion = replace(problem.motion, delta=None)
     given = replace(with_edge_gaps(problem), motion=motion, quadrature="auto")
-    prospect = _Prospect.of(given)
-    fine, uniform = prospect.finer, 4**prospect.rate
+    prospect, moved = _Prospect.of(given), _moved(given)
+    uniform = 4**prospect.rate
     if prospect.agrees:
-        moved = min(prospect.best, best_map(given, np.asarray(fine.problem.mesh.p), fine.regions))
-        chosen = recommended(prospect.remeshed, moved)
-        predicted = {"remesh": prospect.remeshed, "relocate": moved, "refine": uniform}[chosen]
+        chosen = recommended(prospect.remeshed, moved or 1.0)
+        predicted = {"remesh": prospect.remeshed, "relocate": moved or 1.0, "refine": uniform}[chosen]
         factors = prospect.best, moved, prospect.refinement, prospect.remeshed
         advice = Advice(prospect.error, prospect.rate, *factors, chosen, predicted)
     else:
-        advice = Advice(prospect.error, prospect.rate, None, None, None, None, "refine", uniform)
+        advice = Advice(prospect.error, prospect.rate, None, moved, None, None, "refine", uniform)
     if problem.order > 1:
         return advice
     second = _Prospect.of(replace(given, order=2))
     factor = prospect.error / second.error if second.error > 0 else 1.0
     remeshed = factor * second.remeshed if second.agrees else None
     return replace(advice, second_order_factor=factor, second_order_remeshing_factor=remeshed)
+
+
+def _moved(problem: ContactProblem) -> float | None:
+    """Least factor by which moving the nodes of a coarse mesh lowers the error there."""
+    while problem.mesh.p.shape[1] > NODES and (coarse := coarsened(problem, 0)) is not None:
+        problem = coarse
+    solution = solve(problem)
+    if solution.is_interrupted:
+        raise KeyboardInterrupt
+    reduction = solution.error_reduction
+    return None if reduction is None else reduction.factor
 
 
 @dataclass(frozen=True)
@@ -176,7 +191,6 @@ class _Prospect:
     remeshed: float
     refinement: float
     agrees: bool
-    finer: Solved
 
     @staticmethod
     def of(given: ContactProblem) -> _Prospect:
@@ -194,7 +208,7 @@ class _Prospect:
         if error > fall:
             rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, order))
         best, remeshed, refinement, agrees = _factors(coarse, finer, error)
-        return _Prospect(error, rate, best, remeshed, refinement, agrees, finer)
+        return _Prospect(error, rate, best, remeshed, refinement, agrees)
 
 
 def _has_curved_data(problem: ContactProblem) -> bool:

@@ -22,7 +22,6 @@ from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.fem.interpolation_error import errors
 from rmesh_nlp.meshes import named
 from rmesh_nlp.models.attainable import LeastErrors
-from rmesh_nlp.models.edge_gains import marked
 from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
@@ -50,7 +49,9 @@ def next_mesh(problem: ContactProblem) -> ContactProblem:
     indicators, corners = np.zeros(problem.mesh.t.shape[1]), np.asarray(problem.mesh.p)[:, problem.triangles]
     for one in Solved.of(problem).regions:
         indicators[one.elements] = errors(one.law, corners[:, :, one.elements], one.in_elements)
-    return locally_refined(problem, marked(indicators))
+    order = np.argsort(-indicators, kind="stable")
+    share = np.cumsum(indicators[order])  # W. Dörfler, SIAM J. Numer. Anal. 33 (1996) 1106-1124
+    return locally_refined(problem, order[: 1 + int(np.searchsorted(share, share[-1] / 2))])
 
 
 def reference(problem: ContactProblem, nodes: int) -> Reference:
