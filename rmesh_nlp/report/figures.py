@@ -37,7 +37,6 @@ from rmesh_nlp.report.style import (
     new_figure,
     save,
 )
-from rmesh_nlp.report.surface import surface_figure
 from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.plotting import MAP, size_of
 
@@ -88,7 +87,7 @@ def _all_figures(results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
 
 
 def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str, Figure]]:
-    """Names and figures of one block: grids, stresses, convergence, and a surface if scalar.
+    """Names and figures of one block: grids, stresses and convergence.
 
     Formulations are compared with the solution of ``fixed``; without it, what would show the
     given grid is left out.
@@ -118,10 +117,6 @@ def block_figures(block: Block, results: Sequence[Result]) -> Iterator[tuple[str
             named = {short_label(record): field for record, field in own}
             if drawn and drawn[0][1].contact.any() and (named or not moved):
                 yield f"{stem}{_suffix(objective)}-stress", stress_figure({**given, **named}, units)
-        if drawn and drawn[0][1].displacement.shape[0] == 1:
-            best = {f"relocated by {label(record)}": field for record, field in moved if record is block.best}
-            every = {label(record): field for record, field in moved}
-            yield f"{stem}-surface", surface_figure({**given, **best} or every)
         for objective, records in block.objectives.items():
             solves = [result for result in results if result.record["objective"] == objective]
             traced = [curve(result, block.unit, short_label(result.record)) for result in solves]

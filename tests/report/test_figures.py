@@ -73,8 +73,8 @@ def test_every_example_has_its_figures_without_a_solve(results, tmp_path, monkey
     monkeypatch.setattr("casadi.nlpsol", refuse)
     paths = write_figures(results, tmp_path)
     grids = ("nested-grid", "joint-grid", "mpcc-grid")
-    stems = {f"6.1-4-{what}" for what in (*grids, "stress", "surface", "convergence")}
-    stems |= {f"6.1-3-order2-{what}" for what in ("joint-grid", "stress", "surface", "convergence")}
+    stems = {f"6.1-4-{what}" for what in (*grids, "stress", "convergence")}
+    stems |= {f"6.1-3-order2-{what}" for what in ("joint-grid", "stress", "convergence")}
     stems |= {f"6.3-4x3-{what}" for what in ("joint-grid", "stress", "convergence")}
     assert {path.name for path in paths} == {f"{stem}.png" for stem in stems}
     for path in paths:
@@ -89,8 +89,6 @@ def test_texts_are_legible_and_do_not_overlap(figures: dict[str, Figure]) -> Non
         assert figure.get_size_inches()[0] <= TWO_COLUMNS
         texts = [t for t in figure.findobj(Text) if t.get_text() and t.get_visible()]
         assert min(text.get_fontsize() for text in texts) >= 8, name
-        if name.endswith("surface"):
-            continue  # three-dimensional axes keep texts of ticks that they do not draw
         labels = [part for axis in figure.axes for part in (axis.xaxis.label, axis.yaxis.label, axis.title)]
         labels += [t for legend in figure.legends for t in legend.get_texts()]
         boxes = [(t.get_text(), t.get_window_extent()) for t in labels if t.get_text() and t.get_visible()]
