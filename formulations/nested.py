@@ -119,15 +119,16 @@ class _Descent:
         return replace(result, method=method)
 
     def _solved(self, program: ReducedNLP, q: Array, zigzag: Zigzag | None = None) -> OuterResult:
-        """Where the outer solver ends, or a descent that ``zigzag`` stops."""
-        outer = self._outer
+        """Where the outer solver ends, or a descent that ``zigzag`` stops, or that gets nowhere."""
+        outer, stops = self._outer, zigzag or Zigzag(at_kinks=False)
 
         def watch(iteration: int, at: Array, _: float) -> bool:
-            over = self.note(iteration, at)
-            return over or (zigzag is not None and zigzag(point := outer.function(at), *outer.merit(point)))
+            over, point = self.note(iteration, at), outer.function(at)
+            return stops(point, *outer.merit(point)) or over
 
         result = outer_solvers.solved(program, q, watch, self._settings)
         self._monitor.work += Work(kkt_factorisations=result.factorised)
         self._monitor.check()
         self._before += result.iterations
-        return result
+        stalled = zigzag is None and result.status is Status.INTERRUPTED
+        return replace(result, status=Status.STALLED) if stalled else result

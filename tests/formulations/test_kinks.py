@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -13,16 +14,17 @@ import branches
 import rmesh_nlp as rm
 from formulations import kinks
 from formulations import nested as module
-from formulations.kinks import CREEPING, EXACT_FINISH, WINDOW, Zigzag
+from formulations.kinks import CREEPING, EXACT_FINISH, LONG, STILL, WINDOW, Zigzag
 from formulations.nested import Nested
 from gallery.coulomb_kink import problem as slab
 from gallery.seal import problem as seal
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
@@ -126,15 +128,26 @@ def _point(contact: int) -> SimpleNamespace:
     return SimpleNamespace(equilibrium=SimpleNamespace(active=active))
 
 
+@pytest.mark.parametrize("at_kinks", [True, False])
 @pytest.mark.parametrize(("changes", "part"), [(True, 0.5), (True, 2.0), (False, 0.5)])
-def test_a_descent_zigzags_if_contact_changes_and_hardly_anything_is_gained(
-    changes: bool, part: float
+def test_a_descent_gets_nowhere_if_hardly_anything_is_gained_at_kinks_if_contact_changes(
+    at_kinks: bool, changes: bool, part: float
 ) -> None:
-    tell, gain = Zigzag(), part * CREEPING / WINDOW
+    window, least = (WINDOW, CREEPING) if at_kinks else (LONG, STILL)
+    tell, gain = Zigzag(at_kinks=at_kinks), part * least / window
     said = [tell(_point(0), 0.0, 1.0)]
-    said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * WINDOW)]
-    assert not any(said[: WINDOW + 1])
-    assert any(said) == (changes and part < 1)
+    said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * window)]
+    assert not any(said[: window + 1])
+    assert any(said) == ((changes or not at_kinks) and part < 1)
+
+
+def test_a_descent_that_gets_nowhere_is_called_stalled(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("formulations.kinks.LONG", 2)
+    monkeypatch.setattr("formulations.kinks.STILL", 1.0)
+    outer = Outer.of(replace(EXAMPLES["6.1"](4), motion=Motion(None)))
+    end = Nested().run(outer, np.zeros(outer.n), Monitor())
+    assert end.status is Status.STALLED
+    assert outer.energy(end.q).value < outer.energy(np.zeros(outer.n)).value
 
 
 def labelled(outer: Outer, q: Array) -> BranchLabel:
