@@ -210,17 +210,17 @@ def lifted(problem: ReducedNLP) -> NLP:
     if not isinstance(function, ReducedEnergy):
         raise TypeError("only the energy's second derivatives are lifted")
     curvature, pattern = Curvature(function), _pattern(function.relocation)
-    pattern_keys = _keys(pattern)
+    columns = np.repeat(np.arange(pattern.shape[1], dtype=np.int64), np.diff(pattern.indptr))
+    known = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, _: Array) -> Array:
-        matrix, result = _upper(curvature.at(function(q)).lifted(), factor, rows), np.zeros(pattern_keys.size)
-        keys = _keys(matrix)
-        place = np.minimum(np.searchsorted(pattern_keys, keys), pattern_keys.size - 1)
-        inside = pattern_keys[place] == keys
-        if np.any(matrix.data[~inside]):
+        (row, column), data = _upper(curvature.at(function(q)).lifted(), factor, rows)
+        keys = column.astype(np.int64) * pattern.shape[0] + row
+        place = np.minimum(np.searchsorted(known, keys), known.size - 1)
+        inside = known[place] == keys
+        if np.any(data[~inside]):
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
-        result[place[inside]] = matrix.data[inside]
-        return result
+        return np.asarray(np.bincount(place[inside], data[inside], known.size), dtype=float)
 
     n_w = function.relocation.n_u
     free = np.full(n_w, np.inf)
@@ -229,22 +229,25 @@ def lifted(problem: ReducedNLP) -> NLP:
     return _with(larger, _SecondOracle(problem, sparsity, values), problem.nlp.n_x)
 
 
-def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> sp.csc_array:
-    """The upper triangle over all unknowns of a lifted Hessian, times a factor, and that of the rows."""
-    outer = factor * hessian.outer
-    if rows is not None:
-        outer = outer + rows
+def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[Index, Array]:
+    """Places (2, entries) and values in the upper triangle over all unknowns: a lifted Hessian and the rows.
+
+    The first is times a factor. Places may come several times.
+    """
+    outer = factor * hessian.outer if rows is None else factor * hessian.outer + rows
     size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
-    unit = sp.diags_array(np.sqrt(STIFF * size / hessian.stiffness.diagonal()))
-    stiffness, mixed = unit @ hessian.stiffness @ unit, np.sqrt(factor) * (unit @ hessian.mixed)
-    diagonal = np.full(hessian.n_u, STIFF * size)  # of unknowns that contact determines
-    diagonal[hessian.free] = 0.0
-    put = sp.csc_array(_incidence(hessian.free, np.arange(hessian.free.size), hessian.n_u, hessian.free.size))
-    corner, mixed = put @ stiffness @ put.T + sp.diags_array(diagonal), put @ mixed
-    matrix = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, corner]])))
-    matrix.sum_duplicates()
-    return matrix
+    unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free
+    known = (
+        np.delete(np.arange(hessian.n_u), hessian.free) + outer.shape[0]
+    )  # unknowns that contact determines
+    a, b, c = outer.tocoo(), hessian.mixed.tocoo(), hessian.stiffness.tocoo()
+    first, second = (a.row, b.col, number[c.row], known), (a.col, number[b.row], number[c.col], known)
+    mixed, stiffness = np.sqrt(factor) * unit[b.row] * b.data, unit[c.row] * unit[c.col] * c.data
+    places = np.stack([np.concatenate(first), np.concatenate(second)])
+    values = np.concatenate([a.data, mixed, stiffness, np.full(known.size, STIFF * size)])
+    upper = places[0] <= places[1]
+    return places[:, upper], values[upper]
 
 
 def _with(nlp: NLP, oracle: _SecondOracle, n_q: int) -> NLP:
@@ -324,9 +327,3 @@ def _to_unknowns(index: Index, n: int) -> sp.csr_array:
     """(nodes, n) Which unknowns a field has at each node; ``index`` is (components, nodes)."""
     component, node = np.nonzero(index >= 0)
     return _incidence(node, index[component, node], index.shape[1], n)
-
-
-def _keys(matrix: sp.csc_array) -> Array:
-    """One number per entry, in ascending order."""
-    columns = np.repeat(np.arange(matrix.shape[1], dtype=np.int64), np.diff(matrix.indptr))
-    return np.asarray(columns * matrix.shape[0] + matrix.indices)
