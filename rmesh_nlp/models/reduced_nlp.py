@@ -211,16 +211,16 @@ def lifted(problem: ReducedNLP) -> NLP:
         raise TypeError("only the energy's second derivatives are lifted")
     curvature, pattern = Curvature(function), _pattern(function.relocation)
     columns = np.repeat(np.arange(pattern.shape[1], dtype=np.int64), np.diff(pattern.indptr))
-    known = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order
+    entries = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, _: Array) -> Array:
         (row, column), data = _upper(curvature.at(function(q)).lifted(), factor, rows)
         keys = column.astype(np.int64) * pattern.shape[0] + row
-        place = np.minimum(np.searchsorted(known, keys), known.size - 1)
-        inside = known[place] == keys
+        place = np.minimum(np.searchsorted(entries, keys), entries.size - 1)
+        inside = entries[place] == keys
         if np.any(data[~inside]):
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
-        return np.asarray(np.bincount(place[inside], data[inside], known.size), dtype=float)
+        return np.asarray(np.bincount(place[inside], data[inside], entries.size), dtype=float)
 
     n_w = function.relocation.n_u
     free = np.full(n_w, np.inf)
@@ -238,14 +238,14 @@ def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[I
     size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
     unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free
-    known = (
+    held = (
         np.delete(np.arange(hessian.n_u), hessian.free) + outer.shape[0]
     )  # unknowns that contact determines
     a, b, c = outer.tocoo(), hessian.mixed.tocoo(), hessian.stiffness.tocoo()
-    first, second = (a.row, b.col, number[c.row], known), (a.col, number[b.row], number[c.col], known)
+    first, second = (a.row, b.col, number[c.row], held), (a.col, number[b.row], number[c.col], held)
     mixed, stiffness = np.sqrt(factor) * unit[b.row] * b.data, unit[c.row] * unit[c.col] * c.data
     places = np.stack([np.concatenate(first), np.concatenate(second)])
-    values = np.concatenate([a.data, mixed, stiffness, np.full(known.size, STIFF * size)])
+    values = np.concatenate([a.data, mixed, stiffness, np.full(held.size, STIFF * size)])
     upper = places[0] <= places[1]
     return places[:, upper], values[upper]
 
