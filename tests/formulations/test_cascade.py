@@ -76,11 +76,11 @@ def test_bad_settings_are_refused(bad: dict[str, Any]) -> None:
 
 @pytest.mark.slow
 def test_from_its_end_newton_comes_to_a_stationary_point_in_as_few_solves() -> None:
-    """A factorisation near the end: without it 8 to 19 times as many were taken."""
+    """A factorisation near the end: without any 8 to 19 times as many contact solves were taken."""
     problem = square(16)
     first = rm.solve(problem, "cascade")
     solution = rm.solve(problem, start=first)
-    assert (first.status, solution.status) == (Status.ITERATION_LIMIT, Status.CONVERGED)
+    assert first.status is not solution.status is Status.CONVERGED
     assert solution.stationarity_residual <= 1e-6
     assert solution.contact_solves <= 2 * first.contact_solves
     assert solution.energy_audited < first.energy_audited
