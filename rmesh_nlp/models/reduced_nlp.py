@@ -238,9 +238,8 @@ def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[I
     size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
     unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free
-    held = (
-        np.delete(np.arange(hessian.n_u), hessian.free) + outer.shape[0]
-    )  # unknowns that contact determines
+    # unknowns that contact determines
+    held = outer.shape[0] + np.delete(np.arange(hessian.n_u), hessian.free)
     a, b, c = outer.tocoo(), hessian.mixed.tocoo(), hessian.stiffness.tocoo()
     first, second = (a.row, b.col, number[c.row], held), (a.col, number[b.row], number[c.col], held)
     mixed, stiffness = np.sqrt(factor) * unit[b.row] * b.data, unit[c.row] * unit[c.col] * c.data
