@@ -32,7 +32,7 @@ from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.models.kkt_point import KKTConditions, KKTPoint
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.lifting import IntArray, lift
-from rmesh_nlp.mpcc.lpec import linearise
+from rmesh_nlp.mpcc.lpec import descent, linearise
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.activity import ZERO
 
@@ -81,9 +81,10 @@ class Branches:
         origin, weight = np.zeros(lifted.nlp.n_x), np.ones(1)
         lin = linearise(lifted, origin, weight, ZERO, ZERO)
         result = stationarity(lifted, lin, self._tolerance / lin.scale)
-        if result.direction is None:
+        direction = None if result.direction is None else descent(lifted, lin)
+        if direction is None:
             return BranchLabel(result.label, result.b_stationary, 0.0, still, reduced.pairs)
-        step, decrease = result.direction.step[: point.q.size], result.direction.decrease
+        step, decrease = direction.step[: point.q.size], direction.decrease
         size = float(np.max(np.abs(step), initial=0.0)) or 1.0
         return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, reduced.pairs)
 

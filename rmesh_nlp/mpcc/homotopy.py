@@ -10,15 +10,17 @@ import numpy as np
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.mpcc.finish import Finish, finish, polished
 from rmesh_nlp.mpcc.lifting import BoolArray
-from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
-_SMALL = 0.5  # first products of a large problem that are smaller lower the last t with them
 _SAME = 1e-4  # relaxed solutions whose objectives differ by less, relative, are one
+_FREE, _LEAP = (
+    1e-6,
+    100,
+)  # relative change of the objective in which pairs cost nothing; iterations to the end
 
 
 @dataclass(eq=False)
@@ -67,12 +69,13 @@ def follow(
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
-    Where a step fails, the finish begins at the one before. ``first`` holds multipliers of the lifted problem
+    Where the second step costs nothing, the pairs hold nothing up, and the next one is the last. Where a step
+    fails, the finish begins at the one before. ``first`` holds multipliers of the lifted problem
     for the first step, ``former`` the levels of trajectories that this one may join; ``dependent``
     relaxations reckon with equations that follow from each other.
     """
     options = run.options
-    is_large, t, t_final = run.lifted.source.n_pairs >= LARGE, t0, options.t_final
+    t, t_final = t0, options.t_final
     warm = None if first is None else run.nlps.padded(first)
     z, is_first, clear = z0, True, None
     sides: BoolArray | None = None
@@ -87,38 +90,29 @@ def follow(
         path.joined = next(matches, None)
         if path.joined is not None:
             return
-        if is_large and sides is None:  # the products of a fine mesh are small at any t
-            t_final *= max(product, options.t_final) if product < _SMALL else 1.0
+        if len(path.levels) == 2 and abs(objective - path.levels[t0]) <= _FREE * abs(objective):
+            last = run.relaxed(result.x, t_final, result, max_iter=_LEAP)
+            if last.converged and _at_the_limit(run.objective(last.x), objective):
+                path.relaxed = result = last
+                t = t_final
         before, sides = sides, run.lifted.smaller(result.x)
         clear = run.nlps.without_relaxation(result, t)
         if run.exact(result.x) or t <= t_final:
             break
-        is_tried = is_large or (before is not None and _settled(before, sides))
-        if is_tried and t <= options.crossover * (1 + ROUNDING):
-            expected = objective + _outlook(run, clear)
+        is_settled = before is not None and _settled(before, sides)
+        if is_settled and t <= options.crossover * (1 + ROUNDING):
             near = (
                 polished(run, clear)
                 if options.newton_finish
                 else finish(run, result.x, search=False, warm=clear)
             )
-            if near is not None and path.keep(near) and _at_the_limit(near.f, expected):
+            if near is not None and path.keep(near) and _at_the_limit(near.f, objective):
                 return
         z, is_first, warm = result.x, False, result if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)
     z = path.relaxed.x
     if np.all(np.isfinite(z)) and (path.finish is None or path.failure is None):
         path.keep(finish(run, z, search=clear is not None, warm=clear))
-
-
-def first_t(run: Run, z0: Array) -> float:
-    """``t0``, or of a large problem the product of the largest members at the start, if that is smaller.
-
-    A relaxation far above the products does not act, and the first one of a large problem is long.
-    """
-    options, scale = run.options, 0.0
-    if run.lifted.source.n_pairs >= LARGE:
-        scale = float(np.prod(np.max(np.abs(z0[run.lifted.pairs]), axis=1)))
-    return float(np.clip(scale, options.t_final, options.t0)) if scale > 0 else options.t0
 
 
 def _next(t: float, factor: float, product: float, t_final: float) -> float:
@@ -130,16 +124,6 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     while t > product and t > t_final:
         t *= factor
     return t_final if t <= t_final * (1 + ROUNDING) else t
-
-
-def _outlook(run: Run, clear: NLPResult) -> float:
-    """First-order change of the objective as the smaller members of the pairs go to zero.
-
-    With a multiplier nu in the sign of ``f + nu a``, closing a member from a to 0 changes f by nu a.
-    """
-    lifted, z = run.lifted, clear.x
-    places = np.unique(lifted.pairs[lifted.smaller(z)])
-    return float(clear.lam_x[places] @ z[places])
 
 
 def _at_the_limit(finished: float, expected: float) -> bool:

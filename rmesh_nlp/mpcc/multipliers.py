@@ -122,7 +122,7 @@ def by_least_squares(
     """
     columns = Columns(lifted, lin)
     matrix, slack = columns.matrix, tolerance * lin.scale
-    if not matrix.shape[1] or not np.all(np.isfinite(matrix.data)) or not np.all(np.isfinite(lin.gradient)):
+    if not matrix.shape[1]:
         return None
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
     size = np.where(length > 0, length, 1.0)

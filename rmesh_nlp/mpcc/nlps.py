@@ -56,16 +56,14 @@ class CompiledNLPs:
         self.options = options
         self.lifted = lift(mpcc)
         relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
-        self._solvers: dict[tuple[str | bool | int, ...], _AnySize] = {}
+        self._solvers: dict[tuple[object, ...], _AnySize] = {}
         self.build_seconds = watch.elapsed
 
     @cached_property
     def _relaxed(self) -> tuple[NLP, Evaluator]:
         return relaxed_nlp(self.lifted, self.options.relaxation)
 
-    def _solver(
-        self, kind: tuple[str | bool, ...], nlp: NLP, options: dict[str, Any], watch: Watch
-    ) -> _AnySize:
+    def _solver(self, kind: tuple[object, ...], nlp: NLP, options: dict[str, Any], watch: Watch) -> _AnySize:
         every = watch.every(nlp.n_x)
         key = (*kind, every)
         if key not in self._solvers:
@@ -75,18 +73,21 @@ class CompiledNLPs:
         return self._solvers[key]
 
     def relaxed(
-        self, z: Array, p: Array, t: float, warm: NLPResult | None = None, *,
-        first: bool = False, dependent: bool = False, watch: Watch = UNWATCHED,
-    ) -> NLPResult:  # fmt: skip
+        self,
+        z: Array,
+        p: Array,
+        t: float,
+        warm: NLPResult | None = None,
+        watch: Watch = UNWATCHED,
+        **how: Any,
+    ) -> NLPResult:
         """Solve the relaxation at ``t`` from ``z``, and from the multipliers of ``warm``.
 
-        ``first`` says that ``z`` is a user's start and not another relaxed solution, ``dependent``
-        that equations may follow from each other.
+        The words of ``how`` are those of :meth:`Options.relaxed`.
         """
         nlp, _ = self._relaxed
-        first = first and warm is None
-        options = self.options.relaxed(nlp.n_x, warm is not None, first, dependent)
-        solver = self._solver((warm is not None, first, dependent), nlp, options, watch)
+        options = self.options.relaxed(nlp.n_x, warm is not None, **how)
+        solver = self._solver(("relaxed", warm is not None, *sorted(how.items())), nlp, options, watch)
         return solver(z, watch.monitor, p=np.append(p, t), **_multipliers(warm))
 
     def branch(
@@ -95,19 +96,16 @@ class CompiledNLPs:
         p: Array,
         zero: BoolArray,
         *,
-        radius: Array | None = None,
         free_signs: bool = False,
         warm: NLPResult | None = None,
         watch: Watch = UNWATCHED,
     ) -> NLPResult:
-        """Solve the NLP in which the given members are zero, from ``z``, within ``radius`` of it.
+        """Solve the NLP in which the given members are zero, from ``z``.
 
         ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
         """
         lifted = self.lifted
         lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
-        if radius is not None:
-            lower, upper = np.maximum(lower, z - radius), np.minimum(upper, z + radius)
         if free_signs:
             lower[lifted.member] = -np.inf
         fixed = lifted.pairs[zero]

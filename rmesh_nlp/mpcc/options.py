@@ -25,8 +25,6 @@ _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
 }  # fmt: skip
 _DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
-LARGE = 1000
-"""Pairs from which on an NLP is long."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +36,10 @@ class Options(Settings):
     relaxation : str
         A name in ``RELAXATIONS``.
     t0, factor, t_final : float
-        Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``. With ``LARGE`` pairs
-        it starts lower if the members at the start are small.
+        Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
     moves : int
-        Where neither the homotopy nor phase I finds a stationary point, below ``LARGE`` pairs: homotopies
-        from so many moved starts, that reckon with equations that follow from each other.
+        Where neither the homotopy nor phase I finds a stationary point: homotopies from so many moved
+        starts, that reckon with equations that follow from each other.
     starts, seed : int
         The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it
         has the objective of a former one at the same t. Limits hold for all starts together.
@@ -111,14 +108,17 @@ class Options(Settings):
         """A budget of its limits, from now on."""
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
-    def relaxed(self, n: int, warm: bool, first: bool = False, dependent: bool = False) -> dict[str, Any]:
+    def relaxed(
+        self, n: int, warm: bool, *, first: bool = False, dependent: bool = False, max_iter: int | None = None
+    ) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
         ``dependent`` reckons with equations that follow from each other; that costs iterations.
         """
-        own = {"max_iter": _iterations(n), **_RELAXED, **(_WARM if warm else {}), **(_FIRST if first else {})}
+        own = {"max_iter": max_iter or _iterations(n), **_RELAXED}
+        own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
 

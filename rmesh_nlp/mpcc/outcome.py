@@ -11,9 +11,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish
-from rmesh_nlp.mpcc.homotopy import Path, ran_out
+from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lower_level import DENSE
-from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
@@ -49,14 +48,6 @@ def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
         if end.solved and _beats(end, saddle):
             return end
     return None
-
-
-def is_infeasible(run: Run, paths: Sequence[Path], z0: Array) -> bool:
-    """Whether a local minimum of the violation is certified, where no end is feasible or ran out."""
-    z, _, excess = run.nearest or (z0, np.nan, np.inf)
-    if excess <= 1.0 or ran_out(paths):
-        return False
-    return phase_one(run, z, only_violation=True).status is Status.INFEASIBLE
 
 
 def end_of(
@@ -149,7 +140,7 @@ def result_of(
         history=tuple(run.steps),
         counts={
             "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
-            "pivots": end.pivots, "lpecs": end.lpecs, "rescues": rescues,
+            "pivots": end.pivots, "rescues": rescues,
         },
         seconds={"build": build, **phases, "total": total},
     )  # fmt: skip

@@ -24,7 +24,7 @@ from rmesh_nlp.mpcc.polish import project
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
-_STEPS = 40
+_STEPS = 80
 _SMALLEST = 1e-7  # radius, relative to the first one, that is given up
 _GROW, _SHRINK, _LARGEST = 2.0, 0.25, 10.0
 _REACH = 4.0  # growth until complementary points are within the region
@@ -47,16 +47,16 @@ class Feasibility:
     status: Status
 
 
-def phase_one(run: Run, z: Array, *, radius: float = np.inf, only_violation: bool = False) -> Feasibility:
-    """Look for a feasible complementary point near ``z``, from a trust region of ``radius``.
+def phase_one(run: Run, z: Array) -> Feasibility:
+    """Look for a feasible complementary point near ``z``.
 
-    An infinite radius is the largest unknown. Of steps that lower the violation alike that with the lowest
-    linearised objective is taken; ``only_violation`` leaves the objective out.
+    Of steps that lower the violation alike that with the lowest linearised objective is taken, and none where
+    a minimum of the violation is to be shown.
     """
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)  # relaxed solutions may lie outside, then no step is complementary
     size = 1.0 + float(np.max(np.abs(z), initial=0.0))
-    radius, least, zero = min(radius, size), np.inf, lifted.smaller(z)
+    radius, least, zero, only_violation = size, np.inf, lifted.smaller(z), False
     smallest, refused = _SMALLEST * radius, np.inf
     for _ in range(_STEPS):
         run.budget.check()

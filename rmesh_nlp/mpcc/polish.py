@@ -9,8 +9,6 @@ projection onto the branch. Both are regularised: a branch may have more equatio
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -25,10 +23,7 @@ from rmesh_nlp.optimize.budget import Budget
 Active = NDArray[np.int8]
 """Of each row, then of each unknown: -1 at the lower bound, 1 at the upper, 0 at none; equations at -1."""
 
-_STEPS, _STEPS_OF_LARGE = 12, 40
-# A large active set is left if it moves layer by layer: more than this share of the pairs changes, and more
-# than half as many as some steps before. A smaller t costs less.
-_SHARE_OF_PAIRS, _SLOW = 2e-3, 4
+_STEPS = 12
 _REACH = 1.0  # a correction that moves an unknown further than this, relative to 1 + |z|, is no correction
 _PROXIMAL = 1e-10  # added to the Hessian: small, so that flat objectives end sharp
 _DUAL = 1e-9  # subtracted in the block of the rows, which may be dependent
@@ -36,16 +31,6 @@ _STILL = 1e-8  # change of f, relative to 1 + |f|, of a last step that was not q
 _SHARP = 1e-3  # where Newton steps end, in units of what is accepted
 _SHARE = 0.1  # of the tolerances: what follows shall not stumble over them
 _VIOLATED = 1e-10  # distance beyond a bound, relative to 1 + |value|, from which on it becomes active
-
-
-@dataclass(frozen=True, eq=False)
-class Polished:
-    """A point of a branch with multipliers of the lifted problem."""
-
-    z: Array
-    f: float
-    lam_rows: Array
-    lam_z: Array
 
 
 class _Branch:
@@ -145,12 +130,10 @@ def _kkt_matrix(
     return sp.csc_matrix((values[kept], (rows[kept], columns[kept])), shape=(size, size))
 
 
-def polish(
-    run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array, *, release: bool = False
-) -> Polished | None:
-    """Newton's method on the KKT system of a branch; None if it does not end, exact, near ``z``.
+def polish(run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array) -> tuple[Array, float] | None:
+    """Newton's method on the KKT system of a branch: its point and f, None if it does not end near ``z``.
 
-    ``release`` lets members leave zero where both of a pair are there and f falls along them.
+    Members leave zero where both of a pair are there and f falls along them.
     """
     lifted = run.lifted
     if lifted.hessian is None:
@@ -163,13 +146,13 @@ def polish(
     size = np.append(steepness(jacobian), np.ones(z.size))
     active = branch.first_active(np.append(rows, z), np.append(lam_rows, lam_z) / unit, size)
     lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
-    last, changes = np.inf, [float(np.inf)] * _SLOW
-    for _ in range(_STEPS_OF_LARGE if release else _STEPS):
+    last = np.inf
+    for _ in range(_STEPS):
         run.budget.check()
         hessian = lifted.curvature(z, run.p, lam_rows)
         slope = gradient + jacobian.T @ lam_rows
         step = branch.step(active, np.append(rows, z), slope, jacobian, hessian, _PROXIMAL, run.budget)
-        if step is None or not (release or _is_near(z + step[0], origin)):
+        if step is None or not _is_near(z + step[0], origin):
             return None
         before, z, lam_rows = f, z + step[0], lam_rows + step[1]
         f, gradient, rows, jacobian = lifted.linearise(z, run.p)
@@ -179,15 +162,11 @@ def polish(
         if not np.isfinite(f) or not np.isfinite(residual):
             return None
         after = branch.next_active(active, np.append(rows, z), np.append(lam_rows, lam_z), tolerance)
-        if release:
-            after = branch.release(after, np.append(lam_rows, lam_z), tolerance)
+        after = branch.release(after, np.append(lam_rows, lam_z), tolerance)
         worst = max(residual / tolerance, run.nlps.excess(z, run.p) / _SHARE)
         still = worst > 0.1 * last and abs(f - before) <= _STILL * (1 + abs(f))
         if np.array_equal(after, active) and (worst <= _SHARP or (worst <= 1.0 and still)):
-            return Polished(z, f, lam_rows, np.where(held, lam_z, 0.0))
-        changes.append(float(np.count_nonzero(after != active)))
-        if release and changes[-1] > max(0.5 * changes[-1 - _SLOW], _SHARE_OF_PAIRS * lifted.pairs.shape[1]):
-            return None
+            return z, f
         active, last = after, worst
         lam_rows = np.where(active[:n_rows] != 0, lam_rows, 0.0)
     return None

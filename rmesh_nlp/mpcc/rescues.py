@@ -12,22 +12,23 @@ from itertools import islice
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.homotopy import Path, follow, ran_out
-from rmesh_nlp.mpcc.options import LARGE
 from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.starts import moved_starts
 from rmesh_nlp.optimize.status import Status
 
 
-def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> int:
-    """Add a path for each attempt to ``paths`` until one has ended; the number of attempts."""
-    before, options, lifted = len(paths), run.options, run.lifted
+def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> bool:
+    """Add a path for each attempt to ``paths`` until one has ended.
+
+    Whether the first attempt ended at a local minimum of the violation.
+    """
+    options, lifted = run.options, run.lifted
     if any(path.ended for path in paths):
-        return 0
+        return False
     # from a minimum of the violation on, NLPs are solved only where a feasible point was found before
     is_minimum = _from_phase_one(run, paths, z0 if run.nearest is None else run.nearest[0])
-    moves = options.moves if lifted.source.n_pairs < LARGE else 0
-    for x in islice(moved_starts(lifted.source, x0, options.seed), moves):
+    for x in islice(moved_starts(lifted.source, x0, options.seed), options.moves):
         if any(path.ended for path in paths):
             break
         z = lifted.start(x, run.p[:-1])
@@ -36,7 +37,7 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> int:
         else:
             paths.append(Path())
             follow(run, paths[-1], z, options.t0, dependent=True)
-    return len(paths) - before
+    return is_minimum
 
 
 def _from_phase_one(run: Run, paths: list[Path], z: Array) -> bool:

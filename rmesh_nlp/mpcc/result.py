@@ -191,7 +191,7 @@ class MPCCResult:
         them S says no more than that the point is a KKT point of the one branch it lies in, see ``label``.
     history : tuple of Step
     counts : mapping
-        ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ``lpecs``, ...
+        ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ...
     seconds : mapping
         Wall time of each phase: ``build``, ``homotopy``, ``finish``, ``total``.
     curvature : str

@@ -56,12 +56,9 @@ class Run:
         if progress is not None:
             progress(Step.HEADER)
 
-    def relaxed(
-        self, z: Array, t: float, warm: NLPResult | None = None, *, first: bool, dependent: bool = False
-    ) -> NLPResult:
+    def relaxed(self, z: Array, t: float, warm: NLPResult | None = None, **how: bool | int) -> NLPResult:
         """Solve the relaxation at ``t``, see :meth:`CompiledNLPs.relaxed`."""
-        how = {"first": first, "dependent": dependent}
-        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(z, self.p, t, warm, **how, watch=w))
+        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(z, self.p, t, warm, w, **how))
 
     def branch(
         self,
@@ -69,7 +66,6 @@ class Run:
         zero: BoolArray,
         *,
         phase: str = "branch",
-        radius: Array | None = None,
         free_signs: bool = False,
         warm: NLPResult | None = None,
     ) -> NLPResult:
@@ -78,7 +74,7 @@ class Run:
         return self.solve(
             phase,
             0.0,
-            lambda w: self.nlps.branch(*parts, radius=radius, free_signs=free_signs, warm=warm, watch=w),
+            lambda w: self.nlps.branch(*parts, free_signs=free_signs, warm=warm, watch=w),
         )
 
     def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:

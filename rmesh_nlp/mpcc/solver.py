@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish, polished
-from rmesh_nlp.mpcc.homotopy import Path, first_t, follow
+from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
-from rmesh_nlp.mpcc.outcome import end_of, is_infeasible, leave_saddles, result_of
+from rmesh_nlp.mpcc.outcome import end_of, leave_saddles, result_of
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.rescues import rescue
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
@@ -103,12 +103,13 @@ class MPCCSolver:
                 paths.append(Path(finish=polished(run, first)))
             if not any(path.ended for path in paths):
                 paths.append(main)
-                follow(run, main, z0, first_t(run, z0), first if is_first else None, former)
+                follow(run, main, z0, self.options.t0, first if is_first else None, former)
             if is_first:
-                rescues = rescue(run, paths, given, z0)
+                before = len(paths)
+                infeasible = rescue(run, paths, given, z0)
+                rescues = len(paths) - before
             if main.joined is None:
                 curvature = leave_saddles(run, paths)
-                infeasible = is_infeasible(run, paths, z0)
         except StoppedError as stop:
             limit = stop.status
         end = end_of(run, paths, z0, limit, infeasible)
@@ -125,7 +126,7 @@ class MPCCSolver:
         z0, weight = self.nlps.lifted.start(given, parameters), self.nlps.lifted.weight(given, parameters)
         run, limit = Run(self.nlps, parameters, weight, budget=budget), None
         try:
-            path.keep(finish(run, z0, search=True))
+            path.keep(finish(run, z0, search=not run.exact(z0)))
         except StoppedError as stop:
             limit = stop.status
         end = end_of(run, [path], z0, limit)

@@ -28,7 +28,7 @@ from scipy.optimize import linprog
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
-from rmesh_nlp.mpcc.multipliers import Columns, LeastSquares, Multipliers, by_least_squares, signed
+from rmesh_nlp.mpcc.multipliers import Columns, LeastSquares, Multipliers, by_least_squares
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -73,26 +73,19 @@ class Stationarity:
 
 
 def stationarity(
-    lifted: Lifted,
-    lin: Linearisation,
-    tolerance: float,
-    offered: tuple[Array, Array] | None = None,
-    budget: Budget | None = None,
-    by_signs: bool = False,
+    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
-    ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``;
-    ``offered`` multipliers of an NLP (of rows and of z) save linear programs. ``by_signs`` lets unique
-    multipliers decide without any program; the direction then names a branch that descends, without a step.
+    ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
+    Multipliers by least squares decide if they prove S or are the only ones, else linear programs do.
     """
-    proved = None if offered is None else proof_of_s(lifted, lin, *offered, tolerance)
-    if proved is not None:
-        return Stationarity("S", proved, True)
+    if not (np.all(np.isfinite(lin.gradient)) and np.all(np.isfinite(lin.jacobian.data))):
+        return Stationarity("")
     quick = by_least_squares(lifted, lin, tolerance, budget)
     if quick is not None and quick.s_stationary:
         return Stationarity("S", quick.multipliers, True)
-    if quick is not None and quick.unique and by_signs:
+    if quick is not None and quick.unique:
         return _of_unique(lifted, lin, quick, tolerance)
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
@@ -107,7 +100,8 @@ def stationarity(
 def _of_unique(lifted: Lifted, lin: Linearisation, unique: LeastSquares, tolerance: float) -> Stationarity:
     """The label of multipliers that are the only ones, and not those of S: no program is needed.
 
-    Then some branch descends. It is one in which each member with a positive multiplier may leave zero.
+    Then some branch descends. It is one in which each member with a positive multiplier may leave zero; the
+    direction names that branch, and has no step.
     """
     zero, pairs = tolerance * lin.scale, lin.biactive
     G, H = unique.multipliers.pairs[:, pairs]
@@ -121,39 +115,6 @@ def _of_unique(lifted: Lifted, lin: Linearisation, unique: LeastSquares, toleran
     direction = Direction(decrease, np.zeros(lifted.nlp.n_x), on_side(on_G), proven=False)
     label = next((name for name, fit in fits.items() if fit), "W")
     return Stationarity(label, unique.multipliers, False, direction)
-
-
-def proof_of_s(
-    lifted: Lifted, lin: Linearisation, lam_rows: Array, lam_z: Array, tolerance: float
-) -> Multipliers | None:
-    """Multipliers that prove S, made of those of an NLP: no linear program is needed then."""
-    slack = tolerance * lin.scale
-    residual = lin.gradient + lin.jacobian.T @ lam_rows + lam_z
-    if np.max(np.abs(residual), initial=0.0) > slack:
-        return None
-    nu = np.where(lifted.member & ~lin.z_lower, lam_z, 0.0)
-    nu[lin.z_upper & (nu > 0)] = 0.0  # that of the upper bound
-    multipliers = Multipliers(
-        signed(lam_rows, lin.row_lower, lin.row_upper),
-        signed(np.where(lifted.member, lam_z - nu, lam_z), lin.z_lower, lin.z_upper),
-        _share(lifted, lin, nu),
-    )
-    wrong = np.max(multipliers.pairs[:, lin.biactive], initial=0.0)
-    error = lin.gradient + lin.jacobian.T @ multipliers.rows + multipliers.z
-    np.add.at(error, lifted.pairs, multipliers.pairs)
-    return None if wrong > slack or np.max(np.abs(error), initial=0.0) > 2 * slack else multipliers
-
-
-def _share(lifted: Lifted, lin: Linearisation, nu: Array) -> Array:
-    """Give the multiplier of each unknown to one pair it is in, preferably one where its sign is free."""
-    values, rest = np.zeros(lifted.pairs.shape), nu.copy()
-    both = np.all(lin.zero, axis=0)
-    for zero in (lin.zero & ~both, lin.zero & both):
-        unknowns, once = np.unique(lifted.pairs[zero], return_index=True)
-        side, pair = (places[once] for places in np.nonzero(zero))
-        values[side, pair] = rest[unknowns]
-        rest[unknowns] = 0.0
-    return values
 
 
 class _MultiplierLP:

@@ -21,12 +21,14 @@ def followed(answers, **options):
 def restless(call, product=None):
     """Sides that change from step to step, products that follow t."""
     even = round(np.log10(call.t)) % 2 == 0
-    return Answer((1.0, 0.5) if even else (0.5, 1.0), product=call.t if product is None else product)
+    return Answer(
+        (1.0, 0.5) if even else (0.5, 1.0), product=call.t if product is None else product, objective=-call.t
+    )
 
 
-def settled(objective=1.0, lam_x=(0.0, 0.0), z=(1.0, 0.5)):
-    """The branch whose minimum is 1; its objective, and the change as H = 0.5 goes to zero."""
-    return lambda call: Answer(z, product=call.t, objective=objective, lam_x=lam_x)
+def settled(objective=1.0, z=(1.0, 0.5), cost=1e-5):
+    """The branch whose minimum is 1, what the path foretells, and what the pairs cost at the second t."""
+    return lambda call: Answer(z, product=call.t, objective=objective * (1 - cost * (call.t < 1)))
 
 
 def failing(status, bad):
@@ -43,19 +45,16 @@ def failing_below(status, t):
         (restless, {}, TENTHS, None),  # sides that change are not finished early
         (restless, {"exact": lambda z: z[0] == 0.5 or z[1] == 0.0}, TENTHS[:2], None),
         # above the products a relaxation does not act
-        (lambda call: Answer(product=0.05 * call.t, objective=1.0), {}, [1.0, 0.01], None),
+        (lambda call: Answer(product=0.05 * call.t, objective=1 - 0.1 * call.t), {}, [1.0, 0.01], None),
         # settled sides are finished early from the crossover on; two steps are needed to see that they are
         (settled(), {}, TENTHS[:3], None),
         (settled(), {"crossover": 1.0}, TENTHS[:2], None),
         (settled(), {"newton_finish": False}, TENTHS[:3], None),
-        (settled(z=(0.2, 0.1)), {}, TENTHS, None),  # too far from the minimum for Newton's method
         # a minimum above what the path foretells lets it go on
         (settled(1.5), {}, TENTHS[:3], None),
         (settled(0.9995), {}, TENTHS[:3], None),
         (settled(0.998), {}, TENTHS, None),
         (settled(), {"weight": 100.0}, TENTHS[:3], None),
-        (settled(2.0, (9.0, -2.0)), {}, TENTHS[:3], None),
-        (settled(1.5, (0.0, -2.0)), {}, TENTHS, None),
         # a step that fails is the last; the finish begins at the one before
         (failing_below(S.STALLED, 9), {}, [1.0], S.STALLED),
         (failing_below(S.ITERATION_LIMIT, 1), {}, TENTHS[:2], S.ITERATION_LIMIT),
@@ -72,6 +71,25 @@ def test_path_goes_down_and_ends(answers, options, ts, failure):
     if "exact" not in options:
         assert path.finish.solved
         assert path.finish.f == pytest.approx(options.get("weight", 1.0))
+
+
+@pytest.mark.parametrize(
+    ("cost", "at_the_end", "ts"),
+    [
+        (0.9e-6, {"objective": 1.0}, [*TENTHS[:2], TENTHS[-1]]),
+        (1.1e-6, {"objective": 1.0}, TENTHS[:3]),  # the pairs cost something
+        (0.0, {"status": S.ITERATION_LIMIT}, [*TENTHS[:2], TENTHS[-1], TENTHS[2]]),
+        (0.0, {"x": (0.0, 1.0)}, [*TENTHS[:2], TENTHS[-1], TENTHS[2]]),  # f = 4: another minimum
+    ],
+)
+def test_last_t_is_the_next_where_pairs_cost_nothing_and_the_end_is_as_low(cost, at_the_end, ts):
+    def answer(call):
+        return Answer(**{"x": (2.0, 0.0)} | at_the_end) if call.is_leap else settled(cost=cost)(call)
+
+    run, path = followed(answer)
+    assert run.ts == pytest.approx(ts)
+    assert path.finish.f == pytest.approx(1.0)
+    assert [call.warm is not None for call in run.calls] == [call.is_leap for call in run.calls]
 
 
 def test_path_without_a_point_has_no_end():

@@ -229,8 +229,6 @@ def test_branch_fixes_one_member_of_each_pair():
     on_second = own.branch(START, ONE, ON_H)
     assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
     assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
-    boxed = own.branch(np.array([0.5, 0.0]), ONE, ON_H, radius=np.array([0.25, 0.1]))
-    assert boxed.x == pytest.approx([0.75, 0], abs=1e-7)
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
     assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
     assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)

@@ -8,7 +8,7 @@ from mpcc_library.labels import descends_by_search, label_by_search, random_bloc
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
 from rmesh_nlp.mpcc.multipliers import by_least_squares
-from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, proof_of_s, stationarity, strongest
+from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity, strongest
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, XYW, w, x, y
@@ -53,12 +53,11 @@ def assert_admissible(lifted, lin, found, name):
         (-5e-7, 1, "S", True),
     ],
 )
-@pytest.mark.parametrize("offered", [False, True])
-def test_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary, offered):
+def test_label_at_a_corner_with_unique_multipliers(c, d, label, b_stationary):
     """At 0 of ``min c x + d y, 0 <= x _|_ y >= 0`` they are (nu_x, nu_y) = -(c, d) in CasADi's sign."""
     mpcc = MPCC(XY, c * x + d * y, None, x, y)
     lifted, lin = at(mpcc, [0, 0])
-    found = stationarity(lifted, lin, TOLERANCE, (np.zeros(0), -lin.gradient) if offered else None)
+    found = stationarity(lifted, lin, TOLERANCE)
     assert (found.label, found.b_stationary) == (label, b_stationary)
     assert_admissible(lifted, lin, found.multipliers, label)
     slack = 3 * TOLERANCE * lin.scale
@@ -138,59 +137,6 @@ def test_rows_that_are_zero_by_structure_are_no_obstacle():
     assert classify(MPCC(XYW, x + y + w, rows, y, w, lbg=0), np.zeros(3)).stationarity == "S"
     zero = ca.vertcat(0 * w, x)
     assert solve(MPCC(XYW, (x - 1) ** 2 + y**2 + w**2, None, zero, ca.vertcat(y, w)), 0.5).success
-
-
-@pytest.mark.parametrize("swap", [False, True])
-def test_multiplier_of_a_shared_unknown_goes_to_the_pair_that_leaves_its_sign_free(swap):
-    """At x = y = 0, w = 1 the slope -1 in x needs a multiplier +1, which S forbids in the biactive pair."""
-    G, H = (ca.vertcat(y, w), ca.vertcat(x, x))[:: -1 if swap else 1]
-    lifted, lin = at(MPCC(XYW, -x + y + (w - 1) ** 2, None, G, H), [0, 0, 1])
-    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([1.0, -1.0, 0.0]), TOLERANCE)
-    of_y, of_x = proved.pairs[:: -1 if swap else 1]
-    assert (of_x[1], of_x[0], of_y[0]) == (1.0, 0.0, -1.0)
-    assert_admissible(lifted, lin, proved, "S")
-
-
-def test_shared_unknown_of_two_biactive_pairs_gives_its_multiplier_once():
-    lifted, lin = at(MPCC(XYW, 2 * x + y + w, None, ca.vertcat(x, x), ca.vertcat(y, w)), [0, 0, 0])
-    proved = proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, -1.0]), TOLERANCE)
-    assert np.sum(proved.pairs[0]) == -2.0
-    assert_admissible(lifted, lin, proved, "S")
-    # with the slope +1 of a member that is not zero nothing is proved
-    assert proof_of_s(lifted, lin, np.zeros(0), np.array([-2.0, -1.0, 1.0]), TOLERANCE) is None
-
-
-@pytest.mark.parametrize(
-    ("bounds", "f", "lam", "proves"),
-    [
-        ({"ubx": [0, np.inf, np.inf]}, -x + y, [1, -1, 0], True),  # x <= 0 holds the biactive x from above
-        ({}, -x + y, [1, -1, 0], False),
-        ({"lbx": [-1, -1, 0]}, x + y + w, [-1, -1, -1], True),  # a bound of an unknown in no pair
-        ({"lbx": [-1, -1, 0]}, x + y - w, [-1, -1, 1], False),
-        ({"ubx": [9, 9, 0]}, x + y - w, [-1, -1, 1], True),
-        ({"ubx": [9, 9, 0]}, x + y + w, [-1, -1, -1], False),
-        ({"lbx": [-1, -1, -1]}, x + y + w, [-1, -1, -1], False),  # not active
-        ({}, 1e-9 * x + y, [5e-7, -1, 0], True),  # small faults of sign are within the tolerance
-        ({}, -3e-6 * x + y, [3e-6, -1, 0], False),
-        ({}, x + y, [-1, -1.1, 0], False),  # no multipliers of this objective
-    ],
-)
-def test_offered_multipliers_prove_s_only_with_the_signs_of_their_bounds(bounds, f, lam, proves):
-    lifted, lin = at(MPCC(XYW, f, None, x, y, **bounds), [0, 0, 0])
-    proved = proof_of_s(lifted, lin, np.zeros(0), np.array(lam, float), TOLERANCE)
-    assert (proved is not None) == proves
-    if proves:
-        assert_admissible(lifted, lin, proved, "S")
-
-
-@pytest.mark.parametrize(
-    ("bounds", "proves"),
-    [({"lbg": 0.0}, False), ({"ubg": 0.0}, True), ({"lbg": 0.0, "ubg": 0.0}, True), ({}, False)],
-)
-def test_active_row_may_only_push_to_its_side(bounds, proves):
-    lifted, lin = at(MPCC(XYW, x + y - (x + w), x + w, x, y, **bounds), [0, 0, 0])
-    found = proof_of_s(lifted, lin, np.ones(1), np.array([-1.0, -1.0, 0.0]), TOLERANCE)
-    assert (found is not None) == proves
 
 
 def test_linear_program_that_fails_decides_nothing(monkeypatch):
@@ -312,7 +258,7 @@ def corners(slopes_G, slopes_H, g=None):
 )
 def test_unique_multipliers_decide_the_label_and_name_a_branch_that_descends(slopes_G, slopes_H, label):
     lifted, lin = corners(slopes_G, slopes_H)
-    found = stationarity(lifted, lin, 1e-6, by_signs=True)
+    found = stationarity(lifted, lin, 1e-6)
     assert (found.label, found.b_stationary) == (label, label == "S")
     if label != "S":
         free = lifted.pairs[~found.direction.zero]

@@ -55,6 +55,7 @@ class Call:
     z: np.ndarray
     t: float
     warm: NLPResult | None
+    is_leap: bool = False
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,6 @@ class Answer:
     status: Status = Status.CONVERGED
     product: float = 0.0
     objective: float = 0.0
-    lam_x: Sequence[float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -99,15 +99,15 @@ class ScriptedRun(Run):
         """t of each relaxation."""
         return [call.t for call in self.calls]
 
-    def relaxed(self, z, t, warm=None, *, first=False, dependent=False):  # type: ignore[no-untyped-def]
+    def relaxed(self, z, t, warm=None, *, max_iter=None, **how):  # type: ignore[no-untyped-def]
         assert self.relaxations is not None
-        self.calls.append(Call(z, t, warm))
+        self.calls.append(Call(z, t, warm, max_iter is not None))
         answer = self.relaxations(self.calls[-1])
         measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
         self.steps.append(
             Step(phase="relaxed", t=t, **measured, product=answer.product, status=answer.status)
         )
-        return ended(answer.x, answer.status, lam_x=np.array(answer.lam_x, float))
+        return ended(answer.x, answer.status)
 
     def branch(self, z, zero, **options):  # type: ignore[no-untyped-def]
         if self.branches is None:
