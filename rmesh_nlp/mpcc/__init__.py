@@ -4,6 +4,7 @@
 """
 
 from rmesh_nlp.mpcc.bilevel import bilevel
+from rmesh_nlp.mpcc.bilevel_solve import BilevelResult, solve_bilevel
 from rmesh_nlp.mpcc.lower_level import LowerLevel, LowerLevelCheck
 from rmesh_nlp.mpcc.mpccsol import mpccsol
 from rmesh_nlp.mpcc.options import Options
@@ -18,6 +19,7 @@ from rmesh_nlp.mpcc.stationarity import Classification, classify
 __all__ = [
     "MPCC",
     "RELAXATIONS",
+    "BilevelResult",
     "Classification",
     "Duals",
     "Iterate",
@@ -36,4 +38,5 @@ __all__ = [
     "multistart",
     "read",
     "solve",
+    "solve_bilevel",
 ]

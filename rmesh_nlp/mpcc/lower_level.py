@@ -27,6 +27,10 @@ from rmesh_nlp.optimize.solver import NLPResult, Solver
 DENSE = 1000
 """Most variables of a lower level that is checked after each solve, by dense matrices: within a second."""
 
+SEARCHES = 20
+"""Starts from which a lower value is looked for at the end of a solve."""
+
+_LOWER = 1e-6  # a value of the lower level is lower by more than this, relative
 _FLAT = 1e-6  # part of the Hessian's largest entry below which a curvature has no sign
 _FACES, _SMALL = 6, 100  # most weakly active constraints, and variables, for a search of all critical faces
 _RANK = 1e-9  # part of the largest diagonal entry of R below which one is zero
@@ -72,6 +76,8 @@ class LowerLevelCheck:
     convex : bool
         Whether, in the lower level's variables, f is a convex quadratic and g linear. Other convex problems
         are not recognised.
+    lower : array, optional
+        Variables of the lower level with a lower value, if a search was asked for and has found them.
     """
 
     f: float
@@ -84,6 +90,7 @@ class LowerLevelCheck:
     independent: bool
     linear_constraints: bool
     convex: bool
+    lower: Array | None = None
 
     @property
     def verdict(self) -> str:
@@ -96,6 +103,8 @@ class LowerLevelCheck:
             return "not stationary"
         if self.convex:
             return "global minimum"
+        if self.lower is not None:
+            return "no minimum"
         if self.curvature_low > self.flat:
             return "local minimum"
         if self.curvature_high < -self.flat and (self.independent or self.linear_constraints):
@@ -103,10 +112,11 @@ class LowerLevelCheck:
         return "undecided"
 
     def __str__(self) -> str:
+        said = self.verdict + ("" if self.lower is None else ", a lower value was found")
         low, high = (f"{value:.3g}" for value in (self.curvature_low, self.curvature_high))
         if low == "inf":  # constraints leave no direction
-            return f"{self.verdict}, a vertex of the constraints"
-        return f"{self.verdict}, least curvature {low if low == high else f'between {low} and {high}'}"
+            return f"{said}, a vertex of the constraints"
+        return f"{said}, least curvature {low if low == high else f'between {low} and {high}'}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -199,7 +209,7 @@ class LowerLevel:
         own = np.maximum(signed, 0.0) if multipliers is None else multipliers
         return np.concatenate([np.ravel(x), solution.x, np.where(sides.equal, signed, own)])
 
-    def check(self, x: ArrayLike, *, p: ArrayLike = ()) -> LowerLevelCheck:
+    def check(self, x: ArrayLike, *, p: ArrayLike = (), searches: int = 0) -> LowerLevelCheck:
         """Whether the lower level is at a minimum.
 
         Parameters
@@ -208,6 +218,8 @@ class LowerLevel:
             A point of the MPCC, such as ``result.x``.
         p : array_like
             Values of the parameters.
+        searches : int
+            Starts from which :meth:`lowest` looks for a lower value, if the lower level is not convex.
         """
         n_y, n_g, (entry, sign, bound, equal) = self.nlp.n_x, self.nlp.n_g, self.sides
         upper, y, multiplier = np.split(np.ravel(x)[: self.size], [self.n_upper, self.n_upper + n_y])
@@ -230,12 +242,16 @@ class LowerLevel:
         high = _least_critical(matrix, gradients[strong], gradients[active & ~strong])
         whole, _ = least_eigenvalue(matrix, np.eye(n_y))
         n_active = int(active.sum())
+        convex, lowest = quadratic and linear and whole >= -flat, None
+        if searches and not convex:
+            end = self.lowest(upper, y, p=p, n=searches)
+            lowest = end.x if end.converged and end.f < f[0] - _LOWER * (1 + abs(f[0])) else None
         return LowerLevelCheck(
             f=float(f[0]), residual=float(np.max(np.abs(np.concatenate(kkt)), initial=0.0)),
             curvature_low=low, curvature_high=high, flat=flat,
             n_active=n_active, n_weakly_active=n_active - int(strong.sum()),
             independent=directions(gradients[active]).shape[1] == n_y - n_active,
-            linear_constraints=linear, convex=quadratic and linear and whole >= -flat,
+            linear_constraints=linear, convex=convex, lower=lowest,
         )  # fmt: skip
 
     @cached_property

@@ -55,10 +55,17 @@ class MPCCSolver:
         many = self._several(x0, p, start, (show, on_step, on_iteration), budget)
         return many.results[0] if self.options.starts == 1 else many.summary()
 
-    def several(self, x0: ArrayLike, *, p: ArrayLike = (), progress: Progress | bool = False) -> MultiStart:
+    def several(
+        self,
+        x0: ArrayLike,
+        *,
+        p: ArrayLike = (),
+        progress: Progress | bool = False,
+        budget: Budget | None = None,
+    ) -> MultiStart:
         """Solve from ``x0`` and from ``starts - 1`` others; the results of all."""
         show = print if progress is True else (progress or None)
-        return self._several(x0, p, None, (show, None, None), None)
+        return self._several(x0, p, None, (show, None, None), budget)
 
     def _several(
         self,

@@ -14,7 +14,7 @@ from typing import Any
 
 import casadi as ca
 
-from rmesh_nlp.mpcc import MPCC, bilevel
+from rmesh_nlp.mpcc import MPCC, bilevel, solve_bilevel
 
 Level = Mapping[str, Any]
 Levels = Callable[[Any, Any], tuple[Level, Level]]
@@ -52,6 +52,7 @@ COLSON = "Colson, BIPA: software for bilevel programming, FUNDP Namur (2002)"
 LAMPARIELLO = "Lampariello and Sagratella, A bridge between bilevel programs and Nash games, JOTA 174 (2017)"
 MITSOS = "Mitsos and Barton, A test set for bilevel programs, MIT (2006)"
 OUTRATA = "Outrata, On the numerical solution of a class of Stackelberg problems, ZOR 34 (1990)"
+PAULAVICIUS = "Paulavicius and Adjiman, BASBLib, a library of bilevel test problems (2017)"
 SHIMIZU = "Shimizu and Aiyoshi, A new computational method for Stackelberg problems, IEEE TAC 26 (1981)"
 
 
@@ -104,6 +105,10 @@ def _unit(F: Callable[[Any, Any], Any], f: Callable[[Any, Any], Any], **other: A
         {"f": F(x, y), "lbx": -1, "ubx": 1, **other.get("upper", {})},
         {"f": f(x, y), "lbx": -1, "ubx": 1, **other.get("lower", {})},
     )
+
+
+def _quartic(y: Any) -> Any:
+    return 16 * y**4 + 2 * y**3 - 8 * y**2 - 1.5 * y + 0.5
 
 
 P = BilevelProblem
@@ -266,6 +271,12 @@ NONLINEAR = (
 NONCONVEX = tuple(
     P(*case, convex=False)
     for case in (
+        ("mitsos-barton-3.5", MITSOS, [1], [1], 0.5, _unit(lambda x, y: y, lambda x, y: _quartic(y))),
+        ("mitsos-barton-3.6", MITSOS, [1], [1], -1, _unit(lambda x, y: y, lambda x, y: y**3)),
+        ("mitsos-barton-3.10", MITSOS, [1], [1], 0.5, _unit(
+            lambda x, y: y, lambda x, y: x * _quartic(y), upper={"lbx": 0.1})),
+        ("mitsos-barton-3.11", MITSOS, [1], [1], -0.8, _unit(
+            lambda x, y: y, lambda x, y: x * _quartic(y), lower={"lbx": -0.8, "ubx": 1})),
         ("mitsos-barton-3.12", MITSOS, [1], [1], 0, _unit(
             lambda x, y: -x + x * y + 10 * y**2, lambda x, y: -x * y**2 + y**4 / 2)),
         ("mitsos-barton-3.13", MITSOS, [1], [1], -1, _unit(
@@ -280,8 +291,13 @@ NONCONVEX = tuple(
             lambda x, y: (x + 0.5) ** 2 + y**2 / 2, lambda x, y: x * y**2 / 2 + y**4 / 4)),
         ("mitsos-barton-3.18", MITSOS, [1], [1], -1, _unit(
             lambda x, y: -(x**2) + y**2, lambda x, y: x * y**2 - y**4 / 2)),
+        ("mitsos-barton-3.19", MITSOS, [1], [1], -0.2583, _unit(
+            lambda x, y: x * y - y + y**2 / 2, lambda x, y: -x * y**2 + y**4 / 2)),
         ("mitsos-barton-3.20", MITSOS, [1], [1], 0.3125, _unit(
             lambda x, y: (x - 0.25) ** 2 + y**2, lambda x, y: y**3 / 3 - x**2 * y)),
+        ("mitsos-barton-3.21", MITSOS, [1], [1], 0.2095, _unit(
+            lambda x, y: (x + 0.6) ** 2 + y**2, lambda x, y: y**4 + 4 / 30 * (1 - x) * y**3
+            + (-0.02 * x**2 + 0.16 * x - 0.4) * y**2 + (0.004 * x**3 - 0.036 * x**2 + 0.08 * x) * y)),
         ("mitsos-barton-3.24", MITSOS, [1], [1], -1.7550, _unit(
             lambda x, y: x**2 - y, lambda x, y: ((y - 1 - 0.1 * x) ** 2 - 0.5 - 0.5 * x) ** 2,
             upper={"lbx": 0, "ubx": 1}, lower={"lbx": 0, "ubx": 3})),
@@ -289,6 +305,12 @@ NONCONVEX = tuple(
          1.0020,
          lambda x, y: ({"f": (x - 2) ** 2 + (y - 1) ** 2},
                        {"f": -x * ca.exp(-((y + 1) ** 2)) - ca.exp(-((y - 1) ** 2)), "lbx": -2, "ubx": 2})),
+        ("paulavicius-2017-a", PAULAVICIUS, [1], [1], 0.25, _unit(
+            lambda x, y: x**2 + y**2, lambda x, y: x * y**2 - y**4 / 2)),
+        ("paulavicius-2017-b", PAULAVICIUS, [1], [1], -2, _unit(
+            lambda x, y: x + y, lambda x, y: x * y**2 / 2 - x**3 * y)),
+        ("vogel-2012", "Vogel, TU Freiberg (2012)", [-1], [-1], 1, lambda x, y: (
+            {"f": (y + 1) ** 2, "lbx": -3, "ubx": 2}, {"f": y**3 - 3 * y, "g": y - x, "lbg": 0})),
         ("ye-zhu-2010-4.2", "Ye and Zhu, SIAM J. Optim. 20 (2010)", [-1], [-1], 1, lambda x, y: (
             {"f": (x - 1) ** 2 + y**2, "lbx": -3, "ubx": 2}, {"f": y**3 - 3 * y, "g": y - x, "lbg": 0})),
         ("ye-zhu-2010-4.3", "Ye and Zhu, SIAM J. Optim. 20 (2010)", [-1], [-1], 1, lambda x, y: (
@@ -312,3 +334,23 @@ def get(name: str) -> dict[str, Any]:
     fields = ("x", "f", "g", "G", "H", "lbx", "ubx", "lbg", "ubg")
     program = {field: getattr(mpcc, field) for field in fields}
     return {**program, "x0": mpcc.start(problem.x0), "target": problem.best}
+
+
+def main(starts: int = 10) -> None:
+    """Solve all and print those that end elsewhere; a success that 100 starts refute ends the program."""
+    reached = 0
+    for problem in PROBLEMS.values():
+        x, y = ca.SX.sym("x", len(problem.x0)), ca.SX.sym("y", len(problem.y0))
+        upper, lower = problem.levels(x, y)
+        end = solve_bilevel({"x": x, **upper}, lower, problem.x0, variables=y, starts=starts)
+        lowest = problem.program().lower_level.lowest(end.x, end.y, n=100, seed=1)  # type: ignore[union-attr]
+        assert not end.success or end.result.lower_level.f <= lowest.f + 1e-5 * (1 + abs(lowest.f))  # type: ignore[union-attr]
+        hit = end.success and abs(end.f - problem.best) <= 2e-3 * (1 + abs(problem.best))
+        reached += hit
+        if not hit:
+            print(f"{problem.name}: {end.f:.6g}, known {problem.best:.6g}; {end}")
+    print(f"{reached} of {len(PROBLEMS)} at the known optimum")
+
+
+if __name__ == "__main__":
+    main()

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
-from rmesh_nlp.mpcc import bilevel, outcome, solve
+from rmesh_nlp.mpcc import bilevel, outcome, solve, solve_bilevel
+from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.optimize.status import Status
 
 INF = np.inf
@@ -238,17 +239,56 @@ def test_end_at_a_maximum_of_the_lower_level_is_no_success(name):
     assert result.stationarity == "S"
     assert result.lower_level.verdict == "no minimum"
     assert result.lower_level.curvature_high < 0
-    assert "lower level: no minimum, least curvature -" in str(result)
+    assert "lower level: no minimum, a lower value was found, least curvature -" in str(result)
 
 
 def test_local_minimum_that_is_not_global_is_found_out():
     problem = next(one for one in NONCONVEX if one.name == "mitsos-barton-3.15")
     mpcc = problem.program()
     result = solve(mpcc, problem.x0)
-    assert result.lower_level.verdict == "local minimum"
-    lowest = mpcc.lower_level.lowest(result.x[:1], result.x[1:2])
-    assert result.lower_level.f - lowest.f > 0.5
-    assert lowest.x == pytest.approx([1], abs=1e-6)
+    assert (result.success, result.lower_level.verdict) == (False, "no minimum")
+    assert "a lower value was found" in str(result)
+    assert result.lower_level.lower == pytest.approx([1], abs=1e-6)
+    assert mpcc.lower_level.check(result.x).verdict == "local minimum"  # to second order, without a search
+
+
+def levels(name):
+    """The levels of a problem of the library, and its start."""
+    problem = PROBLEMS[name]
+    x, y = ca.SX.sym("x", len(problem.x0)), ca.SX.sym("y", len(problem.y0))
+    upper, lower = problem.levels(x, y)
+    return {"x": x, **upper}, lower, y, problem
+
+
+@pytest.mark.parametrize("name", ["mitsos-barton-3.13", "mitsos-barton-3.15", "mitsos-barton-3.17"])
+def test_cuts_lead_to_the_optimum_of_a_lower_level_that_is_not_convex(name):
+    upper, lower, y, problem = levels(name)
+    end = solve_bilevel(upper, lower, problem.x0, variables=y)
+    assert end.success
+    assert end.cuts >= 1
+    assert end.f == pytest.approx(problem.best, abs=2e-3)
+    assert f"; {end.cuts} cut" in str(end)
+
+
+def test_cut_holds_only_where_its_point_is_feasible():
+    """y >= x: at x = -2 the lower level has the minima y = x and 1; above it y = 1 alone, where F = 4."""
+    upper, lower, y, problem = levels("vogel-2012")
+    end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=10)
+    assert (end.success, end.cuts >= 1) == (True, True)
+    assert (end.x[0], end.y[0], end.f) == pytest.approx((-2, -2, 1), abs=1e-3)
+
+
+def test_convex_lower_levels_are_neither_searched_nor_cut(monkeypatch):
+    monkeypatch.setattr(LowerLevel, "lowest", lambda *_, **__: pytest.fail("searched"))
+    upper, lower, y, problem = levels("sinha-tp6")
+    end = solve_bilevel(upper, lower, problem.x0, variables=y)
+    assert (end.success, end.cuts, end.f) == (True, 0, pytest.approx(problem.best, rel=1e-3))
+
+
+def test_without_cuts_a_lower_value_is_no_success():
+    upper, lower, y, problem = levels("mitsos-barton-3.15")
+    end = solve_bilevel(upper, lower, problem.x0, variables=y, cuts=0)
+    assert (end.success, end.cuts, end.result.lower_level.verdict) == (False, 0, "no minimum")
 
 
 def test_large_lower_level_is_checked_on_request_only(monkeypatch):

@@ -1,0 +1,178 @@
+"""Bilevel programs whose lower level is not convex: KKT conditions, and cuts by values of the lower level.
+
+KKT conditions hold at every stationary point of the lower level. Where a search finds a y_k with a lower
+value than that of an end, each bilevel solution obeys ``f(x, y) <= f(x, y_k)`` wherever y_k is feasible, and
+the MPCC is solved again with that row. Where the feasible set moves with x the row holds or y_k violates a
+constraint: with the violations r(x) of y_k, positive where it is infeasible ::
+
+    f(x, y) - f(x, y_k) <= s,   0 <= s  _|_  w >= 0,   sum lambda_i r_i(x) + w >= 0,   sum lambda = 1.
+
+There y_k is put inside the constraints as far as half of what it gains allows, so that the cut holds around
+x. A. Mitsos, P. Lemonidis, P. I. Barton, Global solution of bilevel programs with a nonconvex inner program,
+J. Global Optim. 42 (2008) 475-513.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.mpcc.bilevel import bilevel
+from rmesh_nlp.mpcc.lower_level import LowerLevel
+from rmesh_nlp.mpcc.names import Symbolic
+from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.result import MPCCResult
+from rmesh_nlp.mpcc.solver import MPCCSolver
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.status import Status
+
+
+@dataclass(frozen=True, eq=False)
+class BilevelResult:
+    """End of a bilevel program: both levels' variables, and the MPCC with its ``cuts`` that led there.
+
+    ``success``: the MPCC's, and no search of ``result.lower_level`` found a lower value of the lower level.
+    """
+
+    x: Array
+    y: Array
+    f: float
+    success: bool
+    cuts: int
+    result: MPCCResult
+
+    def __str__(self) -> str:
+        return f"{self.result}; {self.cuts} cut{'s' * (self.cuts != 1)}"
+
+
+def solve_bilevel(
+    upper: Mapping[str, Any],
+    lower: Mapping[str, Any],
+    x0: ArrayLike,
+    *,
+    variables: Symbolic,
+    p: ArrayLike = (),
+    cuts: int = 20,
+    options: Options | None = None,
+    **changes: object,
+) -> BilevelResult:
+    """Solve a bilevel program, convex in the lower level or not.
+
+    Parameters
+    ----------
+    upper, lower, variables
+        As of :func:`bilevel`.
+    x0 : array_like
+        Start of the upper level's variables, or of all unknowns of the MPCC.
+    p : array_like
+        Values of the parameters.
+    cuts : int
+        Most cuts. Where an equation of the lower level depends on x a cut holds at its own x alone.
+    options, **changes
+        Of each solve, as of :func:`solve`; limits are those of all together. ``starts=10`` looks for lower
+        ends.
+
+    Raises
+    ------
+    ValueError
+        As :func:`bilevel` and :func:`solve`.
+    """
+    program = bilevel(upper, lower, variables=variables)
+    level, chosen = program.lower_level, (options or Options()).having(changes)
+    assert level is not None
+    parameters, budget = program.parameters(p), chosen.budget()
+    starts = [program.start(x0, parameters)]
+    made: list[_Cut] = []
+    found: list[MPCCResult] = []
+    while True:
+        solver = MPCCSolver(program, chosen)
+        wider = (_wider(start, made, parameters) for start in starts)
+        ends = [end for start in wider for end in solver.several(start, p=parameters, budget=budget).results]
+        found += [end for end in ends if end.success]
+        end = min(ends, key=lambda end: (not (end.success or end.status is Status.NO_MINIMUM), end.f))
+        lowest = None if end.lower_level is None else end.lower_level.lower
+        if lowest is None or len(made) == cuts or budget.is_over():
+            break
+        own = np.split(end.x[: level.size], [level.n_upper, level.n_upper + level.nlp.n_x])
+        made.append(_Cut.of(program, level, own[0], own[1], lowest, parameters))
+        program = made[-1].added(program)
+        starts = [starts[0], end.x[: level.size], level.start(own[0], lowest, p=parameters)]
+    best = min(found, key=lambda end: end.f, default=end)
+    x, y, _ = np.split(best.x[: level.size], [level.n_upper, level.n_upper + level.nlp.n_x])
+    return BilevelResult(x, y, best.f, best.success, len(made), best)
+
+
+def _wider(start: Array, cuts: list[_Cut], p: Array) -> Array:
+    """A start of the MPCC with values of the unknowns of the cuts."""
+    return np.concatenate([start, *(cut.values(start, p) for cut in cuts)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """``gain``: f(x, y) - f(x, y_k); ``violations`` r(x) of y_k, in the constraints that depend on x."""
+
+    gain: Symbolic
+    violations: Symbolic
+    measure: ca.Function
+
+    @staticmethod
+    def of(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Array, p: Array) -> _Cut:
+        """The cut by ``lowest``, a point of the lower level with a lower value than y has."""
+        nlp, sides = level.nlp, level.sides
+        kind, upper = type(program.x), ca.vertcat(program.parts["upper"], program.p)
+        depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
+        moves = np.append(np.zeros(nlp.n_x, dtype=bool), depends)[sides.entry]
+        entries = [ca.vertcat(nlp.x, nlp.g)[int(entry)] for entry in sides.entry[moves]]
+        sign, bound = ca.DM(sides.sign[moves]), ca.DM(sides.bound[moves])
+        rows = sign * (ca.vertcat(kind(0, 1), *entries) - bound)
+        lower = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, rows])
+        if np.any(moves):
+            lowest = _inside(level, rows, lower, np.append(x, p), y, lowest)
+        value, violations = lower(kind(ca.DM(lowest)), upper)
+        gain = lower(program.parts["lower"], upper)[0] - value
+        return _Cut(gain, violations, ca.Function("cut", [program.x, program.p], [gain, violations]))
+
+    def added(self, program: MPCC) -> MPCC:
+        """The program with this cut."""
+        n, kind = int(self.violations.shape[0]), type(program.x)
+        if n == 0:
+            return program.extended(g=self.gain, ubg=0)
+        s, w, weights = kind.sym("s"), kind.sym("w"), kind.sym("lambda", n)
+        return program.extended(
+            x=ca.vertcat(s, w, weights), lbx=0, G=s, H=w,
+            g=ca.vertcat(self.gain - s, -ca.dot(weights, self.violations) - w, ca.sum1(weights) - 1),
+            lbg=[-np.inf, -np.inf, 0], ubg=0,
+        )  # fmt: skip
+
+    def values(self, start: Array, p: Array) -> Array:
+        """Values of the cut's unknowns at a start of the first program."""
+        padded = np.append(start, np.zeros(self.measure.size1_in(0) - start.size))
+        gain, violations = (np.array(part).ravel() for part in self.measure(padded, p))
+        if violations.size == 0:
+            return violations
+        largest = np.arange(violations.size) == np.argmax(violations)
+        return np.array([max(gain[0], 0.0), max(-np.max(violations), 0.0), *largest])
+
+
+def _inside(
+    level: LowerLevel, rows: Symbolic, lower: ca.Function, parameters: Array, y: Array, lowest: Array
+) -> Array:
+    """A point as far inside the rows as half of the gain allows; ``lowest`` if none is found."""
+    nlp, room = level.nlp, type(level.nlp.x).sym("room")
+    most = float(lower(y, parameters)[0] + lower(lowest, parameters)[0]) / 2
+    deeper = NLP(
+        ca.vertcat(nlp.x, room), nlp.p, -room, ca.vertcat(nlp.f, nlp.g, rows + room),
+        np.append(nlp.lbx, 0.0), np.append(nlp.ubx, 1.0),
+        np.concatenate([[-np.inf], nlp.lbg, np.full(rows.shape[0], -np.inf)]),
+        np.concatenate([[most], nlp.ubg, np.zeros(rows.shape[0])]),
+    )  # fmt: skip
+    end = Solver(deeper)(np.append(lowest, 0.0), p=parameters)
+    return end.x[:-1] if end.converged else lowest
