@@ -188,10 +188,12 @@ def found_faults(row: Row) -> list[str]:
     return [fault for fault, bad in wrong.items() if bad]
 
 
-def check(kind: str, number: int, order: int = 1) -> Row:
+def check(kind: str, number: int, order: int = 1, remesh: bool = False) -> Row:
     """The row of one problem."""
     warnings.simplefilter("ignore")
     data = replace(draws.KINDS[kind](number), order=order)
+    if remesh:
+        data = replace(data, formulation="auto", options={"remesh": True}, limits=None)
     row: Row = {"kind": kind, "number": number, "name": data.name, "family": data.name.split(" ")[0]}
     try:
         return row | checked(data)
@@ -246,6 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--count", type=int, help="number of solves: 60 by default, all of the aimed ones")
     parser.add_argument("--first", type=int, default=0, help="seed or number of the first")
     parser.add_argument("--order", type=int, choices=(1, 2), default=1, help="of the displacements")
+    parser.add_argument("--remesh", action="store_true", help="solve by auto, from a new mesh")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--out", type=Path, help="folder for KIND.jsonl; what is in it is not solved again")
     options = parser.parse_args(arguments)
@@ -256,7 +259,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     store = Store(options.out and options.out / f"{options.kind}.jsonl")
     todo = (number for number in range(options.first, last) if not store.has(number=number))
     with ProcessPoolExecutor(options.jobs) as pool:
-        tasks = [pool.submit(check, options.kind, number, options.order) for number in todo]
+        tasks = [pool.submit(check, options.kind, number, options.order, options.remesh) for number in todo]
         for task in as_completed(tasks):
             row = task.result()
             store.add(row)

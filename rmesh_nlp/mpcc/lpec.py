@@ -14,7 +14,6 @@ method for bound-constrained MPCCs, SIAM J. Optim. 32 (2022) 75-99; A. Nurkanovi
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,7 +24,6 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
 
-_ENUMERATE = 3  # up to 2^3 small linear programs are cheaper than a MILP
 _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
 
 
@@ -106,22 +104,10 @@ def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) ->
         np.where(lin.row_lower[active], 0.0, -np.inf),
         np.where(lin.row_upper[active], 0.0, np.inf),
     )
-    pairs, members = lin.biactive, np.zeros(lifted.nlp.n_x)
-    if pairs.size > _ENUMERATE:
-        direction = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], pairs, members, budget)
-        # that no descent was found is an answer only if all branches were searched
-        return None if direction is None or (not direction.proven and direction.decrease >= 0) else direction
-    best: Direction | None = None
-    for sides in itertools.product((True, False), repeat=pairs.size):
-        on_G, branch_upper = lin.zero[0].copy(), upper.copy()
-        on_G[pairs] = sides
-        branch_upper[lifted.pairs[:, pairs][on_side(on_G[pairs])]] = 0.0
-        direction = _milp(lin.gradient, rows, lower, branch_upper, lifted, on_G, pairs[:0], members, None)
-        if direction is None or not direction.proven:
-            return None
-        if best is None or direction.decrease < best.decrease:
-            best = direction
-    return best
+    members = np.zeros(lifted.nlp.n_x)
+    direction = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], lin.biactive, members, budget)
+    # that no descent was found is an answer only if all branches were searched
+    return None if direction is None or (not direction.proven and direction.decrease >= 0) else direction
 
 
 def nearest_branch(

@@ -1,4 +1,4 @@
-"""Multipliers of a linearised point by least squares: a cheap proof of S, and the label if they are unique.
+"""Multipliers of a linearised point by least squares, which decide its label if there are no others.
 
 The stationarity of a point asks for ``lambda`` with ``gradient + M lambda = 0``, the columns of M the
 gradients of active rows, of active bounds and of zero members of pairs. With one sparse factorisation ::
@@ -6,13 +6,13 @@ gradients of active rows, of active bounds and of zero members of pairs. With on
     [ I    M  ] [ r ]   [ -gradient ]
     [ M^T  -e ] [ l ] = [     0     ]
 
-is solved; what comes out with the wrong sign is set to zero and left out, and the rest is solved again.
-Linear programs over the same columns (see ``stationarity``) decide the cases that are left.
+is solved, and once more for random multipliers, which come back if the columns are independent. Linear
+programs over the same columns (see ``stationarity``) decide the cases that are left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -27,7 +27,6 @@ from rmesh_nlp.optimize.budget import Budget
 
 _PROXIMAL = 1e-12  # columns have length one
 _REFINEMENTS = 4  # each takes out what the proximal term left
-_ROUNDS = 8  # of leaving out what has the wrong sign
 _RECOVERED = 1e-6  # independent columns give back random multipliers this well
 
 
@@ -104,83 +103,42 @@ class Columns:
         return lam
 
 
-@dataclass(frozen=True, eq=False)
-class LeastSquares:
-    """Multipliers that were found: ``s_stationary`` proves S; ``unique`` ones of W decide the label."""
-
-    multipliers: Multipliers
-    s_stationary: bool
-    unique: bool
-
-
-def by_least_squares(
+def only_multipliers(
     lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
-) -> LeastSquares | None:
-    """Multipliers with which the Lagrangian is stationary within ``tolerance``; None if none were found.
+) -> Multipliers | None:
+    """Multipliers with the signs of W if there are no others; None if there are, or none at all.
 
-    First with the signs of W, then with those of S.
+    With them the Lagrangian is stationary within ``tolerance``.
     """
     columns = Columns(lifted, lin)
     matrix, slack = columns.matrix, tolerance * lin.scale
-    if not matrix.shape[1]:
+    n, k = matrix.shape
+    if not k:
         return None
     length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
     size = np.where(length > 0, length, 1.0)
     scaled = matrix @ sp.diags(1.0 / size)
+    random = np.random.default_rng(0).normal(size=k)
+    gradients = np.stack([-(scaled @ random), lin.gradient], axis=1)
+    system = sp.bmat([[sp.identity(n), scaled], [scaled.T, -_PROXIMAL * sp.identity(k)]], format="csc")
+
+    def refined(solve: Callable[[Array], Array]) -> Array:
+        values = np.zeros((k, 2))
+        for _ in range(_REFINEMENTS):
+            rests = np.vstack([-(gradients + scaled @ values), np.zeros((k, 2))])
+            values = values + np.stack([solve(rest)[n:] for rest in rests.T], axis=1)
+        return values
+
     try:
-        random = np.random.default_rng(0).normal(size=size.size)
-        gradients = (-(scaled @ random), lin.gradient)
-        again, values = _least_squares(scaled, gradients, np.zeros(size.size), budget)
-        unique = bool(np.max(np.abs(again - random)) <= _RECOVERED)
-        if unique:
-            own = signed(values / size, columns.may_fall, columns.may_rise)
-            if np.max(np.abs(lin.gradient + matrix @ own), initial=0.0) > slack:
-                return None
-            is_s = bool(np.all((own <= slack) | columns.may_rise_in_s))
-            return LeastSquares(columns.scattered(own), is_s, True)
-        multipliers = _with_signs(scaled, columns, values, slack, budget)
+        again, values = factorised(system, refined, budget).T
     except RuntimeError:  # exactly singular
         return None
-    return None if multipliers is None else LeastSquares(columns.scattered(multipliers / size), True, False)
-
-
-def _least_squares(
-    matrix: sp.csc_matrix, gradients: Sequence[Array], start: Array, budget: Budget | None
-) -> list[Array]:
-    """Multipliers for each gradient, by refinements from a start, with one factorisation."""
-    n, k = matrix.shape
-    system = sp.bmat([[sp.identity(n), matrix], [matrix.T, -_PROXIMAL * sp.identity(k)]], format="csc")
-
-    def refined(solve: Callable[[Array], Array]) -> list[Array]:
-        iterates = [start for _ in gradients]
-        for _ in range(_REFINEMENTS):
-            rights = [
-                np.append(-(g + matrix @ v), np.zeros(k)) for g, v in zip(gradients, iterates, strict=True)
-            ]
-            iterates = [v + solve(right)[n:] for v, right in zip(iterates, rights, strict=True)]
-        return iterates
-
-    return factorised(system, refined, budget)
+    own = signed(values / size, columns.may_fall, columns.may_rise)
+    is_only = np.max(np.abs(again - random)) <= _RECOVERED
+    is_stationary = np.max(np.abs(lin.gradient + matrix @ own)) <= slack
+    return columns.scattered(own) if is_only and is_stationary else None
 
 
 def signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
     """Each multiplier cut to the signs it may have."""
     return np.where(may_fall, np.minimum(values, 0.0), 0.0) + np.where(may_rise, np.maximum(values, 0.0), 0.0)
-
-
-def _with_signs(
-    matrix: sp.csc_matrix, columns: Columns, values: Array, slack: float, budget: Budget | None
-) -> Array | None:
-    """Multipliers with the signs of S, by leaving out in turn what has the wrong one; columns scaled."""
-    kept, gradient = np.ones(values.size, dtype=bool), columns.lin.gradient
-    for _ in range(_ROUNDS):
-        own = signed(values, columns.may_fall, columns.may_rise_in_s)
-        if np.max(np.abs(gradient + matrix @ own)) <= slack:
-            return own
-        wrong = kept & (own != values)
-        if not np.any(wrong):
-            return None
-        kept &= ~wrong
-        values = np.where(kept, values, 0.0)
-        values[kept] = _least_squares(matrix[:, kept], [gradient], values[kept], budget)[0]
-    return None

@@ -28,7 +28,7 @@ from scipy.optimize import linprog
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
-from rmesh_nlp.mpcc.multipliers import Columns, LeastSquares, Multipliers, by_least_squares
+from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, only_multipliers
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -36,6 +36,7 @@ from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
 from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
+_SHARP = 1e-3  # part of the tolerance with which multipliers are asked for first
 _OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
 AT_LEAST = "at least "
 Range = tuple[float, float]
@@ -78,15 +79,13 @@ def stationarity(
     """Label a linearised point and look for descent over its branches.
 
     ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
-    Multipliers by least squares decide if they prove S or are the only ones, else linear programs do.
+    Multipliers by least squares decide if they are the only ones, else linear programs do.
     """
     if not (np.all(np.isfinite(lin.gradient)) and np.all(np.isfinite(lin.jacobian.data))):
         return Stationarity("")
-    quick = by_least_squares(lifted, lin, tolerance, budget)
-    if quick is not None and quick.s_stationary:
-        return Stationarity("S", quick.multipliers, True)
-    if quick is not None and quick.unique:
-        return _of_unique(lifted, lin, quick, tolerance)
+    only = only_multipliers(lifted, lin, tolerance, budget)
+    if only is not None:
+        return _of_unique(lifted, lin, only, tolerance)
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)
@@ -97,14 +96,16 @@ def stationarity(
     return Stationarity(label, multipliers, flat, None if flat else direction)
 
 
-def _of_unique(lifted: Lifted, lin: Linearisation, unique: LeastSquares, tolerance: float) -> Stationarity:
-    """The label of multipliers that are the only ones, and not those of S: no program is needed.
+def _of_unique(lifted: Lifted, lin: Linearisation, only: Multipliers, tolerance: float) -> Stationarity:
+    """The label of multipliers that are the only ones: no program is needed.
 
-    Then some branch descends. It is one in which each member with a positive multiplier may leave zero; the
-    direction names that branch, and has no step.
+    If it is not S some branch descends: one in which each member with a positive multiplier may leave zero.
+    The direction names that branch, and has no step.
     """
     zero, pairs = tolerance * lin.scale, lin.biactive
-    G, H = unique.multipliers.pairs[:, pairs]
+    G, H = only.pairs[:, pairs]
+    if np.max(np.append(G, H), initial=0.0) <= zero:
+        return Stationarity("S", only, True)
     fits = {
         name: bool(np.all(np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)))
         for name, pieces in _PIECES.items()
@@ -114,7 +115,7 @@ def _of_unique(lifted: Lifted, lin: Linearisation, unique: LeastSquares, toleran
     decrease = -float(np.max(np.append(G, H)))
     direction = Direction(decrease, np.zeros(lifted.nlp.n_x), on_side(on_G), proven=False)
     label = next((name for name, fit in fits.items() if fit), "W")
-    return Stationarity(label, unique.multipliers, False, direction)
+    return Stationarity(label, only, False, direction)
 
 
 class _MultiplierLP:
@@ -132,9 +133,9 @@ class _MultiplierLP:
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
         matrix = sp.hstack([self.columns.matrix, self.columns.matrix[:, self.at_corner]], format="csc")
-        slack = tolerance * lin.scale
+        self.slack = tolerance * lin.scale
         self.matrix = sp.vstack([matrix, -matrix], format="csc")
-        self.right = np.concatenate([slack - lin.gradient, slack + lin.gradient])
+        self.right = np.append(-lin.gradient, lin.gradient)
         may_fall, may_rise = self.columns.may_fall, self.columns.may_rise_in_s
         self.lower = np.append(np.where(may_fall, -np.inf, 0.0), np.zeros(self.at_corner.size))
         self.upper = np.append(np.where(may_rise, np.inf, 0.0), np.full(self.at_corner.size, np.inf))
@@ -148,13 +149,16 @@ class _MultiplierLP:
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
                 lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
         if lower.size == 0:
-            return (self.columns.scattered(lower), 0.0) if np.all(self.right >= 0) else None
+            return (self.columns.scattered(lower), 0.0) if np.all(self.right >= -self.slack) else None
         remaining = self.budget.remaining
         options = {"time_limit": max(remaining, LEAST_SECONDS)} if np.isfinite(remaining) else {}
-        answer = linprog(
-            self.cost, A_ub=self.matrix, b_ub=self.right, bounds=np.column_stack([lower, upper]),
-            method="highs", options=options,
-        )  # fmt: skip
+        for slack in (_SHARP * self.slack, self.slack):  # multipliers are used: as sharp as there are
+            answer = linprog(
+                self.cost, A_ub=self.matrix, b_ub=self.right + slack, bounds=np.column_stack([lower, upper]),
+                method="highs", options=options,
+            )  # fmt: skip
+            if answer.status == _OPTIMAL:
+                break
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         if answer.status != _OPTIMAL:
             return None
