@@ -1,8 +1,7 @@
-"""Coulomb friction against closed forms, published figures, and a fixed point of the bounds.
+"""Coulomb friction against a closed form, published figures, and all active sets of small problems.
 
 python scripts/benchmark_coulomb.py partial       partial slip of Cattaneo and Mindlin
 python scripts/benchmark_coulomb.py plate         a plate that is pressed and pushed, five published figures
-python scripts/benchmark_coulomb.py iterations    active sets, ours and those of a fixed point
 python scripts/benchmark_coulomb.py hard          all coefficients, orders and meshes: is each solved?
 python scripts/benchmark_coulomb.py several       small blocks by all active sets: what is warned of
 """
@@ -189,22 +188,6 @@ def plates() -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["squares", "order", *(f"x = {1e3 * x:g} mm" for x in PLATE)])
 
 
-def fixed_point(system: ContactSystem, tolerance: float = 1e-8) -> tuple[int, int]:
-    """Steps of ``b -> F lambda(b)`` until the bounds change by less, relatively, and active sets in all.
-
-    Each step solves a contact problem with given bounds from the last active set. Zero steps: 100 did not do.
-    """
-    bound, active, sets = system.slip_bound, None, 0
-    for step in range(1, 101):
-        state = solve(replace(system, slip_bound=bound, coulomb=None), active)
-        following = system.bound(state.normal_force)
-        active, sets = state.active, sets + state.iterations
-        if np.max(np.abs(following - bound)) <= tolerance * np.max(following):
-            return step, sets
-        bound = following
-    return 0, sets
-
-
 def with_coefficient(system: ContactSystem, coefficient: float) -> ContactSystem:
     """The same with one coefficient everywhere."""
     return replace(system, coulomb=np.full(system.offset.size, coefficient))
@@ -213,33 +196,6 @@ def with_coefficient(system: ContactSystem, coefficient: float) -> ContactSystem
 def system_of(problem: ContactProblem) -> ContactSystem:
     """The contact system on the mesh as given."""
     return ContactSolver(problem).system(np.asarray(problem.mesh.p))
-
-
-def arch(n: int) -> ContactProblem:
-    """A 3 x 1 block on ``3 n`` x ``n`` squares, pressed on a foundation that is highest in the middle."""
-    return ContactProblem(
-        rectangle(3 * n, n, x=(0, 3)),
-        rm.PlaneStrain.from_young(1e4, 0.45),
-        rm.Dirichlet("top", (0.0, -0.003)),
-        rm.Obstacle("bottom", offset=lambda x, y: 0.001 + 0.003 * (x - 1.5) ** 2, coulomb=0.5),
-        rm.Motion(None),
-        (rm.Traction("right", (-3.0, 0.0)),),
-    )
-
-
-def iterations() -> pd.DataFrame:
-    """Active sets, each a factorisation, by mesh and F."""
-    problems = {f"slab {12 * k} x {6 * k}": coulomb_kink.problem(6 * k) for k in (1, 2, 4, 8)}
-    problems |= {f"arch {3 * n} x {n}": arch(n) for n in (10, 20, 40)}
-    lines = []
-    for name, problem in problems.items():
-        system, line = system_of(problem), {"": name}
-        for coefficient in (0.1, 0.5, 1, 2, 5):
-            own = with_coefficient(system, coefficient)
-            steps, sets = fixed_point(own)
-            line[f"F = {coefficient}"] = f"{solve(own).iterations} ({sets} in {steps or 'over 100'} steps)"
-        lines.append(line)
-    return pd.DataFrame(lines)
 
 
 def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
@@ -343,7 +299,6 @@ def several(count: int = 300) -> pd.DataFrame:
 TABLES = {
     "partial": partial_slip,
     "plate": plates,
-    "iterations": iterations,
     "hard": hard,
     "several": several,
 }

@@ -2,7 +2,6 @@
 
     python scripts/benchmark_mesh.py                     every problem (15 minutes)
     python scripts/benchmark_mesh.py --cases 6.1 L-shape --levels 2
-    python scripts/benchmark_mesh.py --predict           what ``rmesh advise`` predicts, on problems held out
 
 Factors are errors of the given mesh over those of the method at equal nodes. Relocation has no move limits.
 Peers: second-order elements on the given mesh, a plain h-adaptive loop of scikit-fem
@@ -27,7 +26,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from best_mesh import adaptive as plain
-from best_mesh import methods, predict
+from best_mesh import methods
 from best_mesh.cases import CASES, Case
 from best_mesh.methods import (
     ADAPTIVE,
@@ -122,14 +121,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command_line(__doc__, out="results/mesh")
     parser.add_argument("--cases", nargs="+", choices=list(CASES), default=list(CASES))
     parser.add_argument("--levels", type=int, help="meshes of each problem, the coarsest ones; default: all")
-    parser.add_argument("--predict", action="store_true", help="compare predicted with measured factors")
     options = parser.parse_args(arguments)
     methods.warm_up()
-    if options.predict:
-        text = predict.summary(predict.measured(Store(options.out / "predicted.jsonl")))
-        (options.out / "predicted.md").write_text(text)
-        print(text)
-        return 0
     store = Store(options.out / "rows.jsonl")
     for case in (CASES[name] for name in options.cases):
         for task in tasks(case, case.sizes[: options.levels]):

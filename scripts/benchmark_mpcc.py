@@ -1,4 +1,4 @@
-"""The MPCC solver beside a plain Scholtes loop, MPECSS and pympcc: a collection and generated families.
+r"""The MPCC solver beside a plain Scholtes loop, MPECSS and pympcc: a collection and generated families.
 
     python scripts/benchmark_mpcc.py mpcc_problems.py --families all --out results/mpcc
 
@@ -10,9 +10,16 @@ a forked process copies each page of memory that it touches, most of them Python
 with is measured by the problem's expressions, not taken from the solver: solved is a point whose constraint
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
 best known value or, where none is known, of the least that any solver here found. Time is processor time of
-build and solve. MPECSS and pympcc are compared if they are installed (see benchmark_peers.py). Writes
-DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure (not
-in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
+build and solve. Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and
+membrane-pressure (not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has
+no row of.
+
+MPECSS and pympcc are compared if they are installed: ``pip install mpecss pympcc``. cyipopt, which pympcc
+needs, is built against the Ipopt in CasADi's wheel, and so is the very Ipopt that ours uses::
+
+    C=$(python -c "import casadi; print(casadi.__path__[0])")
+    CFLAGS="-I$C/include/coin-or" LDFLAGS="-L$C -Wl,-rpath,$C" PKG_CONFIG_PATH=$C/pkgconfig \
+        pip install cyipopt
 """
 
 from __future__ import annotations

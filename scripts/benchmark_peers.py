@@ -1,41 +1,42 @@
-r"""The formulations against each other and against what people would use instead, in one run.
+"""Example 6.1 by our formulations beside what people would use instead: plain CasADi, and SciPy.
 
-    python scripts/benchmark_peers.py                           all (half an hour)
-    python scripts/benchmark_peers.py --groups examples peers --repeat 1
+    python scripts/benchmark_peers.py
+    python scripts/benchmark_peers.py --sizes 8 --repeat 1
 
-Groups: the paper's examples, and Example 6.1 refined, by every formulation; relaxations of ``mpcc``; an
-objective for which the two levels differ; and Example 6.1 beside plain CasADi and SciPy. Move limits are the
-paper's, in proportion to the mesh width. Every solve is a process of its own that keeps nothing of another
-one; solvers take turns, so that a busy machine slows all alike. Time is processor time of build and solve
-without the assessment, median and range of the runs. Energies are of a contact solve on the final mesh by
-the problem's own rule. Writes DIR/formulations.md and DIR/rows.jsonl.
-
-The peers of ``benchmark_mpcc.py`` are installed by ``pip install mpecss pympcc``. cyipopt, which pympcc
-needs, is built against the Ipopt in CasADi's wheel, and so is the very Ipopt that ours uses::
-
-    C=$(python -c "import casadi; print(casadi.__path__[0])")
-    CFLAGS="-I$C/include/coin-or" LDFLAGS="-L$C -Wl,-rpath,$C" PKG_CONFIG_PATH=$C/pkgconfig \
-        pip install cyipopt
+Formulations and relaxations are compared with each other by ``rmesh compare --repeats 5 --verbose``. Every
+solve is a process of its own that keeps nothing of another one; solvers take turns, so that a busy machine
+slows all alike. Time is processor time of build and solve without the assessment, median and range of the
+runs. Energies are of a contact solve on the final mesh by the problem's own rule. Writes DIR/table.md.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
+import casadi as ca
 import numpy as np
 import pandas as pd
+from scipy.optimize import Bounds, minimize
 
 import rmesh_nlp as rm
+from best_mesh.cases import source_61
 from best_mesh.methods import unassessed
+from formulations import joint
 from isolated import Failed, isolated
-from peer_solvers import End, nlpsol_mapped, nlpsol_written_out, scipy_minimize
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mpcc import RELAXATIONS
+from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem, signed_areas
-from rows import Row, Store, command_line, figure, markdown, timed
+from rmesh_nlp.solving.outer import Outer
+from rows import Row, command_line, markdown, timed
 
 LONG = 20.0
 """Seconds from which on a solve is not repeated."""
@@ -43,88 +44,156 @@ LONG = 20.0
 PATIENCE = 6
 """Times the limit, by the clock, after which a process is ended: others may use the machine."""
 
-Solver = Callable[[ContactProblem, str, float], End]
-"""Of a problem, what is minimised, and the seconds it may take."""
+TOLERANCE = 1e-8
+"""Of SciPy's solvers."""
 
 
-def ours(problem: ContactProblem, objective: str, limit: float, formulation: str, **settings: str) -> End:
+@dataclass(frozen=True)
+class End:
+    """Positions (2, nodes), the solver's own word, processor seconds of build and solve, and iterations."""
+
+    nodes: Array
+    status: str
+    seconds: float
+    iterations: int | None = None
+
+
+def ours(problem: ContactProblem, limit: float, formulation: str) -> End:
     """One of our formulations; the assessment is no part of its time."""
-    limits = rm.Limits(limit)
-    solution, seconds = timed(rm.solve, problem, formulation, objective=objective, limits=limits, **settings)
+    solution, seconds = timed(rm.solve, problem, formulation, limits=rm.Limits(limit))
     status = solution.status.value if solution.success else f"{solution.status.value}, no success"
-    value = None if objective == "energy" else solution.record()["objective_value"]
-    nodes = np.asarray(solution.mesh.p)
-    return End(nodes, status, unassessed(seconds, solution), solution.iterations, value)
+    return End(np.asarray(solution.mesh.p), status, unassessed(seconds, solution), solution.iterations)
 
 
-FORMULATIONS: Mapping[str, Solver] = {
-    name: partial(ours, formulation=name) for name in ("joint", "mpcc", "nested")
-}
-OTHERS: Mapping[str, Solver] = {
-    f"mpcc, {name}": partial(ours, formulation="mpcc", relaxation=name)
-    for name in RELAXATIONS
-    if name != "scholtes"
-}
-PEERS: Mapping[str, Solver] = {
+def start_of_joint(problem: ContactProblem, limit: float) -> tuple[Array, dict[str, Any]]:
+    """Where ``joint`` starts, ``x = (q, u)``, and what it gives Ipopt: so every peer that uses it."""
+    outer = Outer.of(problem)
+    q = np.zeros(outer.relocation.n_q)
+    unit = joint.pull(outer.energy(q).gradient)
+    options = {**IPOPT_OPTIONS, **joint.Joint().options(areas=False, unit=unit), "max_wall_time": limit}
+    return outer.energy.point(q, outer.given), options
+
+
+def nlpsol_mapped(problem: ContactProblem, limit: float) -> End:
+    """Our expressions, all derivatives left to ``nlpsol``."""
+    start, options = start_of_joint(problem, limit)
+
+    def work() -> tuple[Array, str]:
+        rel = relocation(problem)
+        result = Solver(replace(rel.nlp, derivatives=None), options=options)(start)
+        return rel.nodes(rel.split(result.x)[0]), result.status.value
+
+    (nodes, status), seconds = timed(work)
+    return End(nodes, status, seconds)
+
+
+def nlpsol_written_out(problem: ContactProblem, limit: float) -> End:
+    """What one writes first in CasADi: a sum over the elements, handed to ``nlpsol``."""
+    start, options = start_of_joint(problem, limit)
+    rel = Outer.of(problem).relocation
+    bound, positions = rel.nlp.ubx, rel.mesh_map.positions
+
+    def work() -> tuple[Array, str]:
+        x = ca.SX.sym("x", start.size)
+        unknowns = ca.vertsplit(x)
+        u = entries(rel.displacement, 0, unknowns)
+        energy = energy_61(problem, *(entries(positions, i, unknowns) for i in (0, 1)), u)
+        gaps = ca.vertcat(*[u[i] for i in problem.contact_nodes])
+        settings = {"ipopt": options, "print_time": False, "error_on_fail": False}
+        solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": energy, "g": gaps}, settings)
+        answer = solver(x0=start, lbx=-bound, ubx=bound, lbg=0, ubg=np.inf)
+        status = "converged" if solver.stats()["success"] else solver.stats()["return_status"]
+        return positions.values(np.clip(answer["x"].full().ravel(), -bound, bound)), status
+
+    (nodes, status), seconds = timed(work)
+    return End(nodes, status, seconds)
+
+
+def energy_61(problem: ContactProblem, x: list[Any], y: list[Any], u: list[Any]) -> Any:
+    """The energy of Example 6.1, element by element with the midpoint rule, of nodal positions and values."""
+    terms = []
+    for a, b, c in problem.triangles.T.tolist():
+        x1, x2, y1, y2 = x[b] - x[a], x[c] - x[a], y[b] - y[a], y[c] - y[a]
+        det, u1, u2 = x1 * y2 - x2 * y1, u[b] - u[a], u[c] - u[a]
+        strain = ((y2 * u1 - y1 * u2) ** 2 + (x1 * u2 - x2 * u1) ** 2) / (4 * det)
+        work = sum(
+            source_61((x[i] + x[j]) / 2, (y[i] + y[j]) / 2, ca.sin, ca.if_else) * (u[i] + u[j]) / 2
+            for i, j in ((a, b), (b, c), (c, a))
+        )
+        terms.append(strain - det / 6 * work)
+    return sum(terms)
+
+
+def entries(field: Field, component: int, x: Any) -> list[Any]:
+    """Nodal values as expressions of the unknowns ``x[i]``, plain numbers where they are fixed."""
+    index, scale, offset = (a[component].tolist() for a in (field.index, field.scale, field.offset))
+    return [
+        o if i < 0 else o + s * x[i] if o else s * x[i] for i, s, o in zip(index, scale, offset, strict=True)
+    ]
+
+
+def scipy_minimize(problem: ContactProblem, limit: float, method: str) -> End:
+    """``scipy.optimize.minimize`` on the reduced energy with our gradient: a contact solve per evaluation."""
+    began = time.process_time()
+    reduced = ReducedEnergy.of(ContactSolver(problem))
+    bound = reduced.relocation.mesh_map.upper
+    best, lowest = np.zeros(bound.size), np.inf
+    unit = abs(reduced(best).value) or 1.0
+
+    def energy(q: Array) -> float:
+        nonlocal best, lowest
+        if time.process_time() - began > limit:
+            raise TimeoutError
+        value = reduced(q).value
+        if value < lowest:
+            best, lowest = q.copy(), value
+        return value / unit
+
+    how = {"jac": lambda q: reduced(q).gradient / unit, "bounds": Bounds(-bound, bound), "tol": TOLERANCE}
+    try:
+        result = minimize(energy, best, method=method, options={"maxiter": 500}, **how)
+        q, status = result.x, "converged" if result.success else str(result.message)
+    except TimeoutError:
+        q, status = best, f"stopped after {limit:g} s"
+    seconds = time.process_time() - began
+    return End(reduced.relocation.nodes(np.clip(q, -bound, bound)), status, seconds)
+
+
+SOLVERS: Mapping[str, Callable[[ContactProblem, float], End]] = {
+    "joint": partial(ours, formulation="joint"),
+    "nested": partial(ours, formulation="nested"),
     "CasADi nlpsol, our expressions": nlpsol_mapped,
     "CasADi nlpsol, written out": nlpsol_written_out,
     "SciPy L-BFGS-B, our gradient": partial(scipy_minimize, method="L-BFGS-B"),
     "SciPy trust-constr, our gradient": partial(scipy_minimize, method="trust-constr"),
     "SciPy SLSQP, our gradient": partial(scipy_minimize, method="SLSQP"),
 }
+"""Of a problem, and the seconds that it may take; times are compared with the first."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A problem, what is minimised, and who solves it; times are compared with the first of them."""
-
-    name: str
-    problem: Callable[[], ContactProblem]
-    solvers: Mapping[str, Solver]
-    objective: str = "energy"
-
-
-def _refined(sizes: Sequence[int], what: str, solvers: Mapping[str, Solver], *objective: str) -> list[Task]:
-    return [Task(f"6.1, n = {n}{what}", partial(EXAMPLES["6.1"], n), solvers, *objective) for n in sizes]
-
-
-WITHOUT_ENERGY = {name: FORMULATIONS[name] for name in ("nested", "mpcc")}
-BESIDE_PEERS = {name: FORMULATIONS[name] for name in ("joint", "nested")} | PEERS
-GROUPS: Mapping[str, Sequence[Task]] = {
-    "examples": [
-        *_refined([8], "", FORMULATIONS | OTHERS),
-        *(Task(name, EXAMPLES[name], FORMULATIONS | OTHERS) for name in ("6.2", "6.3")),
-    ],
-    "refined": _refined([16, 32, 64], "", FORMULATIONS),
-    "objective": _refined([8, 16], ", error-l2", WITHOUT_ENERGY, "error-l2"),
-    "peers": _refined([8, 16], ", peers", BESIDE_PEERS),
-}
-
-
-def run(task: Task, solver: str, limit: float) -> Row:
+def run(n: int, solver: str, limit: float) -> Row:
     """Solve once in a process of its own, and measure where it stopped by our own contact solve."""
 
     def work() -> Row:
-        problem = task.problem()
-        end = task.solvers[solver](problem, task.objective, limit)
+        problem = EXAMPLES["6.1"](n)
+        end = SOLVERS[solver](problem, limit)
         areas = (signed_areas(nodes, problem.triangles) for nodes in (end.nodes, problem.mesh.p))
-        least, value = float(np.min(np.divide(*areas))), end.value
-        if value is None and least > 0:
-            value = float(ContactSolver(problem).solve(end.nodes).energy)
-        ending = {"status": end.status, "value": value, "least area": least}
+        least = float(np.min(np.divide(*areas)))
+        energy = float(ContactSolver(problem).solve(end.nodes).energy) if least > 0 else np.nan
+        ending = {"status": end.status, "energy": energy, "least area": least}
         return ending | {"iterations": end.iterations, "seconds": end.seconds}
 
     row = isolated(work, PATIENCE * limit)
     row = {"status": row.why} if isinstance(row, Failed) else row
-    return {"problem": task.name, "solver": solver, **row}
+    return {"problem": f"6.1, n = {n}", "solver": solver, **row}
 
 
-def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
-    """All solvers of a task in turn; what took long, or failed, once."""
+def runs(n: int, repeat: int, limit: float) -> Iterator[Row]:
+    """All solvers in turn; what took long, or failed, once."""
     done: set[str] = set()
     for _ in range(repeat):
-        for solver in (name for name in task.solvers if name not in done):
-            row = run(task, solver, limit)
+        for solver in (name for name in SOLVERS if name not in done):
+            row = run(n, solver, limit)
             if row.get("seconds", np.inf) > LONG:
                 done.add(solver)
             yield row
@@ -132,7 +201,7 @@ def runs(task: Task, repeat: int, limit: float) -> Iterator[Row]:
 
 def table(rows: Sequence[Row]) -> str:
     """A line for each solver on each problem, in Markdown; ratios of times are medians, run by run."""
-    columns = ["problem", "solver", "status", "value", "least area", "iterations", "seconds"]
+    columns = ["problem", "solver", "status", "energy", "least area", "iterations", "seconds"]
     frame, lines = pd.DataFrame(rows, columns=columns), []
     for problem, of_problem in frame.groupby("problem", sort=False):
         first = of_problem[of_problem.solver == of_problem.solver.iloc[0]].seconds.to_numpy()
@@ -140,16 +209,15 @@ def table(rows: Sequence[Row]) -> str:
             seconds, last = own.seconds.to_numpy(), own.iloc[-1]
             both = min(seconds.size, first.size)
             low, middle, high = (f"{np.quantile(seconds, q):.2g}" for q in (0, 0.5, 1))
-            time = f"{middle} ({low} to {high})" if seconds.size > 1 else middle
             lines.append(
                 {
                     "problem": problem,
                     "solver": solver,
                     "status": last.status[:60],
-                    "energy, error": f"{last.value:.7g}",
+                    "energy": f"{last.energy:.7g}",
                     "least area": f"{last['least area']:.2g}",
                     "iterations": f"{last.iterations:.0f}",
-                    "time [s]": time,
+                    "time [s]": f"{middle} ({low} to {high})" if seconds.size > 1 else middle,
                     "over the first": f"{np.median(seconds[:both] / first[:both]):.2g}",
                 }
             )
@@ -157,29 +225,20 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the benchmark; 0 if each of our formulations succeeded."""
+    """Run the benchmark; 0 if our formulations succeeded."""
     parser = command_line(__doc__, out="results/peers")
-    parser.add_argument("--groups", nargs="+", default=list(GROUPS), choices=list(GROUPS))
-    parser.add_argument("--largest", type=int, default=64, help="squares a side up to which 6.1 is refined")
+    parser.add_argument("--sizes", type=int, nargs="+", default=[8, 16], help="squares a side")
     parser.add_argument("--repeat", type=int, default=5)
     parser.add_argument("--limit", type=float, default=300.0, help="seconds that a solver may take")
     options = parser.parse_args(arguments)
-    for solver in FORMULATIONS.values():  # loading libraries is nobody's cost
-        solver(EXAMPLES["6.1"](3), "energy", options.limit)
-    path = options.out / "rows.jsonl"
-    path.unlink(missing_ok=True)
-    store = Store(path)
-    for task in (task for group in options.groups for task in GROUPS[group]):
-        if task.problem().mesh.p.shape[1] > (options.largest + 1) ** 2:
-            continue
-        for row in runs(task, options.repeat, options.limit):
-            store.add(row)
-            print(*map(figure, row.values()), sep="; ", flush=True)
-    text = table(store.rows)
-    (options.out / "formulations.md").write_text(text, encoding="utf-8")
+    ours(EXAMPLES["6.1"](3), options.limit, "joint")  # loading libraries is nobody's cost
+    rows = [row for n in options.sizes for row in runs(n, options.repeat, options.limit)]
+    text = table(rows)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "table.md").write_text(text, encoding="utf-8")
     print(text)
-    own = [row for row in store.rows if row["solver"] in FORMULATIONS]
-    return 0 if all("no success" not in row["status"] and row.get("value") is not None for row in own) else 1
+    own = [row["status"] for row in rows if row["solver"] in ("joint", "nested")]
+    return 0 if set(own) == {"converged"} else 1
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import branches
 import rmesh_nlp as rm
 from formulations import kinks
 from formulations import nested as module
@@ -27,6 +26,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
+from support.branch_search import steepest
 from support.endings import ended
 from support.solved import example, solved
 
@@ -163,7 +163,7 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there(
     rates = []
     for cost in (2.0, 0.7):
         outer = Outer.of(block, leak(cost))
-        found, every = labelled(outer, q), branches.steepest(outer, q)
+        found, every = labelled(outer, q), steepest(outer, q)
         assert found.pairs.size == 3
         assert every.branches == 8
         rates.append(every.rate)

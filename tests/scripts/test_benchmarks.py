@@ -4,7 +4,6 @@ import importlib
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,14 +11,12 @@ import pandas as pd
 import pytest
 
 import ablation
-import benchmark_branches
 import benchmark_cost
 import benchmark_peers
 import soak_losses
 from benchmark_coulomb import (
     StickZone,
     all_solutions,
-    fixed_point,
     plate,
     plate_slips,
     pressed_block,
@@ -28,12 +25,9 @@ from benchmark_coulomb import (
     with_coefficient,
 )
 from formulations import cascade
-from gallery import coulomb_kink
-from peer_solvers import nlpsol_mapped, nlpsol_written_out
 from random_designs import random_design
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.solving.outer import Outer
 from rows import Store, markdown
 
@@ -122,49 +116,6 @@ def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was
     assert min(float(found[part]) for part in ("models", "descents", "assess", "reduction", "unit")) > 0
 
 
-@pytest.mark.slow
-def test_ends_at_kinks_are_searched_branch_by_branch(capsys, tmp_path):
-    every = [case.name for case in benchmark_branches.cases()]
-    assert len(every) == len(set(every)) == 68
-    arguments = ["--only", "seal-4-2", "--out", str(tmp_path)]
-    assert benchmark_branches.main(arguments) == 0
-    said, rows = capsys.readouterr().out, rows_of(tmp_path / "rows.jsonl")
-    assert [row["formulation"] for row in rows] == ["nested", "mpcc"]
-    for row in rows:
-        assert (row["status"], row["b_stationary"], row["branches"]) == ("converged", True, 8)
-        assert row["steepest"] >= -1e-6
-    assert rows[0]["objective_value"] == pytest.approx(rows[1]["objective_value"], rel=1e-8)
-    assert benchmark_branches.main(arguments) == 0  # nothing is solved again
-    assert capsys.readouterr().out == said
-    assert said.count("1 of 1") == 2
-
-
-@pytest.mark.slow
-def test_one_design_problem_by_both_from_both_starts(tmp_path):
-    benchmark_branches.main(["--designs", "3", "4", "--out", str(tmp_path)])
-    rows = rows_of(tmp_path / "rows.jsonl")
-    assert {(row["formulation"], row["seed"]) for row in rows} == {
-        (name, seed) for name in ("nested", "mpcc") for seed in (None, 1)
-    }
-    assert all(row["success"] and row["b_stationary"] for row in rows)
-
-
-def test_a_case_of_kinks_that_raises_is_a_row():
-    case = next(iter(benchmark_branches.cases()))
-    bad = benchmark_branches.Case(case.name, case.problem, "mean(nowhere, uy)")
-    row = benchmark_branches.row(bad, "mpcc", None, 10.0)
-    assert row["status"] != "converged"
-    assert "nowhere" in row["message"]
-    assert "nowhere" not in benchmark_branches.table([row])
-
-
-def test_the_better_of_two_starts_counts_and_invalid_ends_do_not():
-    ends = [("nested", 2.0, True), ("nested", 1.0, True), ("mpcc", 1.5, True), ("mpcc", 0.5, False)]
-    names = ["case", "formulation", "objective_value", "valid", "objective_initial"]
-    frame = pd.DataFrame([("a", *end, 3.0) for end in ends], columns=names)
-    assert benchmark_branches.best_reached(frame).to_dict() == {"nested": {"a": True}, "mpcc": {"a": False}}
-
-
 @pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
 def test_stated_design_obeys_all_constraints(seed):
     found = random_design(seed)
@@ -187,7 +138,7 @@ def test_seed_determines_the_design_problem():
 
 def test_times_are_medians_and_a_run_without_a_result_is_a_row():
     def rows(solver, *seconds):
-        end = {"problem": "p", "solver": solver, "status": "converged", "value": -1.5, "least area": 0.25}
+        end = {"problem": "p", "solver": solver, "status": "converged", "energy": -1.5, "least area": 0.25}
         return [{**end, "iterations": 7, "seconds": each} for each in seconds]
 
     failed = {"problem": "p", "solver": "three", "status": "crashed: SIGKILL"}
@@ -202,15 +153,12 @@ def test_times_are_medians_and_a_run_without_a_result_is_a_row():
 
 @pytest.mark.slow
 def test_one_program_built_three_times_has_one_energy(monkeypatch, tmp_path):
-    solvers = {"joint": benchmark_peers.FORMULATIONS["joint"]}
-    solvers |= {"mapped": nlpsol_mapped, "written out": nlpsol_written_out}
-    tasks = (benchmark_peers.Task("6.1, n = 8", lambda: EXAMPLES["6.1"](8), solvers),)
-    monkeypatch.setattr(benchmark_peers, "GROUPS", {"one": tasks})
-    assert benchmark_peers.main(["--groups", "one", "--repeat", "1", "--out", str(tmp_path)]) == 0
-    found = rows_of(tmp_path / "rows.jsonl")
-    assert [row["status"] for row in found] == ["converged"] * 3
-    assert [row["value"] for row in found] == pytest.approx([found[0]["value"]] * 3, rel=1e-6)
-    assert (tmp_path / "formulations.md").read_text().count("| 6.1, n = 8 |") == 3
+    names = ("joint", "CasADi nlpsol, our expressions", "CasADi nlpsol, written out")
+    monkeypatch.setattr(benchmark_peers, "SOLVERS", {name: benchmark_peers.SOLVERS[name] for name in names})
+    assert benchmark_peers.main(["--sizes", "8", "--repeat", "1", "--out", str(tmp_path)]) == 0
+    lines = (tmp_path / "table.md").read_text().splitlines()[2:]
+    cells = [[cell.strip() for cell in line.split("|")[1:5]] for line in lines]
+    assert cells == [["6.1, n = 8", name, "converged", "-1.475161"] for name in names]
 
 
 @pytest.mark.slow
@@ -250,15 +198,6 @@ def test_slips_of_a_plate_are_the_published_ones() -> None:
     slips = plate_slips(plate(32, 1))
     np.testing.assert_allclose(slips, 1.0, atol=0.05)
     np.testing.assert_allclose(slips[:4], 1.0, atol=0.005)
-
-
-def test_a_fixed_point_of_the_bounds_takes_more_active_sets() -> None:
-    system = system_of(coulomb_kink.problem(6, 0.5))
-    steps, sets = fixed_point(system)
-    assert steps > 1
-    assert solve(system).iterations < sets
-    still = replace(system, coulomb=np.zeros(system.offset.size))
-    assert fixed_point(still)[0] <= 2
 
 
 def test_all_active_sets_have_the_solution_that_is_found_and_with_little_friction_no_other() -> None:

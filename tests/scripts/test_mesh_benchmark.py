@@ -10,7 +10,7 @@ from skfem import MeshTri
 import benchmark_mesh
 import benchmark_order
 from best_mesh import adaptive as plain
-from best_mesh import cases, predict, tables
+from best_mesh import cases, tables
 from best_mesh.methods import ADAPTIVE, ATTAINABLE, LOOP, METRIC, RELOCATED, REMESHED, UNIFORM, measure
 from rmesh_nlp.contact.solver import ContactSolver
 from rows import Row, Store
@@ -47,18 +47,6 @@ def test_times_are_compared_at_equal_error() -> None:
     rows = [*falling(ADAPTIVE, [50, 4000], 4.0), *falling(LOOP, [100, 400], 1.0)]
     # the adaptive mesh of this error has 1600 nodes
     assert benchmark_mesh.times(rows).iloc[0].tolist() == ["6.3", LOOP, "400", "800", "0.25"]
-
-
-def test_predicted_factors_are_compared_with_measured_ones() -> None:
-    rows = [
-        {"seed": 1, "nodes": 100, "error": 8.0, "advised": "remesh", "predicted": 4.0, "measured": 4.0},
-        {"seed": 2, "nodes": 100, "error": 8.0, "advised": "refine", "predicted": 5.0, "measured": 4.0},
-        {"seed": 3, "nodes": 100, "error": 8.0, "advised": "refine", "predicted": 5.0},
-        {"seed": 4, "status": "ValueError: no mesh"},
-    ]
-    text = predict.summary(rows)
-    assert "1.25" in text
-    assert text.splitlines()[-1] == "1 of 2 within 20%; not compared: 3, 4"
 
 
 def test_curves_are_read_log_log_and_not_beyond_their_ends() -> None:

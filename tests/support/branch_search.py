@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from itertools import islice, product
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,6 @@ from rmesh_nlp.solving.outer import Outer
 
 STEP = 1e-4
 """Of the central differences, in outer variables."""
-
-MOST = 1 << 12
-"""Branches beyond which none are searched."""
 
 Systems = Callable[[Array], ContactSystem]
 
@@ -53,13 +50,11 @@ class Steepest:
     branches: int
 
 
-def steepest(outer: Outer, q: Array, most: int = MOST) -> Steepest | None:
-    """Search all branches at ``q``; None if they are more than ``most``."""
+def steepest(outer: Outer, q: Array) -> Steepest:
+    """Search all branches at ``q``."""
     point = outer.function(q)
     nodes = _Nodes(point.system, point.equilibrium)
-    every = list(islice(nodes.combinations(), MOST + 1))
-    if len(every) > min(most, MOST):
-        return None
+    every = list(nodes.combinations())
     best, systems = Steepest(0.0, np.zeros(q.size), len(every)), _systems(outer)
     for active in every:
         rate, direction = _on_branch(outer, point, nodes, active, systems)
