@@ -21,35 +21,7 @@ DIFFERENCE = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  #
 ITSELF = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
 ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # at every whole number
 LOGICAL = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-UNARY = (
-    *(ca.OP_NEG, ca.OP_SQ, ca.OP_TWICE, ca.OP_INV, ca.OP_SQRT, ca.OP_SIN, ca.OP_COS, ca.OP_TAN, ca.OP_EXP),
-    *(
-        ca.OP_LOG,
-        ca.OP_NOT,
-        ca.OP_ASIN,
-        ca.OP_ACOS,
-        ca.OP_ATAN,
-        ca.OP_SINH,
-        ca.OP_COSH,
-        ca.OP_TANH,
-        ca.OP_ASINH,
-    ),
-    *(ca.OP_ACOSH, ca.OP_ATANH, ca.OP_ERF, ca.OP_LOG1P, ca.OP_EXPM1, ca.OP_FABS, ca.OP_SIGN, *ROUNDED),
-)
-BINARY = (
-    *(
-        ca.OP_ADD,
-        ca.OP_SUB,
-        ca.OP_MUL,
-        ca.OP_DIV,
-        ca.OP_POW,
-        ca.OP_CONSTPOW,
-        ca.OP_AND,
-        ca.OP_OR,
-        ca.OP_ATAN2,
-    ),
-    *(ca.OP_HYPOT, ca.OP_IF_ELSE_ZERO, *DIFFERENCE),
-)
+UNKNOWN = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_CALL)  # they may jump, and it is not said where
 
 
 @dataclass(frozen=True)
@@ -63,7 +35,7 @@ class Switches:
     degrees : tuple of int or None
         Of each in x and y together; None if it is no polynomial.
     are_all : bool
-        Whether there can be no others: False if an operation of the graph is not known to be smooth.
+        Whether there can be no others: False if an operation of the graph may jump where it does not say.
     """
 
     functions: tuple[ca.Function, ...]
@@ -86,43 +58,27 @@ def switches(coefficient: Coefficient) -> Switches | None:
     if len(ca.symvar(ca.SX(at(coefficient, *position)) + sum(position))) > len(position):
         return Switches((), (), are_all=False)  # it depends on design variables
     graph = as_function(coefficient)
-    each, are_all = _walked(graph, position)
+    each, are_all = _switches_of(graph)
     if not each and are_all:
         return None
-    functions = tuple(ca.Function("switch", [*position], [ca.densify(one)]) for one in each)
+    functions = tuple(ca.Function("switch", graph.sx_in(), [ca.densify(one)]) for one in each)
     return Switches(functions, tuple(map(polynomial_degree, functions)), are_all)
 
 
-def _walked(graph: ca.Function, position: tuple[ca.SX, ca.SX]) -> tuple[list[ca.SX], bool]:
-    """The switches in a graph, each once, and whether every operation is known."""
-    work, logical, each = dict[int, ca.SX](), set[int](), dict[str, ca.SX]()
+def _switches_of(graph: ca.Function) -> tuple[list[ca.SX], bool]:
+    """The switches in a graph as expressions of its inputs, each once, and whether these are all."""
+    each, are_all, expressions = dict[str, ca.SX](), True, graph.instructions_sx()
     for k in range(graph.n_instructions()):
-        operation, given, to = (
-            graph.instruction_id(k),
-            graph.instruction_input(k),
-            graph.instruction_output(k),
-        )
-        if operation == ca.OP_OUTPUT:
-            continue
-        if operation == ca.OP_CONST:
-            value = ca.SX(graph.instruction_constant(k))
-        elif operation == ca.OP_INPUT:
-            value = position[given[0]]
-        elif operation in UNARY:
-            value = ca.SX.unary(operation, work[given[0]])
-        elif operation in BINARY:
-            value = ca.SX.binary(operation, *(work[place] for place in given))
-        else:
-            return list(each.values()), False
-        switch = None
+        operation, expression = graph.instruction_id(k), expressions[k]
+        are_all &= operation not in UNKNOWN
         if operation in DIFFERENCE:
-            switch = work[given[0]] - work[given[1]]
-        elif operation in ITSELF and given[0] not in logical:
-            switch = work[given[0]]
+            switch = expression.dep(0) - expression.dep(1)
+        elif operation in ITSELF and expression.dep(0).op() not in LOGICAL:
+            switch = expression.dep(0)
         elif operation in ROUNDED:
-            switch = ca.sin(np.pi * work[given[0]])
-        if switch is not None and not switch.is_constant():
+            switch = ca.sin(np.pi * expression.dep(0))
+        else:
+            continue
+        if not switch.is_constant():
             each.setdefault(str(switch), switch)
-        work[to[0]] = value
-        (logical.add if operation in LOGICAL else logical.discard)(to[0])
-    return list(each.values()), True
+    return list(each.values()), are_all
