@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
@@ -25,6 +26,27 @@ def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose
     near = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
     return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}")
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The end of a message about a name that is not known: the nearest one that is, or all of them."""
+    names = list(known)
+    near = difflib.get_close_matches(name, names, n=1)
+    return f", did you mean {near[0]!r}?" if near else f": choose from {', '.join(names)}"
+
+
+def one_line(error: object) -> str:
+    """The message of an error without line breaks."""
+    return " ".join(str(error).split())
+
+
+@contextmanager
+def located(place: object) -> Iterator[None]:
+    """What is wrong in this context is bad input at a place: a file, or an entry of one."""
+    try:
+        yield
+    except ValueError as error:
+        raise BadInputError(f"{place}: {one_line(error)}") from error
 
 
 class ProblemError(BadInputError):

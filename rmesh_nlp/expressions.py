@@ -8,7 +8,6 @@ as Python, so a problem file from a stranger can do no harm.
 from __future__ import annotations
 
 import ast
-import difflib
 import operator
 from collections.abc import Callable, Mapping
 from functools import reduce
@@ -17,6 +16,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+
+from rmesh_nlp.errors import nearest
 
 LONGEST = 1000
 """Characters that an expression may have."""
@@ -137,7 +138,7 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
     elif isinstance(node, ast.Name):
         if node.id in names:
             return names[node.id]
-        raise ValueError(f"unknown name {node.id!r}{_nearest(node.id, (*names, *FUNCTIONS))}")
+        raise ValueError(f"unknown name {node.id!r}{nearest(node.id, (*names, *FUNCTIONS))}")
     elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
         operands = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.operand,)
         return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))
@@ -155,13 +156,8 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
 
 def _call(node: ast.Call, name: str, names: dict[str, Any]) -> Any:
     if name not in FUNCTIONS:
-        raise ValueError(f"unknown function {name!r}{_nearest(name, tuple(FUNCTIONS))}")
+        raise ValueError(f"unknown function {name!r}{nearest(name, FUNCTIONS)}")
     function, arity = FUNCTIONS[name]
     if len(node.args) != arity:
         raise ValueError(f"{name} takes {arity} argument{'s' * (arity > 1)}, got {len(node.args)}")
     return function(*(_walk(argument, names) for argument in node.args))
-
-
-def _nearest(name: str, choices: tuple[str, ...]) -> str:
-    close = difflib.get_close_matches(name, choices, n=1)
-    return f", did you mean {close[0]!r}?" if close else f": choose from {', '.join(choices)}"

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import remove_leftovers
-from rmesh_nlp.io.problem_messages import one_line
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
 
@@ -54,15 +53,6 @@ def notes(kind: type[Warning], head: str) -> Iterator[None]:
         finally:
             for warning in caught:
                 print(f"{head}: {warning.message}", file=sys.stderr)
-
-
-@contextmanager
-def located(place: object) -> Iterator[None]:
-    """What is wrong in this context is bad input at a place: a file, or an entry of one."""
-    try:
-        yield
-    except ValueError as error:
-        raise BadInputError(f"{place}: {one_line(error)}") from error
 
 
 def read_quietly(folder: Path) -> list[Result]:

@@ -14,19 +14,17 @@ from rich.console import Console
 from skfem import MeshTri
 
 from rmesh_nlp.cli import load
-from rmesh_nlp.cli.folders import SUCCESS, located
+from rmesh_nlp.cli.folders import SUCCESS
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure, rich_table
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
-from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.folder import safe_name, write_new, write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_file import read_table, with_order
 from rmesh_nlp.io.problem_file import template as problem_template
-from rmesh_nlp.io.problem_messages import nearest, one_line
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
@@ -177,22 +175,7 @@ def solve_options(
     """
     plan = read_table(path).solve
     name = formulation or plan.formulation
-    try:
-        accepted = options(name)
-    except BadInputError as error:
-        raise BadInputError(str(error) if formulation else f"{path}: solve.formulation: {error}") from error
-    if "objective" not in given:
-        with located(f"{path}: solve.objective"):
-            parse_objective(plan.objective)
-        plan = plan.model_copy(update={"objective": beside(plan.objective, path.parent)})
-    # the defaults need not be known to every formulation, what was asked for must be
     asked = {**plan.options(), **given}
-    for option in asked:
-        if option not in accepted and option not in NEEDLESS:
-            said = f"{path}: the formulation {name!r} takes no {option}"
-            raise BadInputError(said + nearest(option, sorted(accepted)))
-    taken = {key: value for key, value in asked.items() if key in accepted}
     with located(f"{path}: solve"):
-        checked(name, {key: value for key, value in plan.options().items() if key in accepted})
-    with located(path):
-        return name, dict(checked(name, taken))
+        accepted = options(name)
+        return name, checked(name, {k: v for k, v in asked.items() if k in accepted or k not in NEEDLESS})

@@ -14,10 +14,10 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
+from rmesh_nlp.errors import one_line
 from rmesh_nlp.expressions import value_of
 from rmesh_nlp.fem.constraints import checked
-from rmesh_nlp.fem.objective_text import beside
-from rmesh_nlp.io.problem_messages import Place, Source, one_line, outwards
+from rmesh_nlp.io.problem_messages import Place, Source, outwards
 from rmesh_nlp.io.problem_schema import (
     FORCES,
     FOUNDATIONS,
@@ -141,8 +141,7 @@ class _Builder:
         result = []
         for number, constraint in enumerate(self.table.constraints):
             with self.source.at("constraints", number):
-                value = beside(constraint.value, self.source.path.parent)
-                result.append(checked(Constraint(value, constraint.bounds)))
+                result.append(checked(Constraint(constraint.value, constraint.bounds)))
         return tuple(result)
 
     def place(self, error: ProblemError) -> Place:

@@ -9,9 +9,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from rmesh_nlp.errors import one_line
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_builder import build
-from rmesh_nlp.io.problem_messages import ProblemFileError, one_line
+from rmesh_nlp.io.problem_messages import ProblemFileError
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.problem import ContactProblem
 
@@ -51,7 +52,7 @@ def read_table(path: str | Path) -> ProblemTable:
     path = Path(path)
     data = read_toml(path)
     try:
-        return ProblemTable.of(data)
+        return ProblemTable.of(path, data)
     except ValidationError as error:
         raise messages.schema_errors(path, error, data, ProblemTable) from error
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -10,9 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, nearest, one_line
 
 
 class ProblemFileError(BadInputError):
@@ -95,17 +95,18 @@ def as_text(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def one_line(error: Any) -> str:
-    """The message of an error without line breaks."""
-    return " ".join(str(error).split())
+MOST = 10
+"""Errors of one file that are said in a line each."""
 
 
 def schema_errors(
     path: Path, error: ValidationError, data: dict[str, Any], file: type[BaseModel]
 ) -> ProblemFileError:
-    """All of pydantic's errors, one line each; ``file`` is the model of a whole file."""
-    source, tables = Source(path, data), {"": file, **dict(_tables(file))}
-    return ProblemFileError([f"{path}: {_line(item, source, tables)}" for item in error.errors()])
+    """Pydantic's errors, one line each up to ``MOST``; ``file`` is the model of a whole file."""
+    source, tables, errors = Source(path, data), {"": file, **dict(_tables(file))}, error.errors()
+    lines = [_line(item, source, tables) for item in errors[:MOST]]
+    rest = [f"and {len(errors) - MOST} more errors"] if len(errors) > MOST else []
+    return ProblemFileError([f"{path}: {line}" for line in lines + rest])
 
 
 def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> str:
@@ -117,8 +118,8 @@ def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> s
         names = [part for part in place[:-1] if isinstance(part, str)]
         own, any_name = ".".join(names), ".".join([*names[:-1], "*"])
         table = own if own in tables else any_name if any_name in tables else None
-        keys = [] if table is None else list(tables[table].model_fields)
-        message = f"unknown key{_home(place[-1], table, tables) or nearest(place[-1], keys)}"
+        known = "" if table is None else nearest(place[-1], tables[table].model_fields)
+        message = f"unknown key{_home(place[-1], table, tables) or known}"
     elif item["type"] == "missing":
         message = "expected, but it is missing"
     elif item["type"] == "literal_error":
@@ -156,44 +157,19 @@ def _home(name: str, table: str | None, tables: Mapping[str, type[BaseModel]]) -
     return " here: it belongs at the top of the file" if homes else ""
 
 
-def nearest(name: str, choices: list[str]) -> str:
-    """The end of a message about an unknown name."""
-    if not choices:
-        return ""
-    close = difflib.get_close_matches(name, choices, n=1, cutoff=0.5)
-    return f", did you mean {close[0]!r}?" if close else f": one of {', '.join(choices)}"
-
-
 def unquoted(raw: bytes, error: str) -> str:
     """What to say if the line at which TOML fails has an expression without quotes, else nothing."""
     place = re.search(r"line (\d+)", error)
     lines = raw.decode(errors="replace").splitlines()
     number = int(place.group(1)) if place else len(lines)
     line = lines[number - 1] if 0 < number <= len(lines) else ""
-    entry = re.match(r"\s*([\w.-]+)\s*=\s*([^#\"\']+)", line)
-    if entry is None or not re.search(r"[xy]\b|\*|\(|[0-9]\s*[-+/^]", entry.group(2).strip()):
+    entry = re.match(r"\s*([\w.-]+\s*=\s*[^#\"\']+)", line)
+    if entry is None or not re.search(r"=.*([xy]\b|\*|\(|[0-9]\s*[-+/^])", entry[1]):
         return ""
-    key, value = entry.group(1), entry.group(2).strip()
-    return f"{key} = {value}: expressions need quotes (line {number}), as in {key} = {_in_quotes(value)}"
-
-
-def _in_quotes(value: str) -> str:
-    """The value with quotes around it, or around its items."""
-    items = re.fullmatch(r"\[(.*)\]", value)
-    if items is None:
-        return f'"{value}"'
-    parts = [part.strip() for part in items.group(1).split(",")]
-    numbers = r"[-+]?[\d.]+([eE][-+]?\d+)?"
-    return "[" + ", ".join(p if re.fullmatch(numbers, p) else f'"{p}"' for p in parts) + "]"
+    return f'{entry[1].strip()}: expressions need quotes (line {number}), as in "2*x"'
 
 
 def deepest_line(raw: bytes) -> int:
-    """Number of the line of a TOML file at which most brackets are open, or with most parts in its key."""
-    deepest, deepest_number, opened = 0, 1, 0
-    for number, line in enumerate(raw.decode(errors="replace").splitlines(), 1):
-        bare = re.sub(r"\"[^\"]*\"|'[^']*'|#.*", "", line)
-        depth = opened + bare.count("[") + bare.count("{") + bare.partition("=")[0].count(".")
-        opened += sum(bare.count(sign) for sign in "[{") - sum(bare.count(sign) for sign in "]}")
-        if depth > deepest:
-            deepest, deepest_number = depth, number
-    return deepest_number
+    """Number of the line of a TOML file with most brackets, or with most parts in its key."""
+    lines = raw.decode(errors="replace").splitlines()
+    return 1 + int(np.argmax([sum(map(line.count, "[{.")) for line in lines]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import Parameter, signature
+from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 from pydantic import (
@@ -26,6 +27,7 @@ from rmesh_nlp.io.problem_values import (
     Flag,
     Given,
     Limits,
+    ObjectiveText,
     Pair,
     Points,
     Quadrature,
@@ -36,7 +38,7 @@ from rmesh_nlp.io.problem_values import (
     Vector,
     among,
     as_list,
-    design_names,
+    context_of,
 )
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.problem import (
@@ -216,7 +218,7 @@ class DesignTable(BaseModel):
 class ConstraintTable(Table):
     """One of ``[[constraints]]``."""
 
-    value: Text
+    value: ObjectiveText
     bounds: Limits
 
 
@@ -264,7 +266,7 @@ class SolveTable(BaseModel):
     model_config = ConfigDict(extra="allow", frozen=True)
 
     formulation: Text = "auto"
-    objective: Text = "energy"
+    objective: ObjectiveText = "energy"
     seed: Seed | None = None
     starts: Seed = 0
     remesh: SkipValidation[bool | int] = False
@@ -305,9 +307,9 @@ class ProblemTable(Table):
     _data: Mapping[str, Any] = PrivateAttr(default_factory=dict)
 
     @classmethod
-    def of(cls, data: Mapping[str, Any]) -> ProblemTable:
+    def of(cls, path: Path, data: Mapping[str, Any]) -> ProblemTable:
         """The tables of a file, checked."""
-        table = cls.model_validate(data, context=design_names(data))
+        table = cls.model_validate(data, context=context_of(path, data))
         table._data = data
         return table
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import casadi as ca
@@ -17,6 +19,7 @@ from pydantic import (
 )
 
 from rmesh_nlp.expressions import Expression
+from rmesh_nlp.fem.objective_text import beside, parse_objective
 from rmesh_nlp.io.problem_messages import value_at
 from rmesh_nlp.problem import Coefficient, Relative
 from rmesh_nlp.problem.design import RESERVED, symbol
@@ -53,12 +56,26 @@ def among(names: Iterable[str]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-def design_names(data: Mapping[str, Any]) -> dict[str, ca.SX]:
-    """Symbols of the design variables that a file declares, before it is checked."""
+@dataclass(frozen=True)
+class Context:
+    """What the values of a file may refer to: the folder that it is in, and symbols of design variables."""
+
+    folder: Path
+    symbols: Mapping[str, ca.SX] = field(default_factory=dict)
+
+
+def context_of(path: Path, data: Mapping[str, Any]) -> Context:
+    """That of a file, by the design variables that it declares, before it is checked."""
     names: list[str] = []
     for table in (value_at(data, ("design",)), value_at(data, ("design", "shapes"))):
         names += table if isinstance(table, dict) else ()
-    return {name: symbol(name) for name in names if name.isidentifier() and name not in ("shapes", *RESERVED)}
+    own = [name for name in names if name.isidentifier() and name not in ("shapes", *RESERVED)]
+    return Context(path.parent, {name: symbol(name) for name in own})
+
+
+def _context(info: ValidationInfo) -> Context:
+    assert isinstance(info.context, Context)
+    return info.context
 
 
 Value: TypeAlias = float | ca.SX | Expression
@@ -67,7 +84,7 @@ Value: TypeAlias = float | ca.SX | Expression
 
 def _coefficient(value: Any, info: ValidationInfo) -> Value:
     if isinstance(value, str):
-        expression = Expression(value, info.context or {})
+        expression = Expression(value, _context(info).symbols)
         if expression.value is None:
             return expression
         if not expression.value.is_constant():
@@ -81,12 +98,12 @@ def _coefficient(value: Any, info: ValidationInfo) -> Value:
 
 def _designed(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float | ca.SX:
     """A number, or where there are design variables an expression of them."""
-    if not isinstance(value, str) or not info.context:
+    if not isinstance(value, str) or not _context(info).symbols:
         return float(read(value))
-    expression = Expression(value, info.context)
-    if expression.value is None:
+    number = _coefficient(value, info)
+    if isinstance(number, Expression):
         raise ValueError("expected a number or an expression of design variables alone")
-    return float(expression.value) if expression.value.is_constant() else expression.value
+    return number
 
 
 def _components(value: Any, info: ValidationInfo) -> tuple[Value | None, ...]:
@@ -107,6 +124,12 @@ def _condition(value: Any) -> Expression:
     if not isinstance(value, str):
         raise ValueError
     return Expression(value)
+
+
+def _objective(text: str, info: ValidationInfo) -> str:
+    """The text of an objective that can be read, whose files are beside the file that it stands in."""
+    parse_objective(text)
+    return beside(text, _context(info).folder)
 
 
 def as_list(value: Any) -> list[Any]:
@@ -131,6 +154,7 @@ Finite = Annotated[_Real, expected("a finite number")]
 Whole = Annotated[_Whole, expected("a whole number")]
 Seed = Annotated[_Whole, Field(ge=0), expected("a whole number of at least 0")]
 Text = Annotated[str, Field(strict=True, pattern=r"\S"), expected("a text")]
+ObjectiveText = Annotated[Text, AfterValidator(_objective)]
 Pair = Annotated[_Two, expected(PAIR)]
 Limits = Annotated[
     tuple[Annotated[float, Field(strict=True, allow_inf_nan=True)], Annotated[float, Field(strict=True)]],

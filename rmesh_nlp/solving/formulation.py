@@ -9,7 +9,7 @@ from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
 
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError, nearest, unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -167,12 +167,22 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
     return names
 
 
-def checked(formulation: str, given: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Options of a formulation, if each of them and its value can be meant; else a BadInputError."""
+def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
+    known = options(formulation)
+    for name, value in given.items():
+        if name not in known:
+            raise untaken(formulation, name, value)
     composed(formulation, {name: value for name, value in given.items() if name not in KEYWORDS})
     Limits.of(given.get("limits"))
     parse_objective(given.get("objective", "energy"))
-    return given
+    return dict(given)
+
+
+def untaken(formulation: str, name: str, value: Any) -> BadInputError:
+    """The error for an option that a formulation does not take."""
+    said = f"the formulation {formulation!r} takes no {name} = {value!r}"
+    return BadInputError(said + nearest(name, sorted(options(formulation))))
 
 
 def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
@@ -190,8 +200,7 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     kind, known = kind_of(formulation), options(formulation)
     for key, value in asked.items():
         if key not in known and value not in (0, False):
-            said = f"the formulation {formulation!r} takes no {key}, got {key}={value!r}"
-            raise BadInputError(f"{said}; it takes {', '.join(sorted(known))}")
+            raise untaken(formulation, key, value)
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
     around = [key for key, value in asked.items() if key not in own and value not in (0, False)]

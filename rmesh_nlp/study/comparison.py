@@ -16,7 +16,7 @@ from rmesh_nlp.examples import Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.folder import folder_aside, remove_leftovers
-from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results
 from rmesh_nlp.problem import ContactProblem
@@ -30,7 +30,6 @@ from rmesh_nlp.study.plan import (
     UNLIMITED,
     PlannedSolve,
     build_example,
-    objective_of_file,
     planned,
     taken_of,
 )
@@ -106,11 +105,7 @@ def plan_comparison(
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
     """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:iterations=20:seed=3``."""
     name, *parts = text.split(":")
-    given, accepted = from_texts(parts, f"{text!r}: an option "), options_of(name)
-    for key in given:
-        if key not in accepted:
-            raise BadInputError(f"{text!r}: {name} takes no option {key!r}")
-    return name, dict(checked(name, given))
+    return name, checked(name, from_texts(parts, f"{text!r}: an option "))
 
 
 def _listed(value: Any) -> list[Any]:
@@ -121,7 +116,7 @@ def _listed(value: Any) -> list[Any]:
 def _file_problems(names: Sequence[str], order: int | None) -> list[tuple[ContactProblem, str]]:
     """The problems of those names that are files, and the objectives of their ``[solve]``."""
     problems = [
-        (load_problem(Path(name), order), objective_of_file(Path(name)))
+        (load_problem(Path(name), order), read_table(Path(name)).solve.objective)
         for name in names
         if name.endswith(SUFFIX)
     ]

@@ -13,12 +13,12 @@ from statistics import median
 from typing import Any
 
 from rmesh_nlp import __version__
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError, located, unknown
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import RULES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.examples.reference import with_reference
-from rmesh_nlp.fem.objective_text import beside, parse_objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
@@ -161,16 +161,6 @@ def taken_of(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in given.items() if name in accepted}
 
 
-def objective_of_file(path: Path) -> str:
-    """The objective that ``[solve]`` of a problem file states."""
-    text = beside(read_table(path).solve.objective, path.parent)
-    try:
-        parse_objective(text)
-    except BadInputError as error:
-        raise BadInputError(f"{path}: solve.objective: {error}") from error
-    return text
-
-
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """All solves of a study, in the order: problem, variant, objective, seed, repetition.
 
@@ -178,12 +168,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     objective is solved once, not once for each. A BadInputError names what is unknown or broken, or the
     option that a formulation does not take.
     """
-    for text in study.objectives:
-        try:
-            parse_objective(text)
-        except BadInputError as error:
-            raise BadInputError(f"{path}: objectives: {error}") from error
-    stated = tuple(beside(text, path.parent) for text in study.objectives)
+    stated = study.objectives
     variants = {stated: list(_variants(study, path, stated))}
     common: dict[str, Any] = {"time_s": study.limits.time, "memory_mb": study.limits.memory}
     common |= {"fields": study.fields, "certify": study.certify}
@@ -193,7 +178,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     for problem in problems:
         objectives = stated
         if problem[0]["kind"] == "file" and "objectives" not in study.model_fields_set:
-            objectives = (objective_of_file(Path(problem[0]["path"])),)
+            objectives = (read_table(problem[0]["path"]).solve.objective,)
         if objectives not in variants:
             variants[objectives] = list(_variants(study, path, objectives))
         solves += [
@@ -211,27 +196,14 @@ def _variants(
     limits = {"seconds": study.limits.time, "iterations": study.limits.iterations}
     limits = {name: value for name, value in limits.items() if value is not None}
     for variant, table in study.formulations.items():
-        where, formulation = f"{path}: formulations.{variant}", table.formulation or variant
-        try:
-            accepted = options(formulation)
-        except BadInputError as error:
-            raise BadInputError(f"{where}: {error}") from error
-        for name, value in table.keywords.items():
-            if name not in accepted:
-                raise BadInputError(f"{where}.{name} = {value!r}: not an option of {formulation}")
-            try:
-                json.dumps(value)
-            except TypeError:
-                said = "dates and times are no options"
-                raise BadInputError(f"{where}.{name} = {value!r}: {said}") from None
+        formulation = table.formulation or variant
         for objective, seed in product(objectives, study.seeds):
             common = {"objective": None if objective == "energy" else objective, "seed": seed}
             common = {name: value for name, value in common.items() if value is not None}
-            taken = taken_of(formulation, {**common, "limits": limits})
-            try:
-                yield variant, formulation, dict(checked(formulation, {**taken, **table.keywords}))
-            except BadInputError as error:
-                raise BadInputError(f"{where}: {error}") from error
+            with located(f"{path}: formulations.{variant}"):
+                taken = taken_of(formulation, {**common, "limits": limits})
+                options = checked(formulation, {**taken, **table.keywords})
+            yield variant, formulation, options
 
 
 def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:
@@ -241,11 +213,9 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], s
         for size, order in product(sizes, study.order or (1,)):
             stated = {"kind": "example", "example": name, "quadrature": study.quadrature or RULES[order]}
             stated |= ({} if size is None else {"n": size}) | _order(order)
-            try:
-                yield stated, name, name, _problem(stated).size
-            except BadInputError as error:
-                key = "sizes" if name in EXAMPLES else "examples"
-                raise BadInputError(f"{path}: {key}: {error}") from error
+            with located(f"{path}: {'sizes' if name in EXAMPLES else 'examples'}"):
+                size = _problem(stated).size
+            yield stated, name, name, size
     for text in study.files:
         file = path.parent / text
         table = read_table(file)

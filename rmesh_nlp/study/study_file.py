@@ -7,12 +7,20 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    JsonValue,
+    ValidationError,
+    model_validator,
+)
 
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import schema_errors
 from rmesh_nlp.io.problem_schema import Table
-from rmesh_nlp.io.problem_values import LARGEST, Quadrature, Seed, Text, expected
+from rmesh_nlp.io.problem_values import LARGEST, Context, ObjectiveText, Quadrature, Seed, Text, expected
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
@@ -97,6 +105,7 @@ class FormulationTable(BaseModel):
 
     model_config = ConfigDict(extra="allow", frozen=True)
 
+    __pydantic_extra__: dict[str, JsonValue] = Field(init=False)
     formulation: Text | None = None
 
     @property
@@ -125,7 +134,7 @@ class StudyTable(Table):
     order: Annotated[tuple[int, ...], BeforeValidator(_orders)] = ()
     quadrature: Quadrature | None = None
     formulations: Annotated[dict[str, FormulationTable], BeforeValidator(_formulations)]
-    objectives: Texts = ("energy",)
+    objectives: Annotated[tuple[ObjectiveText, ...], BeforeValidator(_texts)] = ("energy",)
     seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
     repeats: Count = 1
     fields: bool = True
@@ -147,7 +156,7 @@ def read_study(path: str | Path) -> StudyTable:
     path = Path(path)
     data = read_toml(path)
     try:
-        return StudyTable.model_validate(data)
+        return StudyTable.model_validate(data, context=Context(path.parent))
     except ValidationError as error:
         raise schema_errors(path, error, data, StudyTable) from None
 

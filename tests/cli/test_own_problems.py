@@ -93,7 +93,7 @@ def test_check_refuses_what_solve_would_refuse(rmesh, block: Path, command: str)
     block.write_text(f'{BLOCK}[solve]\nformulation = "<svg>"\n')
     said = rmesh(f"{command} block.toml")
     assert said.code == 2
-    assert "solve.formulation: unknown formulation '<svg>'" in " ".join(said.err.split())
+    assert "solve: unknown formulation '<svg>'" in " ".join(said.err.split())
 
 
 @pytest.mark.slow

@@ -107,7 +107,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
         ("start", np.zeros(3), r"start must hold positions \(2, nodes\), got an array of shape \(3,\)"),
         ("start", np.full((2, 15), np.nan), "start: node 0 has no finite position"),
-        ("speed", 3, "the formulation 'joint' takes no speed, got speed=3; it takes first_barrier, "),
+        ("speed", 3, "the formulation 'joint' takes no speed = 3, did you mean 'seed'"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(keyword: str, bad: Any, message: str) -> None:

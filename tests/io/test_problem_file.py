@@ -16,6 +16,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem, template
 from rmesh_nlp.io.problem_messages import ProblemFileError, unquoted
+from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
 from rmesh_nlp.meshes.shapes import rectangle
@@ -198,6 +199,13 @@ def test_a_mistake_is_answered_by_one_line_per_error(write, base, old, new, expe
     assert len(lines) == len(expected)
     for line, said in zip(lines, expected, strict=True):
         assert line == said or (said.endswith("...") and line.startswith(said.removesuffix("...")))
+
+
+def test_of_many_errors_the_first_are_said_and_how_many_more_there_are(write):
+    lines = refused(write(VALID + "".join(f"[table{k}]\n" for k in range(3000))))
+    assert lines[0] == "table0 = {}: unknown key: choose from " + ", ".join(ProblemTable.model_fields)
+    assert len(lines) == 11
+    assert lines[-1] == "and 2990 more errors"
 
 
 def test_numbers_at_their_bounds_are_accepted(write):

@@ -54,7 +54,7 @@ def test_a_file_is_compared_by_its_own_objective(file):
     plan = plan_comparison([file], ["nested"], options={"objective": ["quality"]})
     assert [one.options for one in plan] == [{"objective": "quality"}]
     Path(file).write_text(VALID + 'objective = "nonsense"\n')
-    with pytest.raises(BadInputError, match=r"own\.toml: solve\.objective: .*nonsense"):
+    with pytest.raises(BadInputError, match=r"own\.toml: solve\.objective = .nonsense."):
         plan_comparison([file], ["nested"])
 
 
@@ -110,7 +110,7 @@ def test_a_formulation_may_have_options_of_its_own():
     ("text", "said"),
     [
         ("mpcc:start", "NAME=VALUE"),
-        ("mpcc:speed=9", "takes no option 'speed'"),
+        ("mpcc:speed=9", "takes no speed = 9, did you mean 'seed'"),
         ("mpcc:relaxation=x", "unknown relaxation 'x'"),
         ("mpcc:t0=x", "t0 must be positive and finite, got 'x'"),
         ("joint:limits.seconds=-1", "seconds must be .*, got -1"),

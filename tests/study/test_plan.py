@@ -126,7 +126,11 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "examples = ['6.1']\norder = [1, true]", "expected 1 for linear"),
         (JOINT + "examples = ['6.1']\norder = []", "expected 1 for linear"),
         (JOINT + "examples = '6.1'", "examples = '6.1': expected a list of texts"),
-        ("examples = ['6.1']\n[formulations.joint]\nouter = 'newton'", "outer = 'newton': not an option"),
+        ("examples = ['6.1']\n[formulations.joint]\nouter = 'newton'", "'joint' takes no outer = 'newton'"),
+        (
+            "examples = ['6.1']\n[formulations.joint]\ntol = 1979-05-27",
+            "tol = datetime.date(1979, 5, 27)",
+        ),
         (JOINT + "examples = ['6.1']\n[limits]\ntime = 0", "limits.time = 0: expected"),
         (JOINT + "examples = ['6.1']\nobjectives = ['energie']", "energie"),
         (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),
