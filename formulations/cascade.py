@@ -205,7 +205,8 @@ class Levels(Formulation):
         chosen, problems = self.settings, (coarser.problem, level.problem)
         coarse, fine = (float(problem.mesh.p.shape[1]) ** problem.order for problem in problems)
         error = (coarser.gain or 0.0) * coarse / fine
-        return level.knowing(error).minimising(regularised(error, chosen.regularisation, chosen.distortion))
+        objective = regularised(error, chosen.regularisation, chosen.distortion)
+        return level.minimising(objective, error)
 
     def _corrected(self, level: Outer, before: Outcome, monitor: Monitor) -> Outcome:
         """Where a descent from the map of the next coarser mesh ends."""

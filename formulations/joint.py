@@ -161,7 +161,7 @@ class Joint(Formulation):
         track.residual = lambda x, lam_g: outer.residual.of_state(
             *program.split(x)[:2], *program.forces(lam_g)
         )
-        begin = outer.relocation.split(outer.energy.point(q, contact.equilibrium))
+        begin = outer.relocation.split(outer.energy.unknowns(q, contact.equilibrium.u))
         result = solver(program.unknowns(*begin))
         track.with_violations(result.history["inf_pr"])
         return program, result

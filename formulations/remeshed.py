@@ -9,7 +9,6 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.meshes.mmg import MISSING, is_available
-from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.motion import Relative
@@ -64,10 +63,11 @@ class Remeshed(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         nodes = outer.problem.mesh.p.shape[1] if self.nodes is True else int(self.nodes)
         with monitor.budget.during("build"):
-            start = metric_start(Solved(outer.contact, outer.given), nodes, monitor.budget)
+            start = metric_start(Solved(outer.contact, outer.contact.given), nodes, monitor.budget)
         monitor.work += Work(len(start.nodes), len(start.nodes))
-        energy = ReducedEnergy.of(start.solved.solver, outer.objective)
-        remeshed = Outer.around(energy, outer.tolerance).near().knowing(start.solved.error)
+        remeshed = Outer(
+            start.solved.solver, outer.objective, outer.tolerance, is_near=True, gain=start.solved.error
+        )
         outcome = monitor.run(self.inner, remeshed, remeshed.variables())
         made = f"on a mesh of {start.solved.problem.mesh.p.shape[1]} nodes that Mmg made for the solution"
         return outcome.having(Remeshing(start.nodes, start.energies), remarks=(made, *outcome.remarks))

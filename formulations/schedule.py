@@ -59,7 +59,7 @@ class Schedule(Wrapper):
         for weight in schedule:
             with monitor.budget.during("build"):
                 objective = regularised(gain, weight, self.distortion)
-                weighted = outer.knowing(gain).minimising(objective)
+                weighted = outer.minimising(objective, gain)
             outcome = monitor.run(self.inner, weighted, q)
             q = outcome.q
             if monitor.is_over():

@@ -217,7 +217,7 @@ def _stated(draw: _Draw, problem: rm.ContactProblem) -> RandomDesign | None:
     feasible = {variable.name: float(draw.rng.uniform(*variable.bounds)) for variable in problem.design}
     at_feasible = problem.at_design(feasible)
     solver = ContactSolver(discretise(at_feasible))
-    energy = ReducedEnergy.of(solver)
+    energy = ReducedEnergy(solver)
     point = energy(np.zeros(energy.relocation.n_q))
     state = point.equilibrium
     if state.status is not Status.CONVERGED or not np.any(state.normal_force > 0):

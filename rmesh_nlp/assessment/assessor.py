@@ -37,24 +37,21 @@ class ContactResiduals:
 
 
 class Assessor:
-    """Assesses meshes of one problem by the contact solver of its formulations.
+    """Assesses meshes of one problem by the contact solver of its formulations."""
 
-    ``given`` is the solution of ``model`` on the mesh as given.
-    """
-
-    def __init__(self, model: ContactSolver, given: Equilibrium) -> None:
-        self.problem, self.model, self._given = model.problem, model, given
+    def __init__(self, model: ContactSolver) -> None:
+        self.problem, self.model = model.problem, model
         self._last: tuple[Array, Admissible] | None = None
 
     @cached_property
     def initial(self) -> Admissible:
         """The admissible displacement on the mesh as given."""
-        return admissible(self.model.discretisation, start=self._given.active)
+        return admissible(self.model.discretisation, start=self.model.given.active)
 
     @cached_property
     def initial_corrections(self) -> Mapping[str, float]:
         """See :func:`corrections`, on the mesh as given."""
-        return corrections(self.model, np.asarray(self.problem.mesh.p), self._given, self.initial)
+        return corrections(self.model, np.asarray(self.problem.mesh.p), self.model.given, self.initial)
 
     def solve(self, nodes: Array, start: ActiveSet) -> Admissible:
         """The admissible displacement at node positions (2, nodes); the last one is remembered."""

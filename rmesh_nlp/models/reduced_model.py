@@ -13,10 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
@@ -47,29 +46,26 @@ class ReducedEnergy:
     Attributes
     ----------
     model : ContactSolver
-        Of the discretisation of ``relocation``.
+        Of the problem.
+    relocation : Relocation
+        The energy NLP of its discretisation.
     contact_solves, cold_solves : int
         Numbers of contact solves so far, and of those that had no active set to start from.
     factorisations : int
         Of the stiffness, one per active set that these solves tried.
     """
 
-    def __init__(self, relocation: Relocation, model: ContactSolver) -> None:
-        self.relocation, self.model = relocation, model
+    def __init__(self, model: ContactSolver, objective: Objective = ENERGY) -> None:
+        self.model, self.relocation = model, relocation(model.discretisation, objective)
         self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
-        self._gradient = relocation.lagrangian.gradient
-        self._jacobian = relocation.contact_rows.jacobian
-        numbers, rows = self._jacobian.pattern, relocation.n_contact + 2 * relocation.n_s
-        self._rows = Block(numbers, slice(0, rows), slice(0, relocation.n_q))
-        self._position_terms = element_values(relocation.position_groups)
-
-    @classmethod
-    def of(cls, model: ContactSolver, objective: Objective = ENERGY) -> ReducedEnergy:
-        """The energy, and terms in the positions alone, of the problem that a contact solver solves."""
-        return cls(relocation(model.discretisation, objective), model)
+        rel = self.relocation
+        self._gradient, self._jacobian = rel.lagrangian.gradient, rel.contact_rows.jacobian
+        rows = slice(0, rel.n_contact + 2 * rel.n_s)
+        self._rows = Block(self._jacobian.pattern, rows, slice(0, rel.n_q))
+        self._position_terms = element_values(rel.position_groups)
 
     @property
     def energy(self) -> ReducedEnergy:
@@ -96,28 +92,16 @@ class ReducedEnergy:
         return _has_upright(self.objective, self.relocation, q) and bool(np.isfinite(self.of_positions(q)))
 
     @property
-    def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given: a cold solve once it is first asked for."""
-        return self.model.given
-
-    @property
     def start(self) -> ContactPoint:
-        """That contact solution; it counts as no contact solve of a formulation."""
+        """The contact solution on the mesh as given; it counts as no contact solve of a formulation."""
         q = np.zeros(self.relocation.n_q)
-        system = self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
-        return ContactPoint(q, system, self.given)
-
-    @cached_property
-    def assessor(self) -> Assessor:
-        """Measures meshes against the continuous problem."""
-        return Assessor(self.model, self.given)
+        return ContactPoint(q, self._system(q), self.model.given)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
-        system = self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
-        given = None if np.any(q) else self.given
+        system, given = self._system(q), None if np.any(q) else self.model.given
         equilibrium = solve(system, self._active) if given is None else given
         if given is None or not self._is_given_counted:
             self.contact_solves += 1
@@ -125,15 +109,19 @@ class ReducedEnergy:
             self.factorisations += equilibrium.iterations
             self._is_given_counted = self._is_given_counted or given is not None
         self._active = equilibrium.active
-        self._last = self.at(q, system, equilibrium)
+        self._last = self.of(ContactPoint(np.array(q), system, equilibrium))
         return self._last
 
-    def at(self, q: Array, system: ContactSystem, equilibrium: Equilibrium) -> ReducedPoint:
+    def of(self, inner: ContactPoint) -> ReducedPoint:
         """Value and gradient where the contact solution is known."""
+        q, equilibrium = inner.q, inner.equilibrium
         friction = equilibrium.tangential_force[self.relocation.friction_rows]
-        gradient = self.gradient(self.point(q, equilibrium), equilibrium.normal_force, friction)
+        gradient = self.gradient(self.unknowns(q, equilibrium.u), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
-        return ReducedPoint(np.array(q), system, equilibrium, value, gradient, True)
+        return ReducedPoint(q, inner.system, equilibrium, value, gradient, True)
+
+    def _system(self, q: Array) -> ContactSystem:
+        return self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
 
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
         """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
@@ -146,18 +134,12 @@ class ReducedEnergy:
         (_, gradient), (_, rows) = self._gradient(x), self._jacobian(x)
         return np.asarray(gradient[: rel.n_q] - self._rows(rows).T @ forces)
 
-    def point(self, q: Array, equilibrium: Equilibrium) -> Array:
-        """The unknowns ``(q, u, s)`` of the energy NLP at a contact solution."""
-        return self.unknowns(q, equilibrium.u)
-
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
-        rows = self.relocation.friction_rows
-        slip = self._slips(q, u)[rows] if rows.size else np.zeros(0)
-        return self.relocation.unknowns(q, u, np.abs(slip))
-
-    def _slips(self, q: Array, u: Array) -> Array:
-        return self.model.slips(self.relocation.nodes(q), u, self.relocation.mesh_map.design(q))
+        rel, slip = self.relocation, np.zeros(0)
+        if rel.n_s:
+            slip = self.model.slips(rel.nodes(q), u, rel.mesh_map.design(q))[rel.friction_rows]
+        return rel.unknowns(q, u, np.abs(slip))
 
 
 def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:

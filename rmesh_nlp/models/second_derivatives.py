@@ -39,7 +39,7 @@ class Curvature:
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
-        x = self._energy.point(point.q, point.equilibrium)
+        x = self._energy.unknowns(point.q, point.equilibrium.u)
         rows = self._energy.relocation.friction_rows
         return Hessian(point, self._derivatives(x, point.equilibrium), rows)
 

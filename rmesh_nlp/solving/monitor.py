@@ -261,7 +261,7 @@ class Track:
             self._best = merit, np.array(q)
         residual, spent = self.outer.residual(point), self.monitor.spent.contact_solves
         known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": residual, "stationarity": residual}
-        known["energy_given"] = self.outer.given.energy
+        known["energy_given"] = self.outer.contact.given.energy
         energy = point.equilibrium.energy
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.models.branches import Branches
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.kkt_model import Bilevel
+from rmesh_nlp.models.kkt_model import Bilevel, in_units_of
+from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import Level
-from rmesh_nlp.solving.outer_models import OuterModels
 from rmesh_nlp.solving.parts import Work
 
 TOLERANCE = 1e-6
@@ -34,30 +38,24 @@ TOLERANCE = 1e-6
 class Outer:
     """``min F(X, u)`` over node positions X, where u solves the contact problem there.
 
+    Models are built when they are first asked for.
+
     Attributes
     ----------
-    problem : ContactProblem
-        On its mesh.
-    discretisation : Discretisation
     contact : ContactSolver
-        Contact solves by the problem's own rules.
+        Contact solves by the problem's own rules, on its mesh.
     objective : Objective
     tolerance : float
         Largest first-order residual of a stationary point.
-    models : OuterModels
-        What can be evaluated of the objective.
     is_near : bool
         Whether the start is likely to be close to a minimiser.
     gain : float or None
         Estimated error of the energy on the mesh as given, where it is known.
     """
 
-    problem: ContactProblem
-    discretisation: Discretisation
     contact: ContactSolver
     objective: Objective
-    tolerance: float
-    models: OuterModels
+    tolerance: float = TOLERANCE
     is_near: bool = False
     gain: float | None = None
 
@@ -65,96 +63,92 @@ class Outer:
     def of(
         cls, problem: ContactProblem, objective: str | Objective = "energy", tolerance: float = TOLERANCE
     ) -> Outer:
-        """The outer problem on the mesh of a problem.
-
-        Parameters
-        ----------
-        problem : ContactProblem
-        objective : str or Objective
-        tolerance : float
-            Largest first-order residual of a stationary point.
-        """
+        """The outer problem on the mesh of a problem."""
         discretisation = discretise(problem)
         discretisation.check_unknowns()
-        return cls._of(ContactSolver(discretisation), parse_objective(objective), tolerance)
+        return cls(ContactSolver(discretisation), parse_objective(objective), tolerance)
 
-    @classmethod
-    def around(cls, energy: ReducedEnergy, tolerance: float = TOLERANCE) -> Outer:
-        """The outer problem of an energy that is built already."""
-        return cls._of(energy.model, energy.objective, tolerance, energy)
-
-    @classmethod
-    def _of(
-        cls,
-        contact: ContactSolver,
-        objective: Objective,
-        tolerance: float,
-        built: ReducedEnergy | None = None,
-    ) -> Outer:
-        models = OuterModels(contact, objective, tolerance, built)
-        return cls(contact.problem, contact.discretisation, contact, objective, tolerance, models)
-
-    def minimising(self, objective: Objective) -> Outer:
-        """The same with another objective."""
-        models = OuterModels(self.contact, objective, self.tolerance)
-        return replace(self, objective=objective, models=models)
+    def minimising(self, objective: Objective, gain: float | None = None) -> Outer:
+        """The same with another objective, and the estimated error of the energy if it is known."""
+        return replace(self, objective=objective, gain=self.gain if gain is None else gain)
 
     def on(self, problem: ContactProblem) -> Outer:
         """The same objective by another rule, whose estimated error is taken over."""
         return replace(Outer.of(problem, self.objective, self.tolerance), gain=self.gain)
 
     def near(self) -> Outer:
-        """The same from a start that is likely to be close to a minimiser; the models are shared."""
-        return replace(self, is_near=True)
+        """The same from a start that is likely to be close to a minimiser, with the models built so far.
 
-    def knowing(self, gain: float) -> Outer:
-        """The same with the estimated error of the energy on the mesh as given."""
-        return replace(self, gain=gain)
-
-    @property
-    def given(self) -> Equilibrium:
-        """The contact solution on the mesh as given."""
-        return self.contact.given
+        The energy is one of them, which counts contact solves.
+        """
+        _ = self.energy
+        near = copy(self)  # unlike `replace`, which makes one without models
+        object.__setattr__(near, "is_near", True)
+        return near
 
     @property
-    def function(self) -> Reduced:
-        """The objective as a function of the outer variables, each value an exact contact solve."""
-        return self.models.function
+    def problem(self) -> ContactProblem:
+        """On its mesh."""
+        return self.contact.problem
 
     @property
+    def discretisation(self) -> Discretisation:
+        """Of the problem."""
+        return self.contact.discretisation
+
+    @cached_property
     def energy(self) -> ReducedEnergy:
         """The objective, or the energy where the levels do not collapse for it, as a function of q."""
-        return self.models.energy
+        return ReducedEnergy(self.contact, self.objective if self.objective.collapses else ENERGY)
 
     @property
     def relocation(self) -> Relocation:
         """The NLP of ``energy``."""
         return self.energy.relocation
 
-    @property
-    def residual(self) -> OuterResidual:
-        """The first-order residual, relative to that on the mesh as given."""
-        return self.models.residual
+    @cached_property
+    def function(self) -> Reduced:
+        """The objective as a function of the outer variables, each value an exact contact solve."""
+        return self.energy if self.objective.collapses else ReducedObjective(self.energy, self.objective)
 
-    @property
+    @cached_property
+    def at_start(self) -> ReducedPoint:
+        """The objective on the mesh as given; it counts as no contact solve of a formulation."""
+        return self.function.of(self.energy.start)
+
+    @cached_property
     def constraints(self) -> ReducedConstraints | None:
         """Those of the problem as functions of the outer variables; None without any."""
-        return self.models.constraints
+        if self.objective.collapses or not is_constrained(self.problem):
+            return None
+        return ReducedConstraints(self.conditions)
+
+    @cached_property
+    def residual(self) -> OuterResidual:
+        """The first-order residual, relative to that on the mesh as given."""
+        return OuterResidual(self.energy, self.at_start, self.constraints)
+
+    @cached_property
+    def conditions(self) -> KKTConditions:
+        """The KKT conditions, in units of the contact solution and of the objective on the mesh as given."""
+        if isinstance(self.function, ReducedObjective):
+            return self.function.conditions
+        return KKTConditions(in_units_of(self.discretisation, self.objective, self.energy.start))
 
     @property
     def kkt(self) -> Bilevel:
-        """The KKT model in units of the contact solution and of the objective on the mesh as given."""
-        return self.models.conditions.program
+        """The KKT model of these conditions."""
+        return self.conditions.program
 
-    @property
+    @cached_property
     def branches(self) -> Branches:
         """First-order conditions where contact is about to change, for objectives that have a KKT model."""
-        return self.models.branches
+        return Branches(self.conditions, self.residual.unit, self.tolerance)
 
-    @property
+    @cached_property
     def assessor(self) -> Assessor:
         """Measures meshes against the continuous problem."""
-        return self.energy.assessor
+        return Assessor(self.contact)
 
     @property
     def n(self) -> int:

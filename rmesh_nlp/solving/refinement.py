@@ -107,7 +107,7 @@ def _of_displacement(objective: Objective) -> Objective | None:
 def _value(problem: ContactProblem, objective: Objective, *, refine: bool = False) -> float:
     """The objective on a mesh or its refinement; NaN where the contact problem has no solution there."""
     try:
-        energy = ReducedEnergy.of(ContactSolver(refined(problem) if refine else problem))
+        energy = ReducedEnergy(ContactSolver(refined(problem) if refine else problem))
     except ProblemError:  # refined edges on a curve may fold a thin element
         return float("nan")
     state = energy.model.given

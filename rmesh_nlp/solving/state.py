@@ -152,7 +152,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
     if is_given:  # with shapes it is where these begin
         nodes = np.asarray(at.problem.mesh.p)
     exact = at.energy.start if is_given else at.energy(position)
-    point = outer.models.at_start if is_given else outer.function(q)
+    point = outer.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
     continuous = at.assessor.solve(nodes, solved.active)
     displacement = at.contact.displacement.values(solved.u)

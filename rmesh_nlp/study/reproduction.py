@@ -178,7 +178,7 @@ def least_energy_with_frozen_friction(problem: ContactProblem, seed: int | None 
     nlp = program.nlp.extended(f=_difference(problem, program))
     q = outer.variables(seed=seed)
     solver = Solver(nlp, options=FROZEN_OPTIONS)
-    result = solver(outer.energy.point(q, outer.energy(q).equilibrium))
+    result = solver(outer.energy.unknowns(q, outer.energy(q).equilibrium.u))
     return result.f if result.converged else float("nan")
 
 

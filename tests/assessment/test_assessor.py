@@ -57,8 +57,8 @@ CAUSES: dict[str, Callable[[], ContactProblem]] = {
 def test_each_cause_is_named_on_a_problem_made_for_it(name: str, order: int) -> None:
     problem = replace(CAUSES[name](), order=order)
     model = ContactSolver(problem)
-    own = model.solve(problem.mesh.p)
-    assessor = Assessor(model, own)
+    own = model.given
+    assessor = Assessor(model)
     exact, found = assessor.initial, assessor.initial_corrections
     assert set(found) == set(EXPLOITS)
     assert sum(found.values()) == pytest.approx(exact.energy - own.energy, rel=1e-9)
@@ -80,8 +80,8 @@ def test_on_a_mesh_that_had_to_be_cut_all_counts_as_penetration() -> None:
     bump = Obstacle.interior(lambda x, y: -0.02 + 0.1 * np.exp(-((x - 0.15) ** 2 + (y - 0.15) ** 2) / 0.002))
     problem = ContactProblem(mesh, Laplace(0.0), SIDES, bump)
     model = ContactSolver(problem)
-    own = model.solve(problem.mesh.p)
-    assessor = Assessor(model, own)
+    own = model.given
+    assessor = Assessor(model)
     assert assessor.initial.problem is not problem
     wanted = {**dict.fromkeys(EXPLOITS, 0.0), "penetration": assessor.initial.energy - own.energy}
     assert assessor.initial_corrections == wanted

@@ -79,7 +79,7 @@ def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, 
     u, boundary = "u" if problem.components == 1 else "uy", next(iter(problem.mesh.boundaries))
     text = f"body({u}_x**2 + x*{u}) + mean({boundary}, {u}*nx + y)"
     text += " + error-l2 + contact" * bool(problem.exact)
-    energies = (ReducedEnergy.of(each, ENERGY) for each in (solver, other))
+    energies = (ReducedEnergy(each, ENERGY) for each in (solver, other))
     functions = [ReducedObjective(energy, parse_objective(text)) for energy in energies]
     found = [function(np.zeros(permuted.n_q)).value for function in functions]
     assert found[1] == pytest.approx(found[0], rel=1e-9)

@@ -47,7 +47,7 @@ def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
 
 def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
     outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
-    constraints, point = ReducedConstraints(outer.models.conditions), outer.function(q)
+    constraints, point = ReducedConstraints(outer.conditions), outer.function(q)
     program = bilevel(outer.discretisation, outer.objective, length=1e-2, force=10.0)
     x = program.point(point)
     assert program.mpcc.derivatives is not None
@@ -59,7 +59,7 @@ def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
 
 def test_derivatives_of_constraints() -> None:
     outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
-    constraints = ReducedConstraints(outer.models.conditions)
+    constraints = ReducedConstraints(outer.conditions)
     rng = np.random.default_rng(6)
     d, multiples = rng.uniform(-1, 1, q.size), rng.uniform(-1, 1, constraints.rows.size)
 
@@ -72,14 +72,14 @@ def test_derivatives_of_constraints() -> None:
 
     by_d = constraints.at(outer.function(q)).jacobian @ d
     assert difference_order(values, by_d, q, d, 1e-3) == pytest.approx(2, abs=0.05)
-    conditions = outer.models.conditions
+    conditions = outer.conditions
     curvature = conditions.at(outer.function(q)).hessian(conditions.program.value, multiples)
     assert difference_order(gradient, curvature(d), q, d, 1e-3) == pytest.approx(2, abs=0.05)
 
 
 def test_rows_of_the_largest_pressure_are_pressures() -> None:
     outer, q = at_random(block(E, F, constraints=LIMITED[1:2]))
-    constraints, point = ReducedConstraints(outer.models.conditions), outer.function(q)
+    constraints, point = ReducedConstraints(outer.conditions), outer.function(q)
     weights = outer.discretisation.space.weights(outer.nodes(q))
     excess = point.equilibrium.normal_force - 200 * weights
     np.testing.assert_allclose(constraints.at(point).value * constraints.rows.unit, excess, atol=1e-9)

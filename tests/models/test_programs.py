@@ -43,10 +43,10 @@ def with_angles() -> ContactProblem:
 )
 def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
     """In whatever order the displacement space numbers its nodes."""
-    energy = ReducedEnergy.of(ContactSolver(renumbered(make())), ENERGY)
+    energy = ReducedEnergy(ContactSolver(renumbered(make())), ENERGY)
     rel, nlp = energy.relocation, energy.relocation.nlp
     point = energy(0.2 * np.random.default_rng(0).uniform(-1, 1, rel.n_q))
-    x = energy.point(point.q, point.equilibrium)
+    x = energy.unknowns(point.q, point.equilibrium.u)
     value, gradient = (part.full().ravel() for part in nlp.derivatives.grad_f(x, []))
     g, jacobian = (part.full() for part in nlp.derivatives.jac_g(x, []))
     assert value[0] == pytest.approx(point.equilibrium.energy, rel=1e-10)

@@ -108,7 +108,7 @@ def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_f
         return energy.contact_solves, energy.cold_solves, energy.factorisations
 
     outer = Outer.of(EXAMPLES["6.3"]((4, 2)))
-    energy, zero, given = outer.energy, np.zeros(outer.n), outer.given
+    energy, zero, given = outer.energy, np.zeros(outer.n), outer.contact.given
     assert counts(energy) == (0, 0, 0)
     assert energy(zero).equilibrium is given
     assert counts(energy) == (1, 1, given.iterations)

@@ -188,7 +188,7 @@ def test_ctrl_c_hides_no_fault_and_no_fault_hides_it(sign, when, monkeypatch) ->
 @pytest.mark.parametrize(("part", "status"), [(1e-5, Status.INACCURATE), (1e-8, Status.NOT_STATIONARY)])
 def test_a_solver_that_met_its_test_is_believed_only_with_a_displacement_that_holds(part, status) -> None:
     outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
-    q, exact = np.zeros(outer.n), outer.given
+    q, exact = np.zeros(outer.n), outer.contact.given
     found = ended(outer, q, own=replace(exact, u=(1 + part) * exact.u))
     assert (found.status, found.success) == (status, status is Status.NOT_STATIONARY)
 

@@ -96,7 +96,7 @@ class TestAssessment:
     def test_zones_residuals_and_counts_of_a_record(self, outer: Outer) -> None:
         found = ended(outer, np.zeros(outer.n))
         rows = outer.discretisation.friction_rows
-        sliding = np.count_nonzero(outer.given.active.sliding[rows])
+        sliding = np.count_nonzero(outer.contact.given.active.sliding[rows])
         assert (found.final.sliding_nodes, found.final.sticking_nodes) == (
             sliding,
             outer.discretisation.friction_rows.size - sliding,
@@ -105,7 +105,10 @@ class TestAssessment:
         assert found.own_residuals == found.final.residuals
         assert max(vars(found.own_residuals).values()) < 1e-9
         still = solved("fixed", "6.3", (4, 2)).record()
-        assert (still["cold_contact_solves"], still["contact_factorisations"]) == (1, outer.given.iterations)
+        assert (still["cold_contact_solves"], still["contact_factorisations"]) == (
+            1,
+            outer.contact.given.iterations,
+        )
         smooth = Outer.of(EXAMPLES["6.2"]((4, 2)))
         assert ended(smooth, np.zeros(smooth.n)).final.sliding_nodes is None
 
@@ -126,7 +129,7 @@ class TestAssessment:
         sides, law = (rm.Dirichlet("top", (0.0, 0.1)), rm.Dirichlet("bottom", (0.0, 0.0))), (0.3, 0.4)
         lifted = ContactProblem(rectangle(3, 2), PlaneStrain(*law, (0.0, -2.0)), sides, motion=Motion(0.05))
         outer = Outer.of(lifted)
-        system, state = outer.contact.system(lifted.mesh.p), outer.given
+        system, state = outer.contact.system(lifted.mesh.p), outer.contact.given
         strain = 0.5 * float(state.u @ (system.stiffness @ state.u))
         assert 0 < strain < 1
         assert abs(state.energy) < 0.2 * strain

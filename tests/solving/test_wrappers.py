@@ -142,7 +142,7 @@ def given() -> ContactProblem:
 def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
     """The mesh as given, and one that suits the solution, whose energy is lower."""
     first = Outer.of(given)
-    made = metric_start(Solved(first.contact, first.given), 49).solved.problem
+    made = metric_start(Solved(first.contact, first.contact.given), 49).solved.problem
     return first, lambda: Outer.of(made)
 
 
@@ -158,7 +158,7 @@ class TestRemeshed:
             row["remeshed_nodes"][-1] == nodes or min(row["remeshed_energies"]) < row["remeshed_energies"][-1]
         )
         np.testing.assert_array_equal(solution.initial_nodes, outer.problem.mesh.p)
-        assert solution.energy_initial == pytest.approx(Outer.of(given).given.energy, rel=1e-12)
+        assert solution.energy_initial == pytest.approx(Outer.of(given).contact.given.energy, rel=1e-12)
         assert solution.gain_audited > 0
         assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
@@ -173,7 +173,7 @@ class TestRemeshed:
         found = assess(first, Outcome(there, there.variables(), Status.CONVERGED))
         before, after = first.assessor.initial.energy, there.assessor.initial.energy
         assert (found.success, found.gain > 0) == (True, True)
-        assert found.gain == pytest.approx(first.given.energy - there.given.energy, rel=1e-9)
+        assert found.gain == pytest.approx(first.contact.given.energy - there.contact.given.energy, rel=1e-9)
         assert found.gain_audited == pytest.approx(before - after, rel=1e-9)
 
     @pytest.mark.parametrize("higher", [False, True])
@@ -187,7 +187,7 @@ class TestRemeshed:
 
     def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
         first, there = ends[0], ends[1]()
-        rough = replace(there.given, u=1.01 * there.given.u)
+        rough = replace(there.contact.given, u=1.01 * there.contact.given.u)
         found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
 

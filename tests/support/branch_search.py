@@ -24,6 +24,7 @@ from scipy.optimize import linprog
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.solving.outer import Outer
@@ -149,7 +150,7 @@ def _on_branch(
         system = systems(trial)
         return system, system.equilibrium(active)
 
-    end = function.of(energy.at(q, *at(q)))
+    end = function.of(ContactPoint(q, *at(q)))
     gradient = end.gradient / outer.residual.unit
     rows = [np.zeros((0, q.size))]
     if nodes.weak.size:

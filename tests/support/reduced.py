@@ -92,10 +92,10 @@ FREE: dict[str, Callable[[], ContactProblem]] = {
 
 def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedEnergy:
     """The energy with terms in the positions, as a function of the outer variables."""
-    return ReducedEnergy.of(ContactSolver(problem), parse_objective(objective))
+    return ReducedEnergy(ContactSolver(problem), parse_objective(objective))
 
 
 def with_distortion(problem: ContactProblem, weight: float = 0.01) -> ReducedEnergy:
     """The energy with a distortion, weighted relative to what is to be gained."""
     objective = regularised(gain_estimate(problem).value, weight)
-    return ReducedEnergy.of(ContactSolver(problem), objective)
+    return ReducedEnergy(ContactSolver(problem), objective)
