@@ -71,7 +71,7 @@ def start_of_joint(problem: ContactProblem, limit: float) -> tuple[Array, dict[s
     q = np.zeros(outer.relocation.n_q)
     unit = joint.pull(outer.energy(q).gradient)
     options = {**IPOPT_OPTIONS, **joint.Joint().options(areas=False, unit=unit), "max_wall_time": limit}
-    return outer.energy.point(q, outer.given), options
+    return outer.energy.unknowns(q, outer.contact.given.u), options
 
 
 def nlpsol_mapped(problem: ContactProblem, limit: float) -> End:
@@ -135,7 +135,7 @@ def entries(field: Field, component: int, x: Any) -> list[Any]:
 def scipy_minimize(problem: ContactProblem, limit: float, method: str) -> End:
     """``scipy.optimize.minimize`` on the reduced energy with our gradient: a contact solve per evaluation."""
     began = time.process_time()
-    reduced = ReducedEnergy.of(ContactSolver(problem))
+    reduced = ReducedEnergy(ContactSolver(problem))
     bound = reduced.relocation.mesh_map.upper
     best, lowest = np.zeros(bound.size), np.inf
     unit = abs(reduced(best).value) or 1.0

@@ -35,7 +35,8 @@ SHARE, ROUGH, BEST = 1.1, 1.2, 0.6
 """A metric start and relocation end at ``SHARE (1 + ROUGH / sqrt(N)) e^(1 - BEST) b^BEST``, where of N
 triangles b is the least error and e that of those equilateral in the best metric. Remeshing leaves e, and
 relocation comes near b where a solution varies in one direction. Fitted to six problems of
-``scripts/benchmark_mesh.py`` and the random ones with seeds 90000 to 90019; within 20 % on 18 of 20 others."""
+``scripts/benchmark_mesh.py`` and the random ones with seeds 90000 to 90019; within 20 % on 18 of 20 others.
+"""
 
 SLOWEST, FASTEST = 1.7, 16.0
 """Factors by which the error at order 2 falls with a refinement: at strong singularities, and smooth."""
