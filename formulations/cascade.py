@@ -66,7 +66,7 @@ class Descent(Formulation):
             max_iterations=self.iterations,
             on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )
-        monitor.check()
+        monitor.budget.check()
         return Outcome(outer, descent.x, descent.status)
 
 
@@ -157,7 +157,7 @@ class Levels(Formulation):
                     level = (
                         outer if problem is outer.problem else Outer.of(problem, tolerance=outer.tolerance)
                     )
-                first, solves = monitor.iterations, monitor.spent.contact_solves
+                first, solves = monitor.budget.iterations, monitor.spent.contact_solves
                 if ends:
                     outcome = self._corrected(level, ends[-1], monitor)
                 else:
@@ -167,7 +167,7 @@ class Levels(Formulation):
                 ends.append(outcome)
                 sizes = problem.mesh.p.shape[1], problem.mesh.t.shape[1]
                 reached = outcome.outer.energy(outcome.q).equilibrium.energy
-                spent = monitor.iterations - first, monitor.spent.contact_solves - solves
+                spent = monitor.budget.iterations - first, monitor.spent.contact_solves - solves
                 levels.append(Level(*sizes, reached, *spent))
                 budget.check()
 
@@ -194,7 +194,7 @@ class Levels(Formulation):
         chosen = self.settings
         heavier = Schedule(Descent(ON_THE_WAY, chosen.iterations), chosen.schedule, chosen.distortion)
         begun = monitor.run(heavier, level, np.zeros(level.n))
-        if begun.outer.gain is None or monitor.is_over():
+        if begun.outer.gain is None or monitor.budget.is_over():
             return begun
         return monitor.run(
             Descent(chosen.end, chosen.iterations), self._weighted(level, begun.outer), begun.q

@@ -46,7 +46,7 @@ class Confirmed(Wrapper):
         outcome, rules = monitor.run(self.inner, outer, q), [outer.problem.quadrature]
         while True:
             higher = next_rule(outcome.outer.problem)
-            if monitor.is_over() or higher is None:
+            if monitor.budget.is_over() or higher is None:
                 break
             with monitor.budget.during("audit"):
                 confirmed = agrees(outcome)

@@ -133,7 +133,7 @@ class Joint(Formulation):
         track, first = monitor.track(outer), outer.energy(q).value
         program, result = self.minimised(outer, q, track)
         monitor.work += Work(kkt_factorisations=track.iterations)
-        monitor.check()
+        monitor.budget.check()
         # it may leave the move limits by 2e-12
         end = outer.clipped(result.x[: outer.n])
         status = Status.CONVERGED if result.converged else result.status
@@ -141,10 +141,10 @@ class Joint(Formulation):
             return Outcome(outer, track.best(q), status)
         if is_above(result.f, first):
             return Nested().run(outer, q, monitor)
-        before = monitor.iterations
+        before = monitor.budget.iterations
         last = end if status is Status.ITERATION_LIMIT else self._finished(outer, end, monitor)
         if last is not end:
-            return Outcome(outer, last, status, details=(NewtonSteps(monitor.iterations - before),))
+            return Outcome(outer, last, status, details=(NewtonSteps(monitor.budget.iterations - before),))
         return Outcome(outer, end, status, own=_own(outer, end, program, result))
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> tuple[Relocation, NLPResult]:

@@ -98,7 +98,7 @@ def finished(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Reduc
     end, iterations = _finished(outer, point, monitor, FINISH)
     if end is None or is_stationary(outer, end):
         return end, iterations
-    monitor.check()
+    monitor.budget.check()
     closer, added = _finished(outer, end, monitor, POLISH)
     return closer or end, iterations + added
 

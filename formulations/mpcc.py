@@ -191,12 +191,12 @@ class AllAtOnce(Formulation):
         Options(**{**OPTIONS, **self.options})
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        before = monitor.iterations
+        before = monitor.budget.iterations
         first = self._path(outer, q, monitor)
         twice = bool(outer.problem.design) if self.twice is None else self.twice
         if not twice or outer.is_near or outer.objective.is_energy:
             return first
-        most = SECOND * (monitor.iterations - before)
+        most = SECOND * (monitor.budget.iterations - before)
         second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
         if second is not None and second.status not in LIMITS and _rank(second) < _rank(first):
             return second
@@ -219,7 +219,7 @@ class AllAtOnce(Formulation):
             solver = MPCCSolver(program.mpcc, **options)
         result = solver(x, on_iteration=track.iterate, budget=monitor.budget.share(most))
         monitor.work += Work(kkt_factorisations=track.iterations)
-        monitor.check()
+        monitor.budget.check()
         relaxation = RelaxationName(self.relaxation)
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))

@@ -45,7 +45,7 @@ class MultiStart(Wrapper):
         for seed in seeds:
             outcome = monitor.run(self.inner, outer, q if seed is None else outer.variables(seed=seed))
             ends.append((continuous_energy(outcome), outcome))
-            if monitor.is_over():
+            if monitor.budget.is_over():
                 break
         energies = [energy for energy, _ in ends]
         collapses = outer.objective.collapses

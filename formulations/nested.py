@@ -50,7 +50,7 @@ class Nested(NestedSettings, Formulation):
         descent = _Descent(self, outer, monitor)
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
             descent.note(0, q)
-            monitor.check()
+            monitor.budget.check()
             result = OuterResult(q, Status.CONVERGED, 0, NEWTON)
         else:
             result = descent(q)
@@ -113,7 +113,7 @@ class _Descent:
             methods.append(EXACT_FINISH)
             q = end.q
             self.note(0, q)
-            monitor.check()
+            monitor.budget.check()
             if is_stationary(outer, end):
                 return OuterResult(q, Status.CONVERGED, self._before, ", then ".join(methods))
         return replace(result, method=method)
@@ -128,7 +128,7 @@ class _Descent:
 
         result = outer_solvers.solved(program, q, watch, self._settings)
         self._monitor.work += Work(kkt_factorisations=result.factorised)
-        self._monitor.check()
+        self._monitor.budget.check()
         self._before += result.iterations
         stalled = zigzag is None and result.status is Status.INTERRUPTED
         return replace(result, status=Status.STALLED) if stalled else result

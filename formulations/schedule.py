@@ -62,7 +62,7 @@ class Schedule(Wrapper):
                 weighted = outer.minimising(objective, gain)
             outcome = monitor.run(self.inner, weighted, q)
             q = outcome.q
-            if monitor.is_over():
+            if monitor.budget.is_over():
                 break
         relative = list(schedule) if len(schedule) > 1 else schedule[0]
         return outcome.having(Regularisation(relative, self.distortion, schedule[-1] * gain, gain))

@@ -91,8 +91,9 @@ def solve(
     end, safe = _ended(plan, plan.problem, monitor), None
     if is_spurious(end.assessment):
         end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
-    if monitor.stopped is not None:
-        end = monitor.finish(lambda: back(end, monitor.stopped))
+    stopped = monitor.budget.stopped
+    if stopped is not None:
+        end = monitor.finish(lambda: back(end, stopped))
     elif plan.why:  # what chooses by itself hands nothing back that is worse
         end = monitor.finish(lambda: never_worse(end))
     return _made(plan, end, safe, monitor, certify)
@@ -103,54 +104,57 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
 
     A model of the given mesh is built when the formulation first asks for it.
     """
-    with monitor.budget.during("build"):
+    budget = monitor.budget
+    with budget.during("build"):
         outer = Outer.of(problem, plan.objective, plan.tolerance)
-    with monitor.budget.during("audit"):
+    with budget.during("audit"):
         contact, nodes = outer.contact, np.asarray(problem.mesh.p)
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
-    monitor.budget.enter("solve")
-    begin, formulation = beginning(outer, plan.start, plan.seed, monitor), plan.formulation
-    outcome = monitor.run(formulation, begin.outer, begin.q)
+    budget.enter("solve")
+    begin, q, start = beginning(outer, plan.start, plan.seed, monitor)
+    formulation = plan.formulation
+    outcome = monitor.run(formulation, begin, q)
     spent = monitor.spent  # what the assessment solves is no part of it
     # one contact solve is finite
-    stopped = monitor.stopped if formulation.relocates else None
+    stopped = budget.stopped if formulation.relocates else None
     assessment = monitor.finish(
         lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates)
     )
-    return End(outer, outcome, assessment, begin.name, spent, contact_seconds)
+    return End(outer, outcome, assessment, start, spent, contact_seconds)
 
 
 def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
     """The one place where a solution is made."""
     assessment, certificate, remark, reduced = end.assessment, None, None, None
-    with monitor.budget.during("audit"):
+    budget = monitor.budget
+    with budget.during("audit"):
         if plan.why:
             reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
-        if certify and monitor.stopped is not Status.INTERRUPTED:
+        if certify and budget.stopped is not Status.INTERRUPTED:
             certificate, remark = certified(assessment)
     why = "; ".join((plan.why, *end.outcome.remarks)) if plan.why else None
     return Solution(
         assessment=assessment,
         formulation=plan.formulation.name,
         history=_history(monitor, end),
-        iterations=monitor.iterations,
+        iterations=budget.iterations,
         work=end.spent,
         contact_time_s=end.contact_seconds,
-        build_time_s=monitor.budget.seconds("build"),
-        solve_time_s=monitor.budget.seconds("solve"),
-        audit_time_s=monitor.budget.seconds("audit"),
+        build_time_s=budget.seconds("build"),
+        solve_time_s=budget.seconds("solve"),
+        audit_time_s=budget.seconds("audit"),
         start=end.start,
         settings=plan.formulation.changed(),
         seed=plan.seed,
-        limits=monitor.budget.limits,
+        limits=budget.limits,
         choices=Choices(safe, plan.chooser if why else None, why),
         details=end.outcome.details,
         reduced_error=reduced or ReducedError(),
         surviving_gain=surviving,
         certificate=certificate,
         certificate_remark=remark,
-        is_interrupted=monitor.stopped is Status.INTERRUPTED,
+        is_interrupted=budget.stopped is Status.INTERRUPTED,
     )
 
 

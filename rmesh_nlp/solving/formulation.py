@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, ClassVar
@@ -49,6 +49,10 @@ class Formulation(Settings, ABC):
         BadInputError
         """
 
+    def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
+        """Itself, without a reason; see :meth:`Chooser.choose`."""
+        return Choice(self, problem, "")
+
     @abstractmethod
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         """Minimise from outer variables ``q`` (n,).
@@ -75,6 +79,11 @@ class Wrapper(Formulation):
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         """As what it takes does."""
         self.inner.accepts(problem, objective)
+
+    def choose(self, problem: ContactProblem, objective: Objective, *, is_started: bool = False) -> Choice:
+        """Around what is chosen for ``inner``."""
+        choice: Choice = self.inner.choose(problem, objective, is_started=is_started)
+        return replace(choice, formulation=replace(self, inner=choice.formulation))
 
     @property
     def name(self) -> str:

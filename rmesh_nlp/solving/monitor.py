@@ -58,7 +58,7 @@ class Monitor:
     Attributes
     ----------
     budget : Budget
-        Of the solve, from the making of the monitor on.
+        Of the solve, from the making of the monitor on: its ``check`` ends what runs once it is over.
     steps : list of Step
         The history, over all NLPs of the solve.
     work : Work
@@ -80,27 +80,9 @@ class Monitor:
         self._track: Track | None = None
 
     @property
-    def iterations(self) -> int:
-        """Number of the last iteration, over all NLPs."""
-        return self.steps[-1].iteration if self.steps else 0
-
-    @property
-    def stopped(self) -> Status | None:
-        """INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once the solve was stopped from outside."""
-        return self.budget.stopped
-
-    @property
     def spent(self) -> Work:
         """All work so far."""
         return sum((outer.spent for outer in self._tracked), self.work)
-
-    def is_over(self) -> bool:
-        """Whether the solve was stopped, or a limit is reached."""
-        return self.budget.is_over()
-
-    def check(self) -> None:
-        """End what runs if the solve is over, by a StoppedError that :meth:`run` catches."""
-        self.budget.check()
 
     def track(self, outer: Outer, unit: float = 1.0) -> Track:
         """What the iterates of one NLP are reported to.
@@ -135,13 +117,13 @@ class Monitor:
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
         """Add a step at ``q`` to the history, ``shown`` to ``on_step``; whether the solve is over."""
         if self.steps and _is_same(self.steps[-1], step):
-            return self.is_over()  # the start of an NLP is where the last one ended
+            return self.budget.is_over()  # the start of an NLP is where the last one ended
         self.steps.append(step)
         self.budget.iterations = step.iteration
         self.last_q = None if q is None else np.array(q)
         if self.on_step is not None:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
-        return self.is_over()
+        return self.budget.is_over()
 
     def run(self, formulation: Runs, outer: Outer, q: Array) -> Outcome:
         """Where a formulation ends, also if Ctrl-C or a limit ends it: at the best valid mesh so far."""
@@ -159,7 +141,7 @@ class Monitor:
 
         A formulation that knows more of what was reached than the last track does asks for it by this.
         """
-        if self.stopped is not None:
+        if self.budget.stopped is not None:
             return None
         try:
             return work()
@@ -172,7 +154,7 @@ class Monitor:
     @property
     def end(self) -> Status:
         """What ended the solve."""
-        return self.stopped or Status.TIME_LIMIT
+        return self.budget.stopped or Status.TIME_LIMIT
 
     def finish(self, work: Callable[[], T]) -> T:
         """The result of a part of the assessment; Ctrl-C is noted and ends what follows."""
@@ -203,7 +185,7 @@ class Track:
 
     def __init__(self, monitor: Monitor, outer: Outer, unit: float = 1.0) -> None:
         self.monitor, self.outer, self._unit = monitor, outer, unit
-        self._before, self._first = monitor.iterations, len(monitor.steps)
+        self._before, self._first = monitor.budget.iterations, len(monitor.steps)
         self.residual: Callable[[Array, Array], float] | None = None
         self.state_residual: Callable[[Array], float] | None = None
         self._lam_g: Array | None = None
@@ -215,7 +197,7 @@ class Track:
     @property
     def iterations(self) -> int:
         """Of this NLP."""
-        return self.monitor.iterations - self._before
+        return self.monitor.budget.iterations - self._before
 
     def see_multipliers(self, lam_g: Array) -> None:
         """Multipliers of the iterate that comes next."""

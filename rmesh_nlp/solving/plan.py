@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation, Wrapper, name_of, wrappers
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, name_of, wrappers
 from rmesh_nlp.solving.start import Start
 
 
@@ -42,15 +42,15 @@ class Plan:
     ) -> Plan:
         """The plan of a solve; raises a BadInputError where the formulation does not take the problem."""
         problem = with_levels(problem, objective)
-        asked = formulation
-        _check_start(asked, {"start": start, "seed": seed})
-        choice = _chosen(asked, problem, objective, start is not None or seed is not None)
+        _check_start(formulation, {"start": start, "seed": seed})
+        is_started = start is not None or seed is not None
+        choice = formulation.choose(problem, objective, is_started=is_started)
         chosen = choice.formulation
         _check_energy(problem, objective, chosen)
         chosen.accepts(choice.problem, objective)
         if not chosen.relocates:
             start = seed = None
-        return cls(chosen, choice.problem, objective, tolerance, start, seed, asked.name, choice.why)
+        return cls(chosen, choice.problem, objective, tolerance, start, seed, formulation.name, choice.why)
 
 
 def _check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
@@ -65,15 +65,18 @@ def _check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:
     """Raise a BadInputError where an energy is to be minimised that there is not."""
-    energies = [term.name for _, term in objective.terms if term.name == "energy"]
-    if not (energies and formulation.relocates):
+    if not formulation.relocates or all(term.name != "energy" for _, term in objective.terms):
         return
-    example = f"which the objective {objective.text!r} would need: state another one, such as "
-    example += f"{example_objective(problem)!r}, or solve on the mesh as given, by --formulation fixed"
     if problem.has_coulomb:
-        raise BadInputError(f"with Coulomb friction no energy is minimised, {example}")
-    if problem.design or problem.constraints:
-        raise BadInputError(f"energies of different designs do not compare, {example}")
+        why = "with Coulomb friction no energy is minimised"
+    elif problem.design or problem.constraints:
+        why = "energies of different designs do not compare"
+    else:
+        return
+    raise BadInputError(
+        f"{why}, which the objective {objective.text!r} would need: state another one, such as "
+        f"{example_objective(problem)!r}, or solve on the mesh as given, by --formulation fixed"
+    )
 
 
 def example_objective(problem: ContactProblem) -> str:
@@ -85,17 +88,3 @@ def example_objective(problem: ContactProblem) -> str:
     where = next(iter((*loaded, *free)), None)
     displacement = "-u" if problem.components == 1 else "-uy"
     return f"body({displacement})" if where is None else f"mean({where}, {displacement})"
-
-
-def _chosen(
-    asked: Formulation | Chooser, problem: ContactProblem, objective: Objective, is_started: bool
-) -> Choice:
-    """A formulation, the problem as it is to be solved, and why; without a reason if it was asked for."""
-    if isinstance(asked, Chooser):
-        return asked.choose(problem, objective, is_started=is_started)
-    if isinstance(asked, Wrapper):
-        choice = _chosen(asked.inner, problem, objective, is_started)
-        inner = choice.formulation
-        wrapped = asked if inner is asked.inner else replace(asked, inner=inner)
-        return Choice(wrapped, choice.problem, choice.why)
-    return Choice(asked, problem, "")

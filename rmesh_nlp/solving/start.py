@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -20,28 +19,17 @@ Start = str | Array | Solution | None
 GIVEN = "given"
 
 
-@dataclass(frozen=True)
-class Beginning:
-    """Admissible outer variables ``q`` of an outer problem, told whether it is close to a minimiser.
-
-    The ``name`` for the record is "given", "random", "positions", that of a formulation, or "solution of" it.
-    """
-
-    outer: Outer
-    q: Array
-    name: str
-
-
-def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> Beginning:
-    """The outer variables to start from.
+def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> tuple[Outer, Array, str]:
+    """The outer problem, told whether the start is near a minimiser, admissible outer variables, and a name.
 
     None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it first,
-    from where ``seed`` says; its time and contact solves count.
+    from where ``seed`` says; its time and contact solves count. The name for the record is "given", "random",
+    "positions", that of a formulation, or "solution of" it.
     """
     if start is None and seed is not None:
-        return Beginning(outer, outer.variables(seed=seed), "random")
+        return outer, outer.variables(seed=seed), "random"
     if start is None or (isinstance(start, str) and start == GIVEN):
-        return Beginning(outer, outer.variables(), GIVEN)
+        return outer, outer.variables(), GIVEN
     if isinstance(start, str):
         if start not in available():
             raise unknown("start", start, [GIVEN, *sorted(available())])
@@ -50,11 +38,12 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
             raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
         first.accepts(outer.problem, outer.objective)
         outcome = monitor.run(first, outer, outer.variables(seed=seed))
-        return Beginning(outer.near(), outcome.q, start)
+        return outer.near(), outcome.q, start
     if isinstance(start, Solution):
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
-        return Beginning(outer.near(), q, f"solution of {start.formulation}")
-    return Beginning(outer, outer.variables(positions(outer, start)), "positions")
+        with monitor.budget.during("build"):
+            return outer.near(), q, f"solution of {start.formulation}"
+    return outer, outer.variables(positions(outer, start)), "positions"
 
 
 def positions(outer: Outer, nodes: Any) -> Array:
