@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import cache
+from numbers import Integral, Real
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from rmesh_nlp.errors import BadInputError, unknown
@@ -30,7 +31,7 @@ class Number:
 
     def check(self, name: str, value: Any) -> None:
         """Raise a BadInputError that names the value if it is not such a number."""
-        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        number = isinstance(value, Real) and not isinstance(value, bool)
         if number and ((self.zero and value == 0) or (self.infinite and value == math.inf)):
             return
         if not (number and 0 < value < math.inf):
@@ -40,7 +41,7 @@ class Number:
             raise BadInputError(f"{name} must be above {self.above:g}, got {value!r}")
         if not value < self.below:
             raise BadInputError(f"{name} must be below {self.below:g}, got {value!r}")
-        if self.whole and not isinstance(value, int):
+        if self.whole and not isinstance(value, Integral):
             raise BadInputError(f"{name} must be a whole number, got {value!r}")
 
 

@@ -34,6 +34,7 @@ from rmesh_nlp.io.problem_schema import (
 from rmesh_nlp.io.problem_values import SYMMETRY
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline, fitted_circle, spline_through
+from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
     Constraint,
@@ -51,7 +52,6 @@ from rmesh_nlp.problem import (
     Units,
 )
 from rmesh_nlp.problem.conditions import symmetric
-from rmesh_nlp.problem.lines import nodes_of
 
 T = TypeVar("T")
 

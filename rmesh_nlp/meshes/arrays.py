@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import counter_clockwise, overlapping, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 
 Index = NDArray[np.int64]
 
@@ -59,14 +59,9 @@ def from_arrays(
         new[used] = np.arange(used.size)
         p, t, number = p[:, used], new[t], new[number]
     areas = signed_areas(p, t)
-    flat = np.flatnonzero(np.abs(areas) <= 1e-14 * float(np.max(np.ptp(p, axis=1))) ** 2)
-    if flat.size:
-        raise ValueError(f"triangle {flat[0]} has no area")
     if np.any(areas < 0):
         _warn(f"turned {np.sum(areas < 0)} clockwise triangles")
         t = counter_clockwise(p, t)
-    if edge := overlapping(t):
-        raise ValueError(f"triangles overlap at the edge between nodes {edge[0]} and {edge[1]}")
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
     if wrong := fault(mesh):
         raise ValueError(wrong)

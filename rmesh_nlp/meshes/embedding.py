@@ -22,10 +22,13 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 
 ON = 1e-6
 """Part of an edge within which a node lies on it: files are often written with seven digits."""
+
+NO_AREA = 1e-14
+"""Area of an element that is rounding, in units of its longest edge times the extent of the mesh."""
 
 INSIDE = np.array([0.2113, 0.3517, 0.4370])
 """Barycentric coordinates of a point of an element; with these it is hardly ever on an edge of another."""
@@ -34,11 +37,27 @@ Index = NDArray[np.int64]
 
 
 def fault(mesh: MeshTri) -> str | None:
-    """What keeps a mesh of triangles from being embedded, in words; None if it is.
+    """What keeps a mesh of triangles, turned counter-clockwise, from being embedded; None if nothing does."""
+    return _flat(mesh) or _folded(mesh) or _wound(mesh) or _hanging(mesh) or _crossing(mesh) or _covered(mesh)
 
-    Clockwise ones are turned. Edges must have passed :func:`rmesh_nlp.meshes.geometry.overlapping`.
-    """
-    return _wound(mesh) or _hanging(mesh) or _crossing(mesh) or _covered(mesh)
+
+def _flat(mesh: MeshTri) -> str | None:
+    """An element whose area is rounding: that of the differences of coordinates, times its longest edge."""
+    corner = mesh.p[:, mesh.t]
+    longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0).max(axis=0)
+    areas = np.abs(signed_areas(mesh.p, mesh.t))
+    flat = np.flatnonzero(~(areas > NO_AREA * longest * np.max(np.ptp(mesh.p, axis=1))))
+    return f"element {flat[0]} has no area" if flat.size else None
+
+
+def _folded(mesh: MeshTri) -> str | None:
+    """An edge that two counter-clockwise elements run along in the same direction."""
+    t = counter_clockwise(mesh.p, mesh.t)
+    edges = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
+    _, first, count = np.unique(edges[0] * (t.max() + 1) + edges[1], return_index=True, return_counts=True)
+    for a, b in edges[:, first[count > 1]].T:
+        return f"elements overlap at the edge between nodes {a} and {b}"
+    return None
 
 
 def _wound(mesh: MeshTri) -> str | None:

@@ -36,17 +36,6 @@ def counter_clockwise(nodes: NDArray, triangles: NDArray) -> NDArray[np.int64]:
     return t
 
 
-def overlapping(triangles: NDArray) -> tuple[int, int] | None:
-    """An edge where two counter-clockwise triangles overlap: both run along it in the same direction."""
-    edges = np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]]).astype(np.int64)
-    key = edges[0] * (triangles.max() + 1) + edges[1]
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
-    if not np.any(count > 1):
-        return None
-    a, b = edges[:, first[count > 1][0]]
-    return int(a), int(b)
-
-
 def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
     """The mesh with its nodes at ``nodes`` (2, nodes), names kept."""
     return replace(mesh, doflocs=np.ascontiguousarray(nodes))
@@ -62,3 +51,8 @@ def members_of(
     if not groups or name not in groups:
         raise ProblemError(part, str(unknown(kind, name, groups or {}, NAMELESS)), which)
     return np.asarray(groups[name])
+
+
+def nodes_of(mesh: MeshTri, name: str) -> NDArray[np.int64]:
+    """Sorted numbers of the nodes on a named boundary; a ProblemError if there is none of this name."""
+    return np.unique(mesh.facets[:, members_of("boundary", name, mesh.boundaries)]).astype(np.int64)

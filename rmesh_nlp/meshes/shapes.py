@@ -16,6 +16,7 @@ from skfem import MeshTri
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
+from rmesh_nlp.settings import check_positive
 
 Point = tuple[float, float]
 Vertex = tuple[Point, float, Point | None]
@@ -65,7 +66,7 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
     """(-size, size)^2 without its lower right quarter; boundaries ``corner`` (the two edges at the
     re-entrant corner at the origin) and ``outer``. ``h`` is the target edge length.
     """  # noqa: D205
-    _positive(h=h, size=size)
+    check_positive(h=h, size=size)
     _affordable(2.3 * 3 * (size / h) ** 2)
     s = size
     points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
@@ -74,7 +75,7 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
 
 def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> MeshTri:
     """A square (0, size)^2 with a round hole in its middle; boundaries left, right, bottom, top, hole."""
-    _positive(h=h, size=size, radius=radius)
+    check_positive(h=h, size=size, radius=radius)
     if not radius < size / 2:
         raise ValueError(f"the hole of radius {radius} does not fit into a square of side {size}")
     _affordable(2.3 * (size / h) ** 2)
@@ -94,7 +95,7 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
     obstacle, radius - sqrt(radius^2 - x^2). Boundaries ``axis`` (x = 0), ``top`` (y = radius), ``arc``,
     ``contact``; edges are ``h_contact`` long at the contact and ``h`` far from it.
     """
-    _positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
+    check_positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
     if not contact < radius:
         raise ValueError(f"the contact half-length {contact} must be smaller than the radius {radius}")
     _affordable(2.3 * ((radius / h) ** 2 + (contact / h_contact) ** 2))
@@ -115,7 +116,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     Boundaries left, right, top, ``wedge`` (the lower edge, two straight pieces that meet at
     (width/2, 0)).
     """
-    _positive(h=h, width=width, height=height)
+    check_positive(h=h, width=width, height=height)
     if not 0 <= rise < height:
         raise ValueError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
     _affordable(2.3 * width * height / h**2)
@@ -129,7 +130,7 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
     ``boundaries`` names its edges by number, edge i running from point i to the next; by
     default edge i is called ``edge-i``.
     """
-    _positive(h=h)
+    check_positive(h=h)
     if len(points) < 3 or not np.all(np.isfinite(points)):
         raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
     _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
@@ -205,9 +206,3 @@ def _lines(geo: Any, loop: list[Vertex]) -> list[int]:
 def _affordable(triangles: float) -> None:
     if triangles > LARGEST:
         raise ValueError(f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}")
-
-
-def _positive(**values: float) -> None:
-    for name, value in values.items():
-        if not (np.isfinite(value) and value > 0):
-            raise ValueError(f"{name} must be positive, got {value}")

@@ -12,7 +12,7 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import members_of, overlapping, signed_areas
+from rmesh_nlp.meshes.geometry import members_of
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
@@ -62,10 +62,6 @@ def _check_mesh(problem: ProblemData) -> None:
     if type(mesh).__name__ != "MeshTri1":
         said = f"the mesh must be a skfem.MeshTri of first order, got {type(mesh).__name__}"
         raise ProblemError("mesh", said)
-    for element in np.flatnonzero(~(np.abs(signed_areas(mesh.p, mesh.t)) > 0)):
-        raise ProblemError("mesh", f"element {element} of the mesh has no area")
-    if edge := overlapping(problem.triangles):
-        raise ProblemError("mesh", f"the mesh is folded at the edge between nodes {edge[0]} and {edge[1]}")
     if wrong := fault(mesh):
         raise ProblemError("mesh", wrong)
 

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.meshes.geometry import members_of
+from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
 
 SAME_PLACE = 1e-9
@@ -113,8 +113,7 @@ def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
     ValueError
         If the boundary is not parallel to an axis of coordinates.
     """
-    edges = mesh.facets[:, members_of("boundary", boundary, mesh.boundaries)]
-    extent = np.ptp(mesh.p[:, np.unique(edges)], axis=1)
+    extent = np.ptp(mesh.p[:, nodes_of(mesh, boundary)], axis=1)
     flat = extent <= SAME_PLACE * float(np.max(np.ptp(mesh.p, axis=1)))
     if not np.any(flat):
         raise ValueError(

@@ -13,7 +13,7 @@ from skfem import MeshTri
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
 from rmesh_nlp.problem.coefficients import on_points, suitable_rule
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
@@ -109,8 +109,8 @@ class ProblemData:
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
-        """All obstacles; none for ``NO_CONTACT``."""
-        return tuple(o for o in as_tuple(self.obstacle) if o.boundary is not Place.NOWHERE)
+        """All obstacles."""
+        return as_tuple(self.obstacle)
 
     @cached_property
     def first_obstacles(self) -> tuple[Obstacle, ...]:
@@ -160,8 +160,8 @@ class ProblemData:
 
     def boundary_nodes(self, names: tuple[str, ...]) -> NDArray[np.int64]:
         """Sorted numbers of the nodes on the named boundaries."""
-        facets = [np.zeros(0, np.int64), *(np.asarray(self.mesh.boundaries[name]) for name in names)]
-        return np.unique(self.mesh.facets[:, np.concatenate(facets)]).astype(np.int64)
+        nodes = [nodes_of(self.mesh, name) for name in names]
+        return np.unique(np.concatenate([np.zeros(0, np.int64), *nodes]))
 
     def held(self) -> tuple[NDArray[np.bool_], Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""

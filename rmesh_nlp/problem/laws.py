@@ -13,6 +13,7 @@ from skfem.models.elasticity import lame_parameters
 from rmesh_nlp.display import describe
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
+from rmesh_nlp.settings import check_positive
 
 LOCKING = 0.45
 """Poisson's ratio from which on linear triangles in plane strain are too stiff."""
@@ -37,8 +38,8 @@ class Laplace:
     components: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        if is_number(self.conductivity) and not (np.isfinite(self.conductivity) and self.conductivity > 0):
-            raise ValueError(f"conductivity must be positive, got {self.conductivity}")
+        if is_number(self.conductivity):
+            check_positive(conductivity=self.conductivity)
 
     @property
     def load(self) -> tuple[Coefficient, ...]:
@@ -72,19 +73,13 @@ class Elastic(ABC):
 
     def __post_init__(self) -> None:
         if is_number(self.lame_mu) and is_number(self.lame_lambda):
-            self._check(self.lame_lambda, self.lame_mu)
+            a, mu = self.lame_lambda, self.lame_mu
+            finite = np.isfinite(a) and np.isfinite(mu)
+            if not (finite and mu > 0 and a + 2 * mu > 0 and self.in_plane_lambda + mu > 0):
+                said = "are not those of an elastic solid: mu > 0 and lambda + mu > 0 are needed"
+                raise ValueError(f"Lamé coefficients lambda={a}, mu={mu} {said}")
         if len(self.body_force) != 2:
             raise ValueError(f"the body force needs 2 components, got {self.body_force}")
-
-    def _check(self, lame_lambda: float, lame_mu: float) -> None:
-        if not lame_mu > 0:
-            raise ValueError(f"lame_mu must be positive, got {lame_mu}")
-        finite = np.isfinite(lame_mu) and np.isfinite(lame_lambda)
-        if not (finite and self.in_plane_lambda + lame_mu > 0):
-            raise ValueError(
-                f"Lamé coefficients lambda={lame_lambda}, mu={lame_mu} are not those of an elastic "
-                "solid: mu > 0 and lambda + mu > 0 are needed"
-            )
 
     @classmethod
     def from_young(
@@ -94,8 +89,8 @@ class Elastic(ABC):
         body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0),
     ) -> E:
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
-        if is_number(young) and not (np.isfinite(young) and young > 0):
-            raise ValueError(f"young must be positive, got {young}")
+        if is_number(young):
+            check_positive(young=young)
         if is_number(poisson) and not -1 < poisson < 0.5:
             raise ValueError(f"poisson must lie between -1 and 0.5, got {poisson}")
         lame_lambda, lame_mu = lame_parameters(young, poisson)

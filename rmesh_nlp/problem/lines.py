@@ -20,7 +20,7 @@ from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import members_of
+from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import motions
 
@@ -35,11 +35,6 @@ Mesh generators write nodes with 1e-10 or better; a wrong radius is off by more.
 
 EXACT = 1e-14
 """Distance, in units of the extent of the mesh, that is rounding."""
-
-
-def nodes_of(mesh: MeshTri, name: str) -> Index:
-    """Sorted numbers of the nodes on a named boundary."""
-    return np.unique(mesh.facets[:, members_of("boundary", name, mesh.boundaries)]).astype(np.int64)
 
 
 def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = False) -> MeshTri:

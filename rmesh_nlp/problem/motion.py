@@ -12,6 +12,7 @@ import numpy as np
 from rmesh_nlp.display import figure
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.settings import check_positive
 
 BY_BARRIER = "by auto, and with a regularisation: only positive"
 """What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
@@ -29,8 +30,7 @@ class Relative:
     fraction: float
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.fraction) and self.fraction > 0):
-            raise ValueError(f"a relative delta must be positive and finite, got {self.fraction}")
+        check_positive(relative=self.fraction)
 
 
 @dataclass(frozen=True)
@@ -107,12 +107,6 @@ class Motion:
     def is_fixed(self) -> bool:
         """Whether no node is relocated."""
         return isinstance(self.delta, (tuple, list)) and tuple(self.delta) == (0, 0)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """All boundary names that the rules mention."""
-        places = (*self.pinned, *self.slides, *self.free, *self.curves)
-        return tuple(w for w in places if isinstance(w, str))
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import lru_cache
 
@@ -21,6 +21,7 @@ from rmesh_nlp.problem.coefficients import (
     is_number,
     on_points,
 )
+from rmesh_nlp.settings import check_positive
 
 Vector = tuple[float, float]
 
@@ -35,7 +36,6 @@ class Place(Enum):
     """Where contact may happen when it is not on a named boundary."""
 
     INTERIOR = "interior"
-    NOWHERE = "nowhere"
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,6 @@ class Obstacle:
         of the foundation would pass into the body.
     level : function of position, optional
         phi, smooth and with a gradient that is not zero near the contact boundary.
-    fixed_in_space : bool
-        Whether the offset is that of a shape in space, so that a rigid motion of the foundation
-        carries it along; else, by default, it is the gap of each material point by itself.
     gap : str
         "node", the default: it holds at contact nodes; a convex foundation passes into the body between them.
         "edge": it holds along the edges as well, since the foundation counts as nearer at a node by twice
@@ -90,7 +87,6 @@ class Obstacle:
     friction: Coefficient = 0.0
     kinks: tuple[float, ...] = ()
     level: PositionFunction | None = None
-    fixed_in_space: bool = False
     gap: str = "node"
     coulomb: Coefficient = 0.0
 
@@ -100,10 +96,6 @@ class Obstacle:
         length = float(np.linalg.norm(self.normal))
         if not abs(length - 1) <= 1e-12:
             raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
-        if is_number(self.friction) and not self.friction >= 0:
-            raise ValueError(f"friction must not be negative, got {self.friction}")
-        if is_number(self.coulomb) and not 0 <= self.coulomb < np.inf:
-            raise ValueError(f"coulomb must be finite and not negative, got {self.coulomb}")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise ValueError("friction needs a problem with two displacement components")
         if self.gap not in GAPS:
@@ -130,7 +122,7 @@ class Obstacle:
         def distance(x: Expression, y: Expression) -> Expression:
             return n[0] * (x - point[0]) + n[1] * (y - point[1])
 
-        return cls(boundary, n, distance, friction=friction, coulomb=coulomb, fixed_in_space=True)
+        return cls(boundary, n, distance, friction=friction, coulomb=coulomb)
 
     @classmethod
     def graph(
@@ -146,7 +138,7 @@ class Obstacle:
         def distance(x: Expression, y: Expression) -> Expression:
             return y - at(height, x, y)
 
-        return cls(boundary, (0.0, 1.0), distance, friction, kinks, fixed_in_space=True, coulomb=coulomb)
+        return cls(boundary, (0.0, 1.0), distance, friction, kinks, coulomb=coulomb)
 
     @classmethod
     def curve(
@@ -163,7 +155,7 @@ class Obstacle:
         """
         if not callable(level):
             raise ValueError(f"curve must be an expression of x and y that is zero on it, got {level}")
-        return cls(boundary, friction=friction, level=level, fixed_in_space=True, coulomb=coulomb)
+        return cls(boundary, friction=friction, level=level, coulomb=coulomb)
 
     @classmethod
     def circle(
@@ -181,8 +173,8 @@ class Obstacle:
         The gap at zero displacement is the distance to the circle, the normal that at the
         undeformed node; both are exact, the dependence on the displacement is linear.
         """
-        if is_number(radius) and not 0 < radius < np.inf:
-            raise ValueError(f"radius must be positive, got {radius}")
+        if is_number(radius):
+            check_positive(radius=radius)
         if not all(np.isfinite(value) for value in centre if is_number(value)):
             raise ValueError(f"centre must be finite, got {centre}")
         sign = -1.0 if inside else 1.0
@@ -196,23 +188,6 @@ class Obstacle:
     def interior(cls, psi: Coefficient) -> Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
         return cls(Place.INTERIOR, (1.0,), lambda x, y: -at(psi, x, y))
-
-    def moved(self, by: Vector) -> Obstacle:
-        """The foundation moved as a rigid body by ``by``.
-
-        A shape in space is carried along; a gap given at material points shrinks by ``normal . by``.
-        """
-        dx, dy = (float(value) for value in by)
-        level, offset, n = self.level, self.offset, self.normal
-        if level is not None:
-            return replace(self, level=lambda x, y: level(x - dx, y - dy))
-        if len(n) != 2:
-            raise ValueError("only the foundation of an elastic body can move as a rigid body")
-        if self.fixed_in_space:
-            kinks = tuple(kink + dx for kink in self.kinks)
-            return replace(self, offset=lambda x, y: at(offset, x - dx, y - dy), kinks=kinks)
-        closer = n[0] * dx + n[1] * dy
-        return replace(self, offset=lambda x, y: at(offset, x, y) - closer)
 
     def in_words(self) -> str:
         """Where contact is, along which normal and with which friction."""
@@ -302,5 +277,5 @@ def _gradient(level: PositionFunction) -> ca.Function:
     return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)], OPEN)
 
 
-NO_CONTACT = Obstacle(Place.NOWHERE)
+NO_CONTACT: tuple[Obstacle, ...] = ()
 """A problem without contact."""

@@ -102,7 +102,7 @@ def test_a_folded_mesh_is_refused() -> None:
     p = problem.mesh.p.copy()
     (middle,) = np.flatnonzero((p[0] == 1) & (p[1] == 0.5))
     p[1, middle] = -0.25
-    with pytest.raises(ValueError, match="the mesh is folded at the edge between nodes"):
+    with pytest.raises(ValueError, match="elements overlap at the edge between nodes"):
         replace(problem, mesh=replace(problem.mesh, doflocs=p))
 
 

@@ -46,7 +46,7 @@ def test_repairs_are_said_and_keep_names() -> None:
 
 def test_only_rounding_of_the_size_is_no_area() -> None:
     assert from_arrays([[0, 0], [1, 0], [0.5, 1e-5]], [[0, 1, 2]]).t.shape[1] == 1
-    with pytest.raises(ValueError, match="triangle 0 has no area"):
+    with pytest.raises(ValueError, match="element 0 has no area"):
         from_arrays([[0, 0], [1, 0], [0.5, 1e-14]], [[0, 1, 2]])
 
 
@@ -69,8 +69,8 @@ def test_nodes_closer_than_rounding_of_the_size_are_one(gap: float, left: int) -
         (SQUARE, [[0, 1, -1]], {}, r"triangle 0 has nodes \[0, 1, -1\]"),
         (SQUARE, [[0.0, 1.0, 2.0]], {}, "node numbers, got values of type float64"),
         (SQUARE, [[0, 1, 1]], {}, "triangle 0 has a repeated node"),
-        ([[0, 0], [1, 0], [2, 0], [0, 1]], [[0, 1, 2], [0, 1, 3]], {}, "triangle 0 has no area"),
-        (SQUARE, [[0, 1, 2], [0, 1, 3]], {}, "triangles overlap at the edge between nodes 0 and 1"),
+        ([[0, 0], [1, 0], [2, 0], [0, 1]], [[0, 1, 2], [0, 1, 3]], {}, "element 0 has no area"),
+        (SQUARE, [[0, 1, 2], [0, 1, 3]], {}, "elements overlap at the edge between nodes 0 and 1"),
         (SQUARE, HALVES, {"up": []}, "the boundary 'up' is empty"),
         (SQUARE, HALVES, {"up": lambda x: x[1] > 2}, "the boundary 'up' is empty"),
         (SQUARE, HALVES, {"up": [1, 2]}, r"'up' must be an array of shape \(edges, 2\), got \(2,\)"),
@@ -139,7 +139,7 @@ def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> Non
         (lambda: shapes.plate_with_hole(1.0, radius=5.0), "radius 5.0 does not fit"),
         (lambda: shapes.half_disc(0.1, contact=1.0), "contact half-length 1.0 must be smaller"),
         (lambda: shapes.wedge_block(0.1, rise=1.0), "rise 1.0 must be at least 0 and smaller"),
-        (lambda: shapes.l_shape(0.0), "h must be positive, got 0.0"),
+        (lambda: shapes.l_shape(0.0), "h must be positive and finite, got 0.0"),
         (lambda: shapes.l_shape(2.6e-3), "more than 1e"),
         (lambda: shapes.plate_with_hole(0.015), "more than 1e"),
         (lambda: shapes.wedge_block(3e-3), "more than 1e"),

@@ -184,13 +184,14 @@ def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> No
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Laplace(1.0, 0.0), "conductivity must be positive, got 0.0"),
-        (lambda: PlaneStrain(1.0, 0.0), "lame_mu must be positive, got 0.0"),
+        (lambda: Laplace(1.0, 0.0), "conductivity must be positive and finite, got 0.0"),
+        (lambda: PlaneStrain(1.0, 0.0), "mu=0.0 are not those of an elastic solid"),
         (lambda: PlaneStrain(np.nan, 1.0), "lambda=nan"),
         (lambda: PlaneStrain(-8.0, 8.0), "lambda=-8.0, mu=8.0 are not those of an elastic solid"),
         (lambda: PlaneStress(-0.67, 1.0), "lambda=-0.67"),
+        (lambda: PlaneStress(-2.0, 1.0), "lambda=-2.0"),
         (lambda: PlaneStrain(1.0, 1.0, (1.0,)), "needs 2 components"),
-        (lambda: PlaneStrain.from_young(0.0, 0.3), "young must be positive, got 0.0"),
+        (lambda: PlaneStrain.from_young(0.0, 0.3), "young must be positive and finite, got 0.0"),
         (lambda: PlaneStrain.from_young(1.0, 0.5), "poisson must lie between -1 and 0.5, got 0.5"),
         (lambda: PlaneStrain.from_young(1.0, -1.0), "between -1 and 0.5, got -1.0"),
     ],
