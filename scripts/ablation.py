@@ -154,8 +154,6 @@ RULES = (
         {"rmesh_nlp.models.second_derivatives:DENSE": 0},
     ),
     Rule("contact: patience with blocks", CONTACT, ALL, {f"{ACTIVE_SET}:PATIENCE": 10**6}),
-    Rule("contact: guess by the dual", CONTACT, ALL, {f"{ACTIVE_SET}:FEW": 10**6}),
-    Rule("contact: refinement of linear solves", CONTACT, ALL, {f"{ACTIVE_SET}:EXACT": 1.0}),
 )
 
 

@@ -19,7 +19,7 @@ from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
-from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import relocated_mesh
@@ -109,9 +109,6 @@ class Continuous:
             np.add.at(friction, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = friction[part.nodes]
         rigid = self.parts.rigid_motions(nodes)
-        order = None
-        if space.n_nodes > LARGE:
-            order = elimination_order(points, space.elements, index)
         return ContactSystem(
             stiffness=sp.csc_array(self.stiffness[free][:, free]),
             load=(self.load - pull)[free],
@@ -122,7 +119,6 @@ class Continuous:
             slip_bound=bounds,
             frictional=frictional,
             rigid=rigid if rigid.size else None,
-            order=order,
             coulomb=coefficients(space, nodes),
         )
 

@@ -44,13 +44,6 @@ from rmesh_nlp.problem.rigid import rigid_motions
 TOLERANCE = 1e-10
 """Largest violation of equilibrium, relative to the largest force, of a field that bounds."""
 
-PRODUCTS = {1: 5, 2: 20}
-"""Back-substitutions that improve the contact forces, by the number of components.
-
-More lower the gap between the bounds by at most 3 % on random problems of 20 to 2,600 triangles (seeds 300 to
-311, from which these numbers were chosen), and by less than 0.1 % on Examples 6.1 to 6.3.
-"""
-
 DOUBT = 1e-2
 """Largest part of the gap between the bounds that may rest on doubtful quadrature."""
 
@@ -61,9 +54,6 @@ UNKNOWN = "a load, a traction or an obstacle jumps or kinks along a line that is
 FEW = 500
 """Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
 tenth of a second there."""
-
-FINER_PRODUCTS = 40
-"""Back-substitutions that improve contact forces that come from a coarser mesh."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +74,10 @@ class Bracket:
     residual: float  # largest violation of equilibrium, relative to the largest force
 
 
-def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: int | None = None) -> Bracket:
+def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     """Bounds of the least energy of a problem, by a guess computed with its nodes at ``nodes`` (2, nodes).
 
-    The better the guess the closer the bounds, but any one is valid. ``products`` back-substitutions improve
-    the contact forces of the lower bound; by default ``PRODUCTS``. Raises NotCertifiableError for a kind of
+    The better the guess the closer the bounds, but any one is valid. Raises NotCertifiableError for a kind of
     problem for which no certificate is known.
     """
     if rigid_motions(problem).size > 0:
@@ -100,8 +89,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess, *, products: in
     skeleton, u = skeleton_of(problem, nodes), guess.displacement
     conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
     traction, inside = conditions.traction, conditions.inside
-    effort = PRODUCTS[problem.components] if products is None else products
-    field = equilibrated(problem, skeleton, conditions, load, guess, effort)
+    field = equilibrated(problem, skeleton, conditions, load, guess)
     balance, strain, computed = field.balance, float(np.sum(field.energy)), float(np.sum(field.computed))
     on_edges = balance.pressure * skeleton.lengths[conditions.contact]
     on_elements = balance.inside * skeleton.areas[inside.elements]
@@ -189,7 +177,7 @@ def refined_bracket(
     for _ in range(refinements):
         coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))
         guess = guess.on_refined(DisplacementSpace.of(coarse), DisplacementSpace.of(finer))
-    refined = bracket(finer, np.asarray(finer.mesh.p), guess, products=FINER_PRODUCTS)
+    refined = bracket(finer, np.asarray(finer.mesh.p), guess)
     children = 4**refinements
     return replace(
         refined,

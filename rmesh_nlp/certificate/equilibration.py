@@ -7,9 +7,8 @@ multipliers of equilibrium between them. Eliminating the stresses leaves
 
 in the traces W alone, a contact problem of the same form as that of the nodes, whose minimum is
 the largest dual energy. Its multipliers are the contact forces. Any non-negative ones, with
-friction within its bound, give a lower bound of the energy, the best ones the highest. So the
-system is factorised once, without contact, and the forces, which begin with those of the
-computed solution, are improved by projected conjugate gradients that cost back-substitutions only.
+friction within its bound, give a lower bound of the energy, the best ones the highest. They are found
+by an active set that begins with the contact of the computed solution.
 
 Traces are counted from those of the computed displacement: where it is close to the solution they are
 small, and so is the rounding of stresses, which would else be differences of large numbers.
@@ -20,30 +19,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import Loads
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.contact.active_set import DualEnergy, solve
-from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.factorisation import factorised
+from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.optimize.newton_step import BoxStep
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-
-SOFTER = 10.0
-"""By how much the compliance of a trace exceeds that of its diagonal entry, roughly.
-
-With it the first trial step is not far too long: five products on graded scalar meshes of 1,500 to 2,600
-triangles (seeds 300 to 307, refined) then end within 3 % of the least gap, not within 14 %.
-"""
-
-FORCING = 0.1
-"""Part of the residual at which conjugate gradients stop."""
 
 
 @dataclass(frozen=True)
@@ -104,17 +92,13 @@ def equilibrated(
     conditions: Conditions,
     load: Loads,
     guess: Guess,
-    products: int,
 ) -> EquilibratedField:
-    """The field of largest dual energy, or nearly so, as the computed one and a correction.
-
-    ``products`` back-substitutions improve the contact forces of the guess.
-    """
+    """The field of largest dual energy, as the computed one and a correction."""
     element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
     computed = of_displacement(element, law, skeleton, guess.displacement)
     lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
     fields = Fields(element, skeleton, law, lacking, inside.elements.size > 0)
-    balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess, products)
+    balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess)
     correction = fields.of_traces(balanced.traces)
     field = computed + correction
     pushing = load.balanced.copy()
@@ -135,39 +119,29 @@ def equilibrated(
     )
 
 
-def balance(assembled: Hybrid, guess: Guess, products: int) -> Balance:
-    """Equilibrate the elements with each other and with the contact forces.
+def balance(assembled: Hybrid, guess: Guess) -> Balance:
+    """Equilibrate the elements with each other and with contact: solve the contact problem of the traces.
 
-    These begin with those of the guess, cut to what contact and friction allow, and are improved by
-    ``products`` back-substitutions. With an obstacle in the interior the problem is solved exactly, for its
-    forces are as many as the elements; at order 2 too, where a few products leave most of the gap.
+    Its active set begins with the contact of the guess. Where that fails, the forces that it ends with give a
+    bound too, if not the best.
     """
-    skeleton, contact = assembled.skeleton, assembled.conditions.contact
-    degree, edge = assembled.conditions.degree, skeleton.lengths[contact]
-    along, elements = skeleton.along(degree)[:, contact], assembled.conditions.inside.elements
-    pressure, friction = ((nodal[along] * edge).ravel() for nodal in (guess.pressure, guess.friction))
-    if elements.size or skeleton.order == 2:
-        inside = guess.pressure[skeleton.inside(degree)[:, elements]].T.ravel()
-        touching = np.append(inside, pressure) > 0
-        solved = _solved(assembled, touching, friction)
-        if elements.size or solved.status is Status.CONVERGED:
-            force = np.maximum(solved.normal_force, 0.0)
-            return balanced(assembled, solved.u, force, solved.tangential_force)
-    return balanced(assembled, *_improved(assembled, pressure, friction, products))
-
-
-def _solved(assembled: Hybrid, touching: NDArray[np.bool_], friction: Array) -> Equilibrium:
-    """The contact problem of the traces by an active set that begins with the contact of a guess, or cold."""
-    system, bound = assembled.system, assembled.system.slip_bound
-    friction = friction[: bound.size]
+    skeleton, conditions, system = assembled.skeleton, assembled.conditions, assembled.system
+    degree, bound = conditions.degree, assembled.system.slip_bound
+    along = skeleton.along(degree)[:, conditions.contact]
+    inside = guess.pressure[skeleton.inside(degree)[:, conditions.inside.elements]].T.ravel()
+    touching = np.append(inside, guess.pressure[along].ravel()) > 0
+    friction = (guess.friction[along] * skeleton.lengths[conditions.contact]).ravel()[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     # friction turns where the slip is zero, and traces are counted from those of the base
     base = system.tangents.T @ assembled.slips[: bound.size]
     from_zero = replace(system, load=system.load + system.stiffness @ base)
     solved = solve(from_zero, ActiveSet(touching, sliding))
-    if solved.status is not Status.CONVERGED:
-        solved = solve(from_zero)
-    return replace(solved, u=solved.u - base)
+    force, friction = np.maximum(solved.normal_force, 0.0), solved.tangential_force
+    if solved.status is Status.CONVERGED:
+        return balanced(assembled, solved.u - base, force, friction)
+    friction = np.clip(friction, -bound, bound)
+    push = system.normals.T @ force + system.tangents.T @ friction
+    return balanced(assembled, factorised(system.stiffness).solve(system.load + push), force, friction)
 
 
 def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
@@ -186,24 +160,3 @@ def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Bala
         reaction_work=float(reaction),
         inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
     )
-
-
-def _improved(
-    assembled: Hybrid, pressure: Array, friction: Array, products: int
-) -> tuple[Array, Array, Array]:
-    """The unknowns of the system under feasible contact forces better than the given ones, and these.
-
-    One step of projected conjugate gradients: the dual function is quadratic.
-    """
-    dual = DualEnergy(assembled.system, assembled.slips)
-    bound = assembled.system.slip_bound
-    lower = np.concatenate([np.zeros(pressure.size), -bound])
-    upper = np.concatenate([np.full(pressure.size, np.inf), bound])
-    y = np.clip(np.concatenate([pressure, friction[: bound.size]]), lower, upper)
-    if y.size and products:
-        step = BoxStep(dual, dual.evaluate(y).gradient)
-        step.max_products = products
-        step.scale = SOFTER * step.scale
-        s, _ = step.within(lower - y, upper - y, FORCING)
-        y = np.clip(y + s, lower, upper)
-    return dual.refined(y), y[: pressure.size], y[pressure.size :]

@@ -13,13 +13,14 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.space import Index
 
 try:
-    from sksparse.cholmod import CholmodError, analyze
+    from sksparse.cholmod import CholmodError, cholesky
 except ImportError:  # scikit-sparse is not there, or one of which these names are not
-    analyze, CholmodError = None, RuntimeError
+    cholesky, CholmodError = None, RuntimeError
 
-HAS_CHOLMOD = analyze is not None
+HAS_CHOLMOD = cholesky is not None
 
 
 class Factor(Protocol):
@@ -27,28 +28,6 @@ class Factor(Protocol):
 
     def solve(self, right: Array) -> Array:
         """Solutions for a right side (m,), or for the columns of (m, k)."""
-
-    def trailing(self, k: int) -> Array | None:
-        """Schur complement (k, k) of the last unknowns, if the matrix was factorised in its own order."""
-
-
-class _LU:
-    """Factors by SuperLU."""
-
-    def __init__(self, factor: SuperLU) -> None:
-        self._factor = factor
-
-    def solve(self, right: Array) -> Array:
-        """See :class:`Factor`."""
-        return np.asarray(self._factor.solve(right))
-
-    def trailing(self, k: int) -> Array | None:
-        """See :class:`Factor`."""
-        own, first = np.arange(self._factor.shape[0]), self._factor.shape[0] - k
-        if not (np.array_equal(self._factor.perm_r, own) and np.array_equal(self._factor.perm_c, own)):
-            return None
-        lower, upper = (part[first:, first:].toarray() for part in (self._factor.L, self._factor.U))
-        return np.asarray(lower @ upper)
 
 
 class _Cholesky:
@@ -61,33 +40,34 @@ class _Cholesky:
         """See :class:`Factor`."""
         return np.asarray(self._factor(right))
 
-    def trailing(self, k: int) -> Array | None:
-        """See :class:`Factor`."""
-        order = self._factor.P()
-        if not np.array_equal(order, np.arange(order.size)):
-            return None
-        lower = self._factor.L()[order.size - k :, order.size - k :].toarray()
-        return np.asarray(lower @ lower.T)
 
-
-def factorised(K: sp.csc_array, *, ordered: bool = False) -> Factor:
-    """Sparse factorisation of a symmetric positive definite matrix, in its own order if ``ordered``."""
-    # both take 32-bit indices; SciPy before 1.13 makes 64-bit ones when a matrix is sliced
-    indices, starts = (a.astype(np.int32, copy=False) for a in (K.indices, K.indptr))
+def factorised(K: sp.csc_array) -> Factor:
+    """Sparse factorisation of a symmetric positive definite matrix."""
     if HAS_CHOLMOD and K.shape[0] > 0:
-        lower = sp.csc_matrix((K.data, indices, starts), shape=K.shape)
         try:
-            # dense blocks pay for large matrices only
-            mode, method = ("auto", "natural") if ordered else ("simplicial", "amd")
-            return _Cholesky(analyze(lower, mode=mode, ordering_method=method).cholesky(lower))
+            return _Cholesky(cholesky(sp.csc_matrix(K)))
         except CholmodError:  # not positive definite: an element is inverted
             pass
-    K = sp.csc_array((K.data, indices, starts), shape=K.shape)
-    # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
-    order = "NATURAL" if ordered else "MMD_AT_PLUS_A"
-    return _LU(splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True}))
+    return _by_superlu(sp.csc_array(K), "MMD_AT_PLUS_A")
 
 
 def factorised_lu(K: sp.csc_array) -> Factor:
     """Sparse factorisation of a matrix that is not symmetric."""
-    return _LU(splu(sp.csc_array(K), permc_spec="COLAMD"))
+    return splu(sp.csc_array(K), permc_spec="COLAMD")
+
+
+def condensed(K: sp.csc_array, load: Array, last: Index) -> tuple[Array, Array]:
+    """Stiffness (k, k) and load (k,) of the unknowns ``last`` (k,) alone, all others eliminated.
+
+    The Schur complement is the product of the trailing blocks of factors in which these unknowns come last.
+    """
+    order = np.argsort(_by_superlu(K, "MMD_AT_PLUS_A").perm_c)
+    order = np.concatenate([order[np.isin(order, last, invert=True)], last])
+    factor, first = _by_superlu(K[:, order][order], "NATURAL"), order.size - last.size
+    stiffness = (factor.L[first:, first:] @ factor.U[first:, first:]).toarray()
+    return stiffness, stiffness @ factor.solve(load[order])[first:]
+
+
+def _by_superlu(K: sp.csc_array, order: str) -> SuperLU:
+    # pivots on the diagonal: anything else would give up the ordering, and with it the sparsity
+    return splu(K, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -11,11 +11,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.contact.active_set import check_load, check_unique, solve
-from rmesh_nlp.contact.system import LARGE, ActiveSet, ContactSystem, Equilibrium, elimination_order
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Symmetric
 from rmesh_nlp.fem.fields import ElementTerm, Field
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.design import at_design
@@ -129,7 +129,6 @@ class ContactSolver:
             slip_bound=self._slip_bound(given),
             frictional=self.frictional,
             rigid=self.discretisation.rigid_motions(nodes) if self.discretisation.floats else None,
-            order=self._order,
             coulomb=coefficients(self.discretisation.space, nodes, at),
         )
 
@@ -167,14 +166,6 @@ class ContactSolver:
         if bound.size:  # the friction energy is linear in the slips: its gradient is their bounds
             bound[self.frictional] = self._friction(given)[1][0]
         return bound
-
-    @cached_property
-    def _order(self) -> Index | None:
-        """The order of elimination on a large mesh."""
-        mesh, space = self.problem.mesh, self.discretisation.space
-        if space.n_nodes <= LARGE:
-            return None
-        return elimination_order(space.points(mesh.p), space.elements, self.displacement.index)
 
 
 class _AtZero:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import permutations
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,15 +17,8 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.factorisation import Factor, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
-
-LARGE = 5000
-"""Nodes above which an order of elimination is used: smaller meshes are factorised fast enough in any."""
-
-LEAF = 64
-"""Nodes that are not halved any more."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +41,6 @@ class ContactSystem:
         Rigid motions that only contact prevents; none by default.
     coulomb : (gaps,) array, optional
         F; zero by default.
-    order : (m,) int array, optional
-        The unknowns in the order of their elimination; by default it is found for each factorisation.
     """
 
     stiffness: sp.csc_array
@@ -62,7 +52,6 @@ class ContactSystem:
     slip_bound: Array
     frictional: NDArray[np.bool_] | None = None
     rigid: Array | None = None
-    order: Index | None = None
     coulomb: Array | None = None
 
     def bound(self, normal: Array) -> Array:
@@ -140,7 +129,7 @@ class Equilibrium:
     status : Status
         CONVERGED, CYCLED or ITERATION_LIMIT.
     iterations : int
-        Active sets that were tried, a factorisation each; the guess of a cold start takes one more.
+        Active sets that were tried, a factorisation each; the guess of a cold start takes two more.
     """
 
     u: Array
@@ -164,7 +153,7 @@ class RotatedSystem:
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = self.turned(system.load)
-        self._order, self._coulomb = system.order, system.coulomb
+        self._coulomb = system.coulomb
         self._factor: tuple[bytes, Index, Factor] | None = None
 
     def turned(self, force: Array) -> Array:
@@ -180,7 +169,7 @@ class RotatedSystem:
         return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
 
     def factor(self, active: ActiveSet) -> tuple[Index, Factor]:
-        """The free unknowns, in the order of elimination, and the factorised stiffness; the last is kept.
+        """The free unknowns and the factorised stiffness; the last is kept.
 
         So derivatives at a contact solution need no factorisation of their own.
         """
@@ -188,11 +177,11 @@ class RotatedSystem:
             free = np.ones(self.F.size, dtype=bool)
             free[self.normal[active.touching]] = False
             free[self.tangent[self.sticking(active)]] = False
-            inside = np.flatnonzero(free) if self._order is None else self._order[free[self._order]]
+            inside = np.flatnonzero(free)
             self._factor = None  # its memory first
             pull = self.coupling(active)
             if pull is None:
-                factor = factorised(self.K[:, inside][inside], ordered=self._order is not None)
+                factor = factorised(self.K[:, inside][inside])
             else:
                 factor = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
             self._factor = active.key(), inside, factor
@@ -282,39 +271,3 @@ def _entries(matrix: sp.csr_array, rows: Index, columns: Index) -> Array:
         return np.zeros(columns.shape)
     rows = np.broadcast_to(rows, columns.shape).ravel()
     return np.asarray(sp.csr_matrix(matrix)[rows, columns.ravel()]).reshape(columns.shape)
-
-
-def elimination_order(points: Array, cells: NDArray[np.integer], index: Index) -> Index:
-    """The unknowns of a nodal field, ``index`` (components, nodes), in the order of their elimination.
-
-    The nodes of a cell, an edge or an element (nodes per cell, cells), are adjacent.
-    """
-    unknowns = index[:, dissected(points, cells)].T.ravel()
-    unknowns = unknowns[unknowns != CONSTANT]
-    _, first = np.unique(unknowns, return_index=True)  # tied nodes have one unknown
-    return np.asarray(unknowns[np.sort(first)], dtype=np.int64)
-
-
-def dissected(points: Array, cells: NDArray[np.integer]) -> Index:
-    """The nodes, separators after the halves that they separate."""
-    n = points.shape[1]
-    ends = np.hstack([cells[list(pair)] for pair in permutations(range(len(cells)), 2)])
-    adjacent = sp.csr_array((np.ones(ends.shape[1]), (ends[0], ends[1])), shape=(n, n))
-    beyond = np.zeros(n)
-    parts: list[Index] = []  # from the last one to be eliminated to the first
-    waiting = [np.arange(n)]
-    while waiting:
-        nodes = waiting.pop()
-        if nodes.size > LEAF:
-            positions = points[:, nodes]
-            along = positions[int(np.argmax(np.ptp(positions, axis=1)))]
-            low = along <= np.median(along)
-            if not np.all(low):
-                beyond[nodes[~low]] = 1.0
-                separates = adjacent[nodes[low]] @ beyond > 0
-                beyond[nodes[~low]] = 0.0
-                parts.append(nodes[low][separates])
-                waiting += [nodes[low][~separates], nodes[~low]]
-                continue
-        parts.append(nodes)
-    return np.concatenate(parts[::-1])

@@ -150,12 +150,15 @@ def test_the_lower_bound_of_order_2_does_not_depend_on_the_guess(make, warm, mon
 def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: pytest.MonkeyPatch) -> None:
     problem, solve = signorini(4, 2), equilibration.solve
     best = on(problem)
-    monkeypatch.setattr(
-        equilibration, "solve", lambda *given: replace(solve(*given), status=Status.CYCLED, u=np.nan)
-    )
+
+    def failed(*given):
+        state = solve(*given)
+        return replace(state, normal_force=state.normal_force / 2, status=Status.CYCLED, u=np.nan)
+
+    monkeypatch.setattr(equilibration, "solve", failed)
     found = on(problem)
     assert found.guaranteed_lower
-    assert found.lower < best.lower
+    assert found.lower < best.lower * (1 + 1e-3)
 
 
 @pytest.mark.parametrize(

@@ -1,22 +1,22 @@
 """The active set solves the quadratic program: Ipopt agrees, from any start, in any coordinates."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.contact import active_set
-from rmesh_nlp.contact.active_set import DualEnergy, predicted_set, solve
+from rmesh_nlp.contact.active_set import at_rest, first_set, solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.contact_problem import refined
 from support.contact_geometry import block_between_two_foundations, block_sliding_on_a_circle
 from support.problems import sloped_block
 
@@ -121,29 +121,19 @@ def test_any_start_ends_at_the_same_solution_or_at_the_iteration_limit(system: C
     assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 1)
 
 
-@pytest.mark.parametrize(
-    ("dense", "ordered"), [(np.inf, True), (0.0, False)], ids=["Hessian formed", "by back-substitutions"]
-)
-def test_the_dual_problem_predicts_most_of_the_active_set(system, ordered, dense, monkeypatch) -> None:
-    if system.rigid is not None:
-        pytest.skip("contact alone holds the body")
-    monkeypatch.setattr(active_set, "DENSE", dense)
-    order = np.random.default_rng(0).permutation(system.load.size) if ordered else None
-    guess, found = predicted_set(replace(system, order=order)), solve(system).active
-    assert np.mean(guess.touching != found.touching) <= 0.2
-    assert np.mean(guess.sliding != found.sliding) <= 0.2 if found.sliding.size else True
+@pytest.mark.parametrize("make", [of(EXAMPLES["6.1"], 8), of(EXAMPLES["6.3"], (12, 6))])
+def test_the_condensed_problem_has_the_active_set_of_the_whole(make: Callable[[], ContactSystem]) -> None:
+    system = make()
+    solution = solve(system)
+    assert (
+        first_set(system).key()
+        == solution.active.key()
+        != ActiveSet(system.offset <= 0, 0 * solution.active.sliding).key()
+    )
+    assert solution.iterations == 1
 
 
-@pytest.mark.parametrize("dense", [np.inf, 0.0])
-def test_the_dual_energy_has_gaps_and_slips_as_its_gradient(dense, monkeypatch) -> None:
-    monkeypatch.setattr(active_set, "DENSE", dense)
-    system = random_system(3)
-    dual, rng = DualEnergy(system), np.random.default_rng(0)
-    y, d = rng.standard_normal((2, 20))
-    here = dual.evaluate(y)
-    u = dual.refined(y)
-    gap_and_slip = np.concatenate([system.normals @ u + system.offset, system.tangents @ u])
-    np.testing.assert_allclose(here.gradient, gap_and_slip, rtol=1e-8)
-    # quadratic: one expansion is exact
-    expected = here.value + here.gradient @ d + dual(d) @ d / 2
-    assert dual.evaluate(y + d).value == pytest.approx(expected, rel=1e-9)
+def test_contact_on_all_unknowns_is_not_condensed() -> None:
+    problem = refined(random_problem(3, kind="membrane"))
+    system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
+    assert first_set(system).key() == at_rest(system).key() != solve(system).active.key()

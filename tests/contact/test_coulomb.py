@@ -11,7 +11,7 @@ from scipy.sparse.linalg import ArpackNoConvergence
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
-from rmesh_nlp.contact.active_set import first_set, solve
+from rmesh_nlp.contact.active_set import at_rest, solve
 from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
@@ -82,7 +82,7 @@ class TestSolver:
         # it is the solution for the bound of Tresca that is reached
         bounded = replace(system, slip_bound=system.bound(by_newton.normal_force), coulomb=None)
         np.testing.assert_allclose(solve(bounded).u, by_newton.u, atol=1e-12)
-        at_once = replace(system.equilibrium(first_set(system)), status=Status.STALLED)
+        at_once = replace(system.equilibrium(at_rest(system)), status=Status.STALLED)
         monkeypatch.setattr("rmesh_nlp.contact.active_set.newton", lambda *_: at_once)
         slow = solve(system)
         assert slow.status is Status.CONVERGED
@@ -107,12 +107,12 @@ class TestSolver:
             replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=coulomb)),
         )
         system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
-        active, seen = first_set(system), set()
+        active, seen = at_rest(system), set()
         while active.key() not in seen:  # full steps alone
             seen.add(active.key())
             active, wrong = next_set(system, system.equilibrium(active), active)
         assert wrong > 0
-        state = newton(system, first_set(system), 30)
+        state = newton(system, at_rest(system), 30)
         assert state.status is Status.CONVERGED
         assert is_solution(system, state)
 

@@ -5,7 +5,7 @@ import pytest
 import scipy.sparse as sp
 
 from rmesh_nlp.contact import factorisation
-from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, condensed, factorised
 from rmesh_nlp.solving.entries import versions
 
 
@@ -23,28 +23,21 @@ def stiffness(n: int, seed: int = 0) -> sp.csc_array:
     return sp.csc_array(half @ half.T + sp.eye_array(n))
 
 
-@pytest.mark.parametrize("ordered", [False, True])
-def test_solutions_of_one_and_of_many_right_sides(by_cholmod, ordered) -> None:
+def test_solutions_of_one_and_of_many_right_sides(by_cholmod) -> None:
     K, B = stiffness(40), np.random.default_rng(1).standard_normal((40, 3))
-    factor = factorised(K, ordered=ordered)
+    factor = factorised(K)
     exact = np.linalg.solve(K.toarray(), B)
     np.testing.assert_allclose(factor.solve(B), exact, rtol=1e-10, atol=1e-12)
     np.testing.assert_allclose(factor.solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
 
 
-def test_the_trailing_block_is_a_schur_complement(by_cholmod) -> None:
-    K, k = stiffness(40), 7
-    dense = K.toarray()
-    a, b, c = dense[:-k, :-k], dense[:-k, -k:], dense[-k:, -k:]
-    found = factorised(K, ordered=True).trailing(k)
-    np.testing.assert_allclose(found, c - b.T @ np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
-
-
-def test_an_order_that_was_changed_has_no_trailing_block(by_cholmod) -> None:
-    arrow = np.eye(30) * 40
-    arrow[0], arrow[:, 0] = 1, 1
-    arrow[0, 0] = 40
-    assert factorised(sp.csc_array(arrow)).trailing(3) is None
+def test_condensed_stiffness_is_a_schur_complement() -> None:
+    K, F, last = stiffness(40), np.random.default_rng(2).standard_normal(40), np.array([3, 8, 9, 20, 21, 39])
+    rest, dense = np.setdiff1d(np.arange(40), last), K.toarray()
+    a, b, c = dense[np.ix_(rest, rest)], dense[np.ix_(rest, last)], dense[np.ix_(last, last)]
+    S, load = condensed(K, F, last)
+    np.testing.assert_allclose(S, c - b.T @ np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(load, F[last] - b.T @ np.linalg.solve(a, F[rest]), rtol=1e-9, atol=1e-12)
 
 
 def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:

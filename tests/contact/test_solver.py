@@ -8,15 +8,10 @@ import scipy.sparse as sp
 from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.models.elasticity import linear_elasticity
 
-from rmesh_nlp.contact import solver as of_solver
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import LEAF, ContactSystem, Equilibrium, dissected, elimination_order
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.fields import CONSTANT
-from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
-from support.contact_geometry import block_on_a_circle, block_sliding_on_a_circle
+from rmesh_nlp.problem import PlaneStrain
 from support.problems import sloped_block
 
 
@@ -83,41 +78,3 @@ def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
     np.testing.assert_allclose(N @ u, w[rotated.normal])
     np.testing.assert_array_equal(rotated.slips, [False, True, False])
     np.testing.assert_allclose((T @ u)[1], w[rotated.tangent[1]])
-
-
-def test_every_unknown_is_eliminated_once_and_a_separator_after_what_it_separates() -> None:
-    mesh = rectangle(24, 10, x=(0, 4))
-    for degree in (1, 2):
-        space = DisplacementSpace.of(ContactProblem(mesh, Laplace(), ("left",), order=degree))
-        points = space.points(mesh.p)
-        order = dissected(points, space.elements)
-        assert np.array_equal(np.sort(order), np.arange(space.n_nodes))
-        # without the first separator, which is last, nothing connects the two halves
-        separator = np.isclose(points[0], 2.0)
-        assert np.argsort(order)[separator].min() == space.n_nodes - separator.sum()
-    np.testing.assert_array_equal(dissected(mesh.p, mesh.facets), dissected(mesh.p, mesh.t))
-    n = 3 * LEAF  # points that no line separates
-    assert dissected(np.zeros((2, n)), np.array([[0], [1]])).size == n
-
-    given_and_tied = np.array([[0, CONSTANT, 0], [1, 2, CONSTANT]])
-    points = np.array([[0.0, 1.0, 2.0], [0.0, 0.0, 0.0]])
-    assert np.array_equal(
-        np.sort(elimination_order(points, np.array([[0, 1], [1, 2]]), given_and_tied)), [0, 1, 2]
-    )
-
-
-@pytest.mark.parametrize("make", [sloped_block, block_sliding_on_a_circle, block_on_a_circle])
-def test_solutions_do_not_depend_on_the_order(make, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem: ContactProblem = make()
-    results = []
-    for large in (5000, 10):
-        monkeypatch.setattr(of_solver, "LARGE", large)
-        solver = ContactSolver(problem)
-        system, state = solver.system(problem.mesh.p), solver.solve(problem.mesh.p)
-        assert (system.order is None) == (large == 5000)
-        results.append(state)
-    one, two = results
-    assert one.active.key() == two.active.key()
-    assert np.any(one.active.touching)
-    np.testing.assert_allclose(two.u, one.u, atol=1e-9 * np.max(np.abs(one.u)))
-    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-8 * one.normal_force.max())
