@@ -206,7 +206,6 @@ def test_compliance_of_a_bar_and_of_a_membrane_by_hand() -> None:
 
 BLOCKS: dict[str, Any] = {
     "Signorini": lambda: example("6.1", 4),
-    "frictionless": lambda: example("6.2", (6, 4)),
     "Tresca": lambda: example("6.3", (6, 4)),
     "sloped": sloped_block,
     "gaps along edges of a circle": block_along_a_circle,

@@ -41,7 +41,7 @@ OBJECTIVES = ("error-l2", "error-energy", "contact", "energy", "energy + 0.1*qua
 QUICK = {
     ("6.1", "error-energy"),
     ("6.1", "contact"),
-    ("6.3", "energy"),
+    ("6.3", "energy + 0.1*quality"),
     ("sloped, stick and slip", "error-l2"),
     ("curved foundation, stick and slip", "energy"),
     ("curved foundation, stick and slip", "error-l2"),
@@ -60,20 +60,6 @@ def order_at_random(function: Any, n: int, seed: int, size: float) -> float:
     return taylor_order(function, q, d)
 
 
-@pytest.mark.parametrize("name", slow_but(CONTACTS | QUADRATIC))
-def test_the_energy_gradient_has_rate_2(name: str) -> None:
-    energy = reduced((CONTACTS | QUADRATIC)[name]())
-    for seed in (1, 2, 3) if name in CONTACTS else (1,):
-        assert order_at_random(energy, energy.relocation.n_q, seed, 0.6) >= 1.9
-
-
-@pytest.mark.parametrize(("name", "objective"), COMBINATIONS)
-def test_the_adjoint_gradient_has_rate_2(name: str, objective: str) -> None:
-    energy = reduced(with_exact((CONTACTS | QUADRATIC)[name]()))
-    function = ReducedObjective(energy, parse_objective(objective))
-    assert order_at_random(function, energy.relocation.n_q, 1, 0.5) >= 1.9
-
-
 @pytest.mark.parametrize(
     "curve",
     [*CURVES.values(), pytest.param(spline_of_the_hole(), marks=pytest.mark.slow)],
@@ -82,17 +68,6 @@ def test_the_adjoint_gradient_has_rate_2(name: str, objective: str) -> None:
 def test_the_gradient_has_rate_2_where_nodes_slide_along_a_curve(curve: Curve) -> None:
     problem = plate({"hole": curve}, delta=0.4, load=BENT_LOAD)
     assert np.min(rm.verify_gradient(problem).orders) > 1.99
-
-
-@pytest.mark.parametrize("name", [name for name in CONTACTS if "slip" in name])
-def test_the_energy_gradient_is_the_adjoint_gradient_of_the_energy(name: str) -> None:
-    energy = reduced(CONTACTS[name]())
-    envelope = energy(0.1 * np.random.default_rng(2).uniform(-1, 1, energy.relocation.n_q))
-    adjoint = ReducedObjective(energy, parse_objective("energy"))(envelope.q)
-    assert (envelope.is_energy, adjoint.is_energy) == (True, False)
-    assert adjoint.value == pytest.approx(envelope.value, rel=1e-12)
-    size = np.max(np.abs(envelope.gradient))
-    np.testing.assert_allclose(adjoint.gradient, envelope.gradient, atol=1e-10 * size)
 
 
 def test_strict_complementarity_fails_where_a_touching_node_has_no_force() -> None:
@@ -154,10 +129,9 @@ PROBLEMS = {
 
 
 @pytest.mark.parametrize("name", slow_but(PROBLEMS))
-def test_products_of_the_energy_are_derivatives_of_its_gradient(
-    name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(1)
+    assert order_at_random(energy, energy.relocation.n_q, 1, 0.6) >= 1.9
     q, d, other = rng.uniform(-1, 1, (3, energy.relocation.n_q)) * [[0.3], [1], [1]]
     hessian = Curvature(energy).at(energy(q))
     product = hessian(d)
@@ -189,22 +163,22 @@ def test_distortions_are_part_of_both_derivatives(distortion: str) -> None:
     assert np.max(np.abs(product - Curvature(plain).at(plain(q))(d))) > 1e-2 * np.max(np.abs(product))
 
 
-@pytest.mark.parametrize(
-    ("name", "objective"),
-    [
-        ("6.1", "error-l2"),
-        ("6.3", "energy + 0.1*quality"),
-        ("6.3", "energy"),
-        ("6.1, order 2", "error-energy"),
-        ("curved foundation, stick and slip, order 2", "energy"),
-    ],
-)
-def test_products_of_objectives_are_derivatives_of_the_gradient(name: str, objective: str) -> None:
-    energy, wanted, rng = reduced(PROBLEMS[name]()), parse_objective(objective), np.random.default_rng(1)
-    function = ReducedObjective(energy, wanted)
+@pytest.mark.parametrize(("name", "objective"), COMBINATIONS)
+def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
+    """By the adjoint, which for the energy are those of the reduced energy."""
+    energy, rng = reduced(with_exact((CONTACTS | QUADRATIC)[name]())), np.random.default_rng(1)
+    function = ReducedObjective(energy, parse_objective(objective))
+    assert order_at_random(function, energy.relocation.n_q, 1, 0.5) >= 1.9
     q, d = rng.uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.3], [1]]
-    hessian = curvature_of(function)(function(q))
-    assert difference_order(lambda x: function(x).gradient, hessian(d), q, d) > 1.9
+    here = function(q)
+    hessian = curvature_of(function)(here)
+    assert difference_order(lambda x: function(x).gradient, hessian(d), q, d, 2e-3) > 1.9
     if objective == "energy":
-        known = Curvature(energy).at(energy(q))(d)
-        np.testing.assert_allclose(hessian(d), known, atol=1e-9 * np.max(np.abs(known)))
+        envelope = energy(q)
+        assert (envelope.is_energy, here.is_energy) == (True, False)
+        assert here.value == pytest.approx(envelope.value, rel=1e-12)
+        for found, known in (
+            (here.gradient, envelope.gradient),
+            (hessian(d), Curvature(energy).at(envelope)(d)),
+        ):
+            np.testing.assert_allclose(found, known, atol=1e-9 * np.max(np.abs(known)))
