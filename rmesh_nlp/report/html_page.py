@@ -46,7 +46,7 @@ from rmesh_nlp.report.figures import convergence_figure, figure_of_designs, prof
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
-from rmesh_nlp.report.style import SETTINGS
+from rmesh_nlp.report.style import SETTINGS, lay_out
 from rmesh_nlp.report.table import MISSING, Table
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.study.environment import environment
@@ -178,6 +178,7 @@ def _setup(records: Sequence[Record], failed: int) -> dict[str, str]:
 def svg(figure: Figure) -> str:
     """A figure as an element of a page, as wide as its place."""
     text = StringIO()
+    lay_out(figure)
     figure.savefig(text, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     inside = text.getvalue()[text.getvalue().index("<svg") :]
     # groups have the same names in every figure; clip paths and markers are named by their content

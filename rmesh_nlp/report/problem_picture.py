@@ -61,7 +61,8 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
             heading += f"\nthe foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
         axis.set_title(heading)
         style.add_legend(figure, [axis], "outside lower center")
-        figure.savefig(path, dpi=150, bbox_inches="tight")
+        style.lay_out(figure)
+        figure.savefig(path, dpi=150)
 
 
 def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
