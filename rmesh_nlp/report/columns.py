@@ -130,8 +130,8 @@ COSTS = (
 # of the formulation's own state and of the assessment's contact solve
 RESIDUALS = (
     FORMULATION,
-    *of("own_equilibrium_residual", "assessed_equilibrium_residual"),
-    *of("own_complementarity_residual", "assessed_complementarity_residual", "stationarity_residual"),
+    *of("own_equilibrium_residual", "equilibrium_residual"),
+    *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
     BIACTIVE,
     LABEL,
 )
