@@ -196,11 +196,6 @@ def processor_seconds() -> float:
     return time.process_time()
 
 
-def pause(seconds: float) -> None:
-    """Wait."""
-    time.sleep(seconds)
-
-
 def end_like_interrupts() -> None:
     """Let a request to terminate, SIGTERM, end what runs as Ctrl-C does: with all that was reached kept."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)

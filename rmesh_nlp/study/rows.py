@@ -1,7 +1,7 @@
 """Rows of a study: one append-only file per worker process, joined by key.
 
-A worker locks its own file while it solves. Who resumes a study waits for these locks: workers that outlive
-their client finish their row first, so that no solve is done twice.
+A worker holds the lock of its file while it solves. Who resumes a study waits for these locks: workers that
+outlive their client finish their row first, so that no solve is done twice.
 """
 
 from __future__ import annotations
@@ -14,18 +14,14 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import append_whole, write_text
 from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import ROWS, row_files
-from rmesh_nlp.optimize.budget import Budget, Limits, pause
 
-try:
-    import fcntl
-except ImportError:  # Windows: no such locks there
-    fcntl = None  # type: ignore[assignment]
-
-HEAD = "records-"
+HEAD, LOCK = "records-", ".lock"
 FAILED = "failed.jsonl"  # rows of failures that were tried again
 
 
@@ -40,13 +36,13 @@ class RowsFile:
     def working(self) -> Iterator[None]:
         """While a solve is done and its row is written."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor = os.open(self.path, os.O_RDWR | os.O_CREAT, 0o644)
-        try:
-            if fcntl is not None:
-                fcntl.flock(descriptor, fcntl.LOCK_EX)
-            yield
-        finally:
-            os.close(descriptor)
+        lock = self.path.with_suffix(LOCK)
+        with FileLock(lock):
+            try:
+                yield
+            finally:
+                with suppress(OSError):  # Windows keeps what is open
+                    lock.unlink()
 
     def append(self, row: Record) -> None:
         """Add a row whole, forced to the disk."""
@@ -107,20 +103,12 @@ def set_failures_aside(folder: Path, keys: Collection[str]) -> None:
 
 
 def wait_for_workers(folder: Path, seconds: float) -> None:
-    """Wait until no worker of an earlier client is solving; a BadInputError if that takes too long."""
-    if fcntl is None:
-        return
-    patience = Budget(Limits(seconds))
-    for path in row_files(folder):
-        with path.open("rb") as file:
-            while True:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-                    break
-                except OSError:
-                    if patience.is_over():
-                        raise BadInputError(
-                            f"{path} is still being written by a worker of an earlier run: "
-                            "wait for it, or end it"
-                        ) from None
-                    pause(0.1)
+    """Wait until no worker of an earlier client is solving; a BadInputError if one takes too long."""
+    for path in (folder / ROWS).glob(f"{HEAD}*{LOCK}"):
+        try:
+            with FileLock(path, timeout=seconds), suppress(OSError):
+                path.unlink()  # what a worker that was killed has left
+        except Timeout:
+            raise BadInputError(
+                f"{path} is held by a worker of an earlier run, which still solves: wait for it, or end it"
+            ) from None

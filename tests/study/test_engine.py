@@ -158,7 +158,10 @@ def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
 
 def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "WAIT_S", 0.2)
-    with RowsFile(tmp_path).working(), pytest.raises(BadInputError, match="still being written by a worker"):
+    with (
+        RowsFile(tmp_path).working(),
+        pytest.raises(BadInputError, match="held by a worker of an earlier run"),
+    ):
         list(engine.run([solve_of("fixed")], tmp_path))
 
 
