@@ -26,5 +26,6 @@ class Fixed(Formulation):
         state = active_set.solve(outer.system(np.zeros(outer.n)))
         monitor.work += Work(1, 1, state.iterations)
         nan, seconds = float("nan"), monitor.budget.elapsed
-        monitor.note(Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds))
+        step = Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds, energy_given=state.energy)
+        monitor.note(step)
         return Outcome(outer, np.zeros(outer.n), state.status, label="")

@@ -243,7 +243,6 @@ class Track:
             self._best = merit, np.array(q)
         residual, spent = self.outer.residual(point), self.monitor.spent.contact_solves
         known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": residual, "stationarity": residual}
-        known["energy_given"] = self.outer.contact.given.energy
         energy = point.equilibrium.energy
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 
@@ -254,7 +253,9 @@ class Track:
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
     def _note(self, iteration: int, q: Array, **known: Any) -> bool:
-        known |= {"seconds": self.monitor.budget.elapsed, "design": self.outer.figures(q)}
+        outer = self.outer
+        known |= {"seconds": self.monitor.budget.elapsed, "design": outer.figures(q)}
+        known |= {"energy_given": outer.contact.given.energy, "objective_given": outer.at_start.value}
         step = Step(iteration=self._before + iteration, **known)
         return self.monitor.note(step, q, shown=self._shown)
 

@@ -164,9 +164,9 @@ class Step:
     stationarity : float
         First-order residual of the outer problem at the outer variables, by the measure of records; NaN
         where it was not measured.
-    energy_given : float
-        Energy on the mesh of this step before any node moved, where the meshes of a descent differ; for
-        progress, and no part of a history.
+    energy_given, objective_given : float
+        Energy and objective on the mesh of this step before any node moved; for progress, and no part of a
+        history.
     design : mapping of str to float
         Design variables at the iterate, by their names.
     """
@@ -184,6 +184,7 @@ class Step:
     biactive: float = float("nan")
     stationarity: float = float("nan")
     energy_given: float = field(default=float("nan"), repr=False, compare=False)
+    objective_given: float = field(default=float("nan"), repr=False, compare=False)
     design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self) -> dict[str, Any]:

@@ -47,7 +47,8 @@ class SolvesProgress:
         )
         self._task = self._bar.add_task("", total=total, completed=done)
         self._total, self._done, self._each = total, done, each
-        self._name, self._pace, self._said = "", Pace(), Budget()
+        self._solve: PlannedSolve | None = None
+        self._said = Budget()
         if done:
             self._say(f"{done} of {total} solves have a row already")
 
@@ -60,17 +61,17 @@ class SolvesProgress:
 
     def start(self, solve: PlannedSolve) -> None:
         """A solve begins."""
-        self._name = f"{solve.name} {solve.formulation}"
-        limits = Limits.of(solve.options.get("limits"))
-        of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
-        self._pace = Pace(limits, of_energy=of_energy)
-        self._said = Budget()
-        self._bar.update(self._task, description=self._name)
+        self._solve, self._said = solve, Budget()
+        self._bar.update(self._task, description=f"{solve.name} {solve.formulation}")
 
     def step(self, step: Step) -> None:
-        """An iteration has ended."""
-        self._pace(step)
-        text = f"{self._name}: {self._pace.text()}"
+        """An iteration of the solve has ended."""
+        solve = self._solve
+        if solve is None:
+            return
+        limits = Limits.of(solve.options.get("limits"))
+        of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
+        text = f"{solve.name} {solve.formulation}: {pace(step, limits, of_energy=of_energy)}"
         self._bar.update(self._task, description=text)
         if not self._console.is_terminal and self._said.elapsed > EVERY_S:
             self._said = Budget()
@@ -123,43 +124,22 @@ def _change(what: str, before: float | None, after: float | None, form: str) -> 
     return text
 
 
-class Pace:
-    """Follows the steps of one solve: its gain, its residual, and what is left of its limits.
+def pace(step: Step, limits: Limits, *, of_energy: bool = True) -> str:
+    """One line about a step of a solve: its gain, its residual, and what is left of the limits.
 
-    Of another objective than the energy it follows the objective.
+    Of another objective than the energy it has the objective.
     """
-
-    def __init__(self, limits: Limits | None = None, *, of_energy: bool = True) -> None:
-        self._limits, self._of_energy = limits or Limits(), of_energy
-        self._step: Step | None = None
-        self._given = math.nan
-
-    def __call__(self, step: Step) -> None:
-        """Note a step."""
-        self._step = step
-        if not self._of_energy:
-            if math.isnan(self._given) and math.isfinite(step.objective):
-                self._given = step.objective
-        elif math.isfinite(step.energy_given):  # on the mesh of this step, before any node moved
-            self._given = step.energy_given
-        elif math.isnan(self._given) and math.isfinite(step.energy):
-            self._given = step.energy
-
-    def text(self) -> str:
-        """One line about the last step."""
-        step, most = self._step, self._limits.iterations
-        if step is None:
-            return ""
-        parts = [f"iteration {step.iteration}" + ("" if most is None else f" of {most} at most")]
-        if not self._of_energy and math.isfinite(step.objective):
-            parts.append(f"objective {self._given:.6g} -> {step.objective:.6g}")
-        elif self._of_energy and math.isfinite(step.energy):
-            parts += [f"J = {step.energy:.6g}", f"gain {self._given - step.energy:.3g}"]
-        if not math.isnan(_residual(step)):
-            parts.append(f"residual {_residual(step):.1e}")
-        if math.isfinite(self._limits.seconds):
-            parts.append(f"{_words(step.seconds)} of {_words(self._limits.seconds)} at most")
-        return ", ".join(parts)
+    most = limits.iterations
+    parts = [f"iteration {step.iteration}" + ("" if most is None else f" of {most} at most")]
+    if not of_energy and math.isfinite(step.objective):
+        parts.append(f"objective {step.objective_given:.6g} -> {step.objective:.6g}")
+    elif of_energy and math.isfinite(step.energy):
+        parts += [f"J = {step.energy:.6g}", f"gain {step.energy_given - step.energy:.3g}"]
+    if not math.isnan(_residual(step)):
+        parts.append(f"residual {_residual(step):.1e}")
+    if math.isfinite(limits.seconds):
+        parts.append(f"{_words(step.seconds)} of {_words(limits.seconds)} at most")
+    return ", ".join(parts)
 
 
 def _residual(step: Step) -> float:
