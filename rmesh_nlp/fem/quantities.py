@@ -215,7 +215,7 @@ def of_design(value: ca.SX, *, name: str = "design") -> Objective:
         for variable in names:
             if design is None or variable not in design.names:
                 raise ValueError(f"{name}: {variable!r} is no design variable")
-        local = constant_field(np.zeros((1, 1))) if design is None else design.of(names, 1)
+        local = design.of(names, 1) if design is not None and names else constant_field(np.zeros((1, 1)))
         symbols = ca.vertcat(*map(symbol, names)) if names else ca.SX.sym("none")
         function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
         return [element_group(function, on.positions, (local,))]

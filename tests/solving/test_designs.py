@@ -120,6 +120,14 @@ def test_unknown_names_in_a_quantity() -> None:
         rm.solve(column(LIFT), "nested", objective="design(lfit)")
 
 
+def test_an_expression_of_a_design_may_be_a_number() -> None:
+    values = [
+        rm.Outer.of(column(LIFT), f"design({text})").function(np.zeros(1)).value
+        for text in ("3", "0*lift + 2")
+    ]
+    assert values == [3.0, 2.0]
+
+
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
