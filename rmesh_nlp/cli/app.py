@@ -9,7 +9,7 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp.cli.commands import app
-from rmesh_nlp.errors import INTERRUPTED, BadInputError, InterruptedSolveError
+from rmesh_nlp.errors import INTERRUPTED, BadInputError, InterruptedSolveError, one_line
 
 BAD_INPUT = 2
 
@@ -26,7 +26,7 @@ def run(arguments: list[str]) -> int:
             raise KeyboardInterrupt
         return code
     except ClickException as error:
-        return _complain(" ".join(error.format_message().split()))
+        return _complain(f"{one_line(error.format_message())}{_got(error.__cause__)}")
     except (BadInputError, OSError) as error:
         return _complain(str(error))
     except InterruptedSolveError as error:
@@ -35,6 +35,11 @@ def run(arguments: list[str]) -> int:
     except (KeyboardInterrupt, typer.Abort):
         print("rmesh: interrupted", file=sys.stderr)
         return INTERRUPTED
+
+
+def _got(cause: Any) -> str:
+    """The value that pydantic refused: newer versions of typer, which use it, do not name it."""
+    return f", got {cause.errors()[0]['input']!r}" if hasattr(cause, "errors") else ""
 
 
 def _complain(message: str) -> int:

@@ -100,7 +100,7 @@ def solve(
         Option("--figures/--no-figures", help="Draw before and after to DIR/figures (for a problem file)."),
     ] = True,
     columns: o.Columns = 2,
-) -> None:
+) -> int:
     """Solve one example, or the problem of a file, by one formulation.
 
     Writes DIR/record.json, DIR/solution.vtu and DIR/history.csv; for a problem file also the
@@ -119,13 +119,13 @@ def solve(
     """
     given, voice = o.keywords(context.params), _voice(json, quiet)
     if not example.endswith(".toml"):
-        raise typer.Exit(load("cli.solving").solve(example, formulation or "joint", given, out, voice))
+        return load("cli.solving").solve(example, formulation or "joint", given, out, voice)
     for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
         if value is not None:
             raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
     work, columns = load("cli.solving").solve_file, columns if figures else 0
     asked = formulation, given["options"], given.get("order")
-    raise typer.Exit(work(Path(example), *asked, certify, out, voice, columns))
+    return work(Path(example), *asked, certify, out, voice, columns)
 
 
 @app.command()
@@ -146,7 +146,7 @@ def check(
     rmesh check study.toml
     rmesh check my.toml --picture roles.pdf
     """
-    raise typer.Exit(load("cli.preparing").check(file, picture, o.parse_order(order)))
+    load("cli.preparing").check(file, picture, order)
 
 
 @app.command()
@@ -160,7 +160,7 @@ def advise(file: o.File, order: o.Order = None, json: o.Json = False) -> None:
     rmesh advise my.toml
     rmesh advise my.toml --json
     """
-    raise typer.Exit(load("cli.preparing").advise(file, o.parse_order(order), json))
+    load("cli.preparing").advise(file, order, json)
 
 
 @app.command()
@@ -184,7 +184,7 @@ def remesh(
     \b
     rmesh remesh my.toml --nodes 2000 --out better.msh
     """
-    raise typer.Exit(load("cli.preparing").remesh(file, nodes, out, o.parse_order(order)))
+    load("cli.preparing").remesh(file, nodes, out, order)
 
 
 @app.command()
@@ -198,7 +198,7 @@ def new(
     rmesh new my.toml
     rmesh new --study study.toml
     """
-    raise typer.Exit(load("cli.preparing").new(file, study))
+    load("cli.preparing").new(file, study)
 
 
 @app.command()
@@ -216,7 +216,7 @@ def study(
     ] = False,
     json: o.Json = False,
     quiet: o.Quiet = False,
-) -> None:
+) -> int:
     """Solve every problem of a study by every formulation: many solves, one row each.
 
     Writes rows to DIR/rows, one file per worker, and fields to DIR/solutions. Run the same command
@@ -231,8 +231,9 @@ def study(
     """
     work, voice = load("cli.study"), _voice(json, quiet)
     if dry_run:
-        raise typer.Exit(work.dry_run(file, out, jobs, voice))
-    raise typer.Exit(work.study(file, out, jobs, scheduler, retry_failed, voice))
+        work.dry_run(file, out, jobs, voice)
+        return 0
+    return work.study(file, out, jobs, scheduler, retry_failed, voice)
 
 
 @app.command()
@@ -274,7 +275,7 @@ def compare(
     json: o.Json = False,
     quiet: o.Quiet = False,
     verbose: o.Verbose = False,
-) -> None:
+) -> int:
     """Compare formulations: solve, table and draw.
 
     Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
@@ -291,7 +292,7 @@ def compare(
     names, chosen = tuple(dict.fromkeys(examples or ())), o.parse_names(formulations)
     given, voice = o.keywords(context.params), _voice(json, quiet)
     work = load("cli.solving").compare
-    raise typer.Exit(work(names, chosen, given, out, resume, jobs, voice, figures, verbose))
+    return work(names, chosen, given, out, resume, jobs, voice, figures, verbose)
 
 
 @app.command()
@@ -311,14 +312,14 @@ def table(folder: o.Folder, verbose: o.Verbose = False) -> None:
 @app.command(
     add_help_option=False, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
 )
-def mpcc(context: typer.Context) -> None:
+def mpcc(context: typer.Context) -> int:
     """Solve mathematical programs with complementarity constraints from files.
 
     \b
     rmesh mpcc --help
     rmesh mpcc problem.nl
     """
-    raise typer.Exit(load("mpcc.__main__").main(context.args))
+    return load("mpcc.__main__").main(context.args)
 
 
 @app.command()
@@ -348,7 +349,7 @@ def reproduce(
     rmesh reproduce --out reproduction
     rmesh reproduce --quick --out reproduction
     """
-    raise typer.Exit(load("cli.reporting").reproduce(out, quick, quiet))
+    load("cli.reporting").reproduce(out, quick, quiet)
 
 
 @app.command()
@@ -379,7 +380,7 @@ def figures(
     rmesh figures results --format pdf
     rmesh figures results/my --columns 1
     """
-    raise typer.Exit(load("cli.reporting").figures(folder, columns, format))
+    load("cli.reporting").figures(folder, columns, format)
 
 
 def _voice(json: bool, quiet: bool) -> str:

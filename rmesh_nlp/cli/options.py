@@ -5,11 +5,9 @@ Nothing heavy is imported here. What depends on the problem (an odd number of co
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from typer import Argument, Option
 
@@ -32,16 +30,20 @@ Delta = Annotated[
     ),
 ]
 Order = Annotated[
-    str | None,
+    int | None,
     Option(
         "--order",
+        min=1,
+        max=2,
         metavar="1|2",
         help="Displacements: 1 linear on each triangle, 2 quadratic. Default: 1; of a file its own.",
     ),
 ]
 Seed = Annotated[
-    str | None,
-    Option("--seed", metavar="NUMBER", help="Start from random node positions instead of the given mesh."),
+    int | None,
+    Option(
+        "--seed", min=0, metavar="NUMBER", help="Start from random node positions instead of the given mesh."
+    ),
 ]
 Quadrature = Annotated[
     str | None,
@@ -71,11 +73,12 @@ Objectives = Annotated[
     ),
 ]
 Seeds = Annotated[
-    list[str] | None,
+    list[int] | None,
     Option(
         "--seed",
-        metavar="N[,N...]",
-        help="Start from random node positions; several seeds, or the option repeated, in one table.",
+        min=0,
+        metavar="NUMBER",
+        help="Start from random node positions; given several times, all of them stand in one table.",
     ),
 ]
 Regularisation = Annotated[
@@ -95,9 +98,7 @@ Remesh = Annotated[
         "absolute move limits. Needs mmgpy.",
     ),
 ]
-Nodes = Annotated[
-    int | None, Option("--nodes", min=3, metavar="N", help="With --remesh: nodes of the new mesh.")
-]
+Nodes = Annotated[int | None, Option("--nodes", min=3, metavar="N", help="--remesh with so many nodes.")]
 Starts = Annotated[
     int | None,
     Option(
@@ -177,77 +178,10 @@ Figures = Annotated[
     Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),
 ]
 
-HIGHEST_DEGREE = 50  # rules above it have so many points that building the energy takes minutes
-
-
-def parse_size(text: str) -> int | tuple[int, int]:
-    """``8`` or ``12x6``, columns by rows."""
-    if not re.fullmatch(r"[0-9]+([xX][0-9]+)?", text.strip()):
-        raise BadInputError(f"--n must be a whole number or two like 12x6, got {text!r}")
-    numbers = [int(part) for part in re.split("[xX]", text)]
-    if min(numbers) < 2:
-        raise BadInputError(f"--n must be at least 2 in each direction, got {text!r}")
-    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
-
-
-def parse_delta(text: str) -> float | tuple[float, float] | Literal["none"]:
-    """``0.0275`` or ``0.15667,0.07333``, half-widths along x and y, or ``none``."""
-    if text.strip() == "none":
-        return "none"
-    parts = text.split(",")
-    if len(parts) > 2:
-        raise BadInputError(f"--delta takes one number or two, got {len(parts)}: {text!r}")
-    try:
-        numbers = [float(part) for part in parts]
-    except ValueError:
-        said = "--delta must be a number, two like 0.15667,0.07333, or none"
-        raise BadInputError(f"{said}, got {text!r}") from None
-    if not all(math.isfinite(number) and number > 0 for number in numbers):
-        raise BadInputError(f"--delta must be positive and finite, got {text!r}")
-    return numbers[0] if len(numbers) == 1 else (numbers[0], numbers[1])
-
-
-def parse_order(text: str | None) -> int | None:
-    """``1`` or ``2``; None for that of the file."""
-    if text not in (None, "1", "2"):
-        raise BadInputError(
-            f"--order must be 1 for linear displacements or 2 for quadratic ones, got {text!r}"
-        )
-    return None if text is None else int(text)
-
 
 def parse_quadrature(text: str) -> str | int:
     """``midpoint`` or a degree."""
-    if text == "midpoint":
-        return text
-    if not re.fullmatch("[0-9]+", text) or not 1 <= int(text) <= HIGHEST_DEGREE:
-        raise BadInputError(
-            f"--quadrature must be 'midpoint' or a degree from 1 to {HIGHEST_DEGREE}, got {text!r}"
-        )
-    return int(text)
-
-
-def parse_seeds(given: str | list[str]) -> int | list[int]:
-    """A whole number that is not negative; of a list several, also separated by commas."""
-    texts = [given] if isinstance(given, str) else [text.strip() for text in ",".join(given).split(",")]
-    for text in texts:
-        if not re.fullmatch("[0-9]+", text):
-            raise BadInputError(f"--seed must be a whole number and not negative, got {text!r}")
-    return int(texts[0]) if len(texts) == 1 else [int(text) for text in texts]
-
-
-def parse_weights(text: str) -> tuple[float, ...]:
-    """``0.01`` or a schedule ``1,0.1,0.01``."""
-    try:
-        weights = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        weights = (math.nan,)
-    if not all(math.isfinite(w) and w >= 0 for w in weights) or 0 in weights[:-1]:
-        raise BadInputError(
-            "--regularisation must be positive numbers such as 1,0.1,0.01, of which the last may be 0, "
-            f"got {text!r}"
-        )
-    return weights
+    return int(text) if text.isdecimal() else text
 
 
 def parse_names(text: str) -> tuple[str, ...]:
@@ -259,12 +193,7 @@ def parse_names(text: str) -> tuple[str, ...]:
 
 
 PARSERS: dict[str, Callable[[Any], Any]] = {
-    "n": parse_size,
-    "delta": parse_delta,
-    "order": parse_order,
     "quadrature": parse_quadrature,
-    "seed": parse_seeds,
-    "regularisation": parse_weights,
     "settings": from_texts,
 }
 
@@ -288,16 +217,13 @@ OPTIONS = (
 
 def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
-    typed = dict(typed)
-    if (nodes := typed.pop("nodes", None)) is not None:
-        if not typed.get("remesh"):
-            raise BadInputError(f"--nodes {nodes} is for --remesh")
-        typed["remesh"] = nodes
     given = {
         name: PARSERS[name](value) if name in PARSERS else value
         for name, value in typed.items()
         if not (value is None or value is False or value in ([], ()))
     }
+    if "nodes" in given:
+        given["remesh"] = given["nodes"]
     chosen = {**given.get("settings", {}), **{name: given[name] for name in OPTIONS if name in given}}
     if limits := {field: given[name] for name, field in LIMITS.items() if name in given}:
         chosen["limits"] = {**chosen.get("limits", {}), **limits}

@@ -14,7 +14,6 @@ from rich.console import Console
 from skfem import MeshTri
 
 from rmesh_nlp.cli import load
-from rmesh_nlp.cli.folders import SUCCESS
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure, rich_table
@@ -38,7 +37,7 @@ from rmesh_nlp.study.study_file import is_study
 from rmesh_nlp.study.study_file import template as study_template
 
 
-def new(path: Path, study: bool) -> int:
+def new(path: Path, study: bool) -> None:
     """Write a commented template; an existing file is never replaced."""
     if study:
         name = safe_name(path.stem)
@@ -55,15 +54,15 @@ def new(path: Path, study: bool) -> int:
     except OSError as error:
         raise BadInputError(f"cannot write {path}: {error.strerror}") from error
     print(f"wrote {path}; next: {following}")
-    return SUCCESS
 
 
-def check(path: Path, picture: Path | None = None, order: int | None = None) -> int:
+def check(path: Path, picture: Path | None = None, order: int | None = None) -> None:
     """Validate a problem file, print what it says, draw the mesh with roles and motion; or a study."""
     if is_study(path):
         if order is not None:
             raise BadInputError(f"--order {order} is for problem files: write it into {path}")
-        return load("cli.study").check(path)
+        load("cli.study").check(path)
+        return
     problem = load_problem(path, order)
     _, asked = solve_options(path, None, {})
     parts = discretise(problem)
@@ -88,10 +87,9 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     except (OSError, ValueError) as error:
         raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
     print(f"drew {target}")
-    return SUCCESS
 
 
-def advise(path: Path, order: int | None = None, json: bool = False) -> int:
+def advise(path: Path, order: int | None = None, json: bool = False) -> None:
     """Print what moving nodes, a new mesh and refinement can attain for the problem of a file."""
     problem = _first_design(path, load_problem(path, order, says=not json), says=not json)
     with located(path):
@@ -100,10 +98,9 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> int:
         print(to_json(estimates.record()))
     else:
         Console().print(rich_table(f"{path}: which mesh?", estimates.rows()))
-    return SUCCESS
 
 
-def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> int:
+def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> None:
     """Write a mesh that suits the solution of the problem of a file."""
     if not out.parent.is_dir():
         raise BadInputError(f"cannot write {out}: there is no folder {str(out.parent)!r}")
@@ -127,7 +124,6 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
         ("least angle", f"{np.min(least_angles(np.asarray(mesh.p), made.problem.triangles)):.3g} degrees"),
     ]
     Console().print(rich_table(f"wrote {out}", rows))
-    return SUCCESS
 
 
 def _first_design(path: Path, problem: ContactProblem, *, says: bool = True) -> ContactProblem:

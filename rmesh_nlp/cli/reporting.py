@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rmesh_nlp.cli.folders import SUCCESS, read_quietly, writable
+from rmesh_nlp.cli.folders import read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.io import kept_problem
@@ -35,7 +35,7 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
             print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 
 
-def figures(folder: Path, columns: int, kind: str) -> int:
+def figures(folder: Path, columns: int, kind: str) -> None:
     """Draw what is in a folder again; of a problem file before and after."""
     if kind not in FORMATS:
         raise unknown("format", kind, FORMATS)
@@ -46,9 +46,8 @@ def figures(folder: Path, columns: int, kind: str) -> int:
             with writable(folder) as results:
                 paths = draw_solution(results, kept, Page(columns, kind))
             print(f"{len(paths)} files in {folder / 'figures'}")
-            return SUCCESS
+            return
     draw_study(folder, kind=kind)
-    return SUCCESS
 
 
 def draw_study(folder: Path, voice: str = "text", kind: str = "png") -> None:
@@ -93,7 +92,7 @@ def export(folder: Path, path: Path) -> None:
     print(f"wrote {path}: {len(table)} rows")
 
 
-def reproduce(out: Path, quick: bool, quiet: bool) -> int:
+def reproduce(out: Path, quick: bool, quiet: bool) -> None:
     """Derive the statements about the paper again and write their page."""
 
     def say(text: str) -> None:
@@ -107,4 +106,3 @@ def reproduce(out: Path, quick: bool, quiet: bool) -> int:
         for row in statements:
             print(f"{row.example}, {row.what}: printed {row.printed}, here {row.ours} {row.outcome}".rstrip())
         print("wrote", ", ".join(map(str, paths)))
-    return SUCCESS

@@ -53,7 +53,7 @@ def study(
     return SUCCESS if good + refused == len(ours) and good else NO_SUCCESS
 
 
-def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
+def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> None:
     """Print what a study would do, as JSON with its keys or in short."""
     stated = read_study(path)
     plan = make_plan(stated, path)
@@ -72,16 +72,14 @@ def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> int:
         print(json.dumps(content))
     else:
         print_plan(plan, todo, jobs, out)
-    return SUCCESS
 
 
-def check(path: Path) -> int:
+def check(path: Path) -> None:
     """Validate a study file and print its plan in short."""
     stated = read_study(path)
     plan = make_plan(stated, path)
     print(f"{path}: study {stated.name or path.stem!r} is in order")
     print_plan(plan, plan, 1)
-    return SUCCESS
 
 
 def print_plan(

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
-from typing import Literal
+from numbers import Integral
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,8 +31,11 @@ from rmesh_nlp.problem import (
     Units,
 )
 
-Size = int | tuple[int, int]
-Delta = float | tuple[float, float] | Literal["none"]
+Size = int | tuple[int, int] | str
+"""``8``, ``(12, 6)`` or ``"12x6"``, columns by rows."""
+
+Delta = float | tuple[float, float] | str
+"""``0.02``, ``(0.02, 0.01)``, ``"0.02,0.01"`` along x and y, or ``"none"``."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +125,7 @@ def example_61(n: Size = 8, delta: Delta | None = None, order: int = 1) -> Conta
 
     Parameters
     ----------
-    n : int or (int, int)
+    n : int, (int, int) or "12x6"
         Squares per side, each cut from lower left to upper right.
     delta : float, (float, float) or "none", optional
         Half-widths of the move limits, in units of length; by default the paper's, scaled with the mesh
@@ -134,7 +137,7 @@ def example_61(n: Size = 8, delta: Delta | None = None, order: int = 1) -> Conta
     -----
     The printed source (6.1) is misprinted; f is derived from the exact solution (6.2).
     """
-    nx, ny = _size(n)
+    nx, ny = as_size(n)
     mesh = rectangle(nx, ny, diagonal="rising")
     names = {"left": "left", "bottom": "bottom", "top": "top", "contact": "right"}
     mesh = replace(mesh, _boundaries={name: mesh.boundaries[side] for name, side in names.items()})
@@ -176,7 +179,7 @@ def _elastic(
     traction: tuple[float, float],
     friction: float,
 ) -> ContactProblem:
-    nx, ny = _size(n)
+    nx, ny = as_size(n)
     if nx % 2:
         raise ValueError(f"{name}: the load begins at x = 2, so the number of columns must be even, got {nx}")
     if bottom * ny >= 1:
@@ -215,11 +218,15 @@ EXAMPLES = _Examples({"6.1": example_61, "6.2": example_62, "6.3": example_63})
 """The paper's examples by number; each takes ``n``, ``delta`` and ``order``."""
 
 
-def _size(n: Size) -> tuple[int, int]:
-    pair = tuple(n) if isinstance(n, (tuple, list)) else (n, n)
-    if len(pair) != 2 or any(not isinstance(k, Integral) or k < 2 for k in pair):
-        raise ValueError(f"the size must be a whole number of at least 2, or two of them, got {n!r}")
-    return int(pair[0]), int(pair[1])
+def as_size(n: Size) -> tuple[int, int]:
+    """Columns and rows of ``8``, ``(12, 6)`` or ``"12x6"``."""
+    numbers: Any = n
+    if isinstance(n, str):
+        numbers = [int(part) if part.isdecimal() else part for part in n.lower().split("x")]
+    pair = tuple(numbers) if isinstance(numbers, (tuple, list)) else (numbers,)
+    if len(pair) > 2 or any(not isinstance(k, Integral) or k < 2 for k in pair):
+        raise ValueError(f"the size must be a whole number of at least 2, or two such as 12x6, got {n!r}")
+    return int(pair[0]), int(pair[-1])
 
 
 def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float, float] | None:
@@ -228,7 +235,12 @@ def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float
     paper = PAPER[name]
     if delta is None:
         return (paper.delta[0] * paper.size[0] / size[0], paper.delta[1] * paper.size[1] / size[1])
-    pair = tuple(delta) if isinstance(delta, (tuple, list)) else (delta, delta)
-    if len(pair) != 2 or any(not isinstance(value, Real) for value in pair):
-        raise ValueError(f"delta must be a number, or two of them, got {delta!r}")
-    return float(pair[0]), float(pair[1])
+    given: Any = delta.split(",") if isinstance(delta, str) else delta
+    pair = tuple(given) if isinstance(given, (tuple, list)) else (given,)
+    try:
+        numbers = [float(value) for value in pair]
+    except (TypeError, ValueError):
+        numbers = []
+    if len(numbers) not in (1, 2):
+        raise ValueError(f"delta must be a number, two of them, or none, got {delta!r}")
+    return numbers[0], numbers[-1]

@@ -30,7 +30,6 @@ from rmesh_nlp.io.problem_values import (
     ObjectiveText,
     Pair,
     Points,
-    Quadrature,
     Scalar,
     Seed,
     Text,
@@ -288,7 +287,7 @@ class ProblemTable(Table):
 
     name: Text | None = None
     order: SkipValidation[int] = 1
-    quadrature: Quadrature = "auto"
+    quadrature: SkipValidation[str | int] = "auto"
     mesh: MeshTable
     boundaries: dict[str, Condition] = Field(default_factory=dict)
     subdomains: dict[str, Condition] = Field(default_factory=dict)

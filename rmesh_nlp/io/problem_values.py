@@ -172,10 +172,6 @@ Given = Annotated[Any, BeforeValidator(_given), expected(COMPONENTS)]
 Condition = Annotated[
     Any, BeforeValidator(_condition), expected("a condition on x and y such as 'y == 1 and x > 2'")
 ]
-Quadrature = Annotated[
-    Literal["auto", "midpoint"] | Annotated[_Whole, Field(ge=1, le=50)],
-    expected("'auto', 'midpoint' or a degree from 1 to 50"),
-]
 Delta = Annotated[
     _Real | _Two | _Relative | None,
     BeforeValidator(lambda value: None if value == "none" else value),

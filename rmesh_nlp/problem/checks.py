@@ -13,7 +13,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import members_of
-from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.coefficients import MIDPOINT, Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.obstacle import NO_NORMAL, Place
@@ -34,6 +34,9 @@ ORDERS = (1, 2)
 HIGHEST_DEGREE = 19
 """Highest degree of scikit-fem's rules for triangles; its points stand for those of higher ones."""
 
+RULE_NAMES, LARGEST_DEGREE = ("auto", MIDPOINT), 50
+"""What a quadrature rule may be. Of higher degrees the points are so many that an energy takes minutes."""
+
 LEAST_DEGREE_ON_EDGES = 4
 """That of the rule for tractions."""
 
@@ -42,6 +45,10 @@ def check(problem: ProblemData) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
     if type(problem.order) is not int or problem.order not in ORDERS:
         raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
+    rule = problem.quadrature
+    if rule not in RULE_NAMES and not (type(rule) is int and 1 <= rule <= LARGEST_DEGREE):
+        said = f"quadrature must be 'auto', 'midpoint' or a degree from 1 to {LARGEST_DEGREE}, got {rule!r}"
+        raise ProblemError("quadrature", said)
     _check_mesh(problem)
     check_names(problem)
     _check_laws(problem)

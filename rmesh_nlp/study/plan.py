@@ -198,24 +198,24 @@ def _variants(
     for variant, table in study.formulations.items():
         formulation = table.formulation or variant
         for objective, seed in product(objectives, study.seeds):
-            common = {"objective": None if objective == "energy" else objective, "seed": seed}
-            common = {name: value for name, value in common.items() if value is not None}
+            common: dict[str, Any] = {"limits": limits}
+            common |= {} if objective == "energy" else {"objective": objective}
+            common |= {} if seed == "given" else {"seed": seed}
             with located(f"{path}: formulations.{variant}"):
-                taken = taken_of(formulation, {**common, "limits": limits})
-                options = checked(formulation, {**taken, **table.keywords})
+                options = checked(formulation, {**taken_of(formulation, common), **table.keywords})
             yield variant, formulation, options
 
 
 def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:
     """What states each problem, its name, family and size."""
     for name in study.examples:
-        sizes = study.sizes.get(name, (None,)) if isinstance(study.sizes, dict) else study.sizes or (None,)
-        for size, order in product(sizes, study.order or (1,)):
+        sizes = study.sizes.get(name, ()) if isinstance(study.sizes, dict) else study.sizes
+        for size, order in product(sizes or (None,), study.order or (1,)):
             stated = {"kind": "example", "example": name, "quadrature": study.quadrature or RULES[order]}
             stated |= ({} if size is None else {"n": size}) | _order(order)
-            with located(f"{path}: {'sizes' if name in EXAMPLES else 'examples'}"):
-                size = _problem(stated).size
-            yield stated, name, name, size
+            with located(path):
+                built = _problem(stated)
+            yield stated, name, name, built.size
     for text in study.files:
         file = path.parent / text
         table = read_table(file)

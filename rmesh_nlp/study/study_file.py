@@ -2,76 +2,40 @@
 
 from __future__ import annotations
 
-import re
 from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
     Field,
     JsonValue,
+    SkipValidation,
     ValidationError,
     model_validator,
 )
 
+from rmesh_nlp.examples.paper import as_size
 from rmesh_nlp.io.problem_file import read_toml
 from rmesh_nlp.io.problem_messages import schema_errors
 from rmesh_nlp.io.problem_schema import Table
-from rmesh_nlp.io.problem_values import LARGEST, Context, ObjectiveText, Quadrature, Seed, Text, expected
+from rmesh_nlp.io.problem_values import LARGEST, Context, Flag, ObjectiveText, Seed, Text, as_list, expected
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
 
-Count = Annotated[int, Field(strict=True, ge=1, le=10_000), expected("a whole number from 1 to 10000")]
-Positive = Annotated[
-    float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False), expected("a positive number")
-]
+
+def _once(values: tuple[Any, ...]) -> tuple[Any, ...]:
+    return tuple(dict.fromkeys(values))
 
 
-def _size(value: Any) -> tuple[int, int] | int:
-    """``8`` or ``"12x6"``."""
-    if isinstance(value, int) and not isinstance(value, bool) and 2 <= value <= 1000:
-        return value
-    if isinstance(value, str) and re.fullmatch(r"[0-9]{1,4}x[0-9]{1,4}", value):
-        nx, ny = map(int, value.split("x"))
-        if min(nx, ny) >= 2:
-            return nx, ny
-    raise ValueError("expected sizes such as 8 or '12x6', of at least 2")
-
-
-def _sizes(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {name: tuple(_size(item) for item in _items(sizes)) for name, sizes in value.items()}
-    return tuple(_size(item) for item in _items(value))
-
-
-def _items(value: Any) -> list[Any]:
-    if not isinstance(value, list) or not value:
-        raise ValueError("expected a list such as [1, 2]")
-    return value
-
-
-def _seeds(value: Any) -> tuple[int | None, ...]:
-    seeds: list[int | None] = []
-    for item in _items(value):
-        if item == "given":
-            seeds.append(None)
-        elif isinstance(item, int) and not isinstance(item, bool) and item >= 0:
-            seeds.append(item)
-        else:
-            raise ValueError("expected seeds such as ['given', 1, 2]")
-    return tuple(dict.fromkeys(seeds))
-
-
-def _orders(value: Any) -> tuple[int, ...]:
-    """``2`` or ``[1, 2]``."""
-    items = value if isinstance(value, list) else [value]
-    if not items or any(type(item) is not int or item not in (1, 2) for item in items):
-        raise ValueError("expected 1 for linear displacements, 2 for quadratic ones, or [1, 2]")
-    return tuple(dict.fromkeys(items))
+def _size(value: Any) -> Any:
+    """A text as columns and rows; a number is what it is in the keys of solves."""
+    as_size(value)
+    return as_size(value) if isinstance(value, str) else value
 
 
 def _formulations(value: Any) -> Any:
@@ -83,13 +47,27 @@ def _formulations(value: Any) -> Any:
     return value
 
 
-def _texts(value: Any) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(item, str) and item for item in value):
-        raise ValueError("expected a list of texts")
-    return tuple(dict.fromkeys(value))
-
-
-Texts = Annotated[tuple[str, ...], BeforeValidator(_texts)]
+Count = Annotated[int, Field(strict=True, ge=1, le=10_000), expected("a whole number from 1 to 10000")]
+Positive = Annotated[
+    float, Field(strict=True, gt=0, lt=LARGEST, allow_inf_nan=False), expected("a positive number")
+]
+Texts = Annotated[tuple[Text, ...], AfterValidator(_once), expected("a list of texts")]
+Objectives = Annotated[tuple[ObjectiveText, ...], AfterValidator(_once), expected("a list of texts")]
+_Sizes = Annotated[tuple[Annotated[Any, BeforeValidator(_size)], ...], Field(min_length=1)]
+Sizes = Annotated[_Sizes | dict[str, _Sizes], expected("sizes such as [8, '12x6'] or { '6.1' = [8] }")]
+Orders = Annotated[
+    tuple[Annotated[int, Field(strict=True, ge=1, le=2)], ...],
+    BeforeValidator(as_list),
+    Field(min_length=1),
+    AfterValidator(_once),
+    expected("1 for linear displacements, 2 for quadratic ones, or [1, 2]"),
+]
+Seeds = Annotated[
+    tuple[Literal["given"] | Annotated[int, Field(strict=True, ge=0)], ...],
+    Field(min_length=1),
+    AfterValidator(_once),
+    expected("seeds such as ['given', 1, 2]"),
+]
 
 
 class RandomTable(Table):
@@ -130,15 +108,15 @@ class StudyTable(Table):
     examples: Texts = ()
     files: Texts = ()
     random: RandomTable | None = None
-    sizes: Annotated[Any, BeforeValidator(_sizes)] = None
-    order: Annotated[tuple[int, ...], BeforeValidator(_orders)] = ()
-    quadrature: Quadrature | None = None
+    sizes: Sizes = ()
+    order: Orders = ()
+    quadrature: SkipValidation[str | int | None] = None
     formulations: Annotated[dict[str, FormulationTable], BeforeValidator(_formulations)]
-    objectives: Annotated[tuple[ObjectiveText, ...], BeforeValidator(_texts)] = ("energy",)
-    seeds: Annotated[Any, BeforeValidator(_seeds)] = (None,)
+    objectives: Objectives = ("energy",)
+    seeds: Seeds = ("given",)
     repeats: Count = 1
-    fields: bool = True
-    certify: bool = False
+    fields: Flag = True
+    certify: Flag = False
     limits: LimitsTable = Field(default_factory=LimitsTable)
 
     @model_validator(mode="after")

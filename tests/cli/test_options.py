@@ -40,7 +40,7 @@ MEANT = {
 def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[PlannedSolve]) -> None:
     for typed in (
         f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
-        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --remesh --nodes 40",
+        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --nodes 40",
         "6.2 -f nested --starts 2",
     ):
         assert rmesh(f"solve {typed}").code == 130
@@ -50,12 +50,12 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
     assert mpcc.identity["quadrature"] == 5
     assert (joint.formulation, joint.size, joint.certify) == ("joint", "4x2", False)
     assert joint.identity["delta"] is None
-    assert joint.options == {"regularisation": (1.0, 0.1), "remesh": 40}
+    assert joint.options == {"regularisation": "1,0.1", "remesh": 40}
     assert nested.options == {"starts": 2}
 
 
 def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSolve]) -> None:
-    typed = "compare 6.1 --formulations joint,fixed --n 3 --seed 1 --seed 2,3 --repeats 2"
+    typed = "compare 6.1 --formulations joint,fixed --n 3 --seed 1 --seed 2 --seed 3 --repeats 2"
     assert rmesh(typed).code == 130
     (first,) = plans
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
@@ -70,7 +70,7 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
     [
         (True, "", "joint", IN_FILE),
         (True, f"-f nested {TYPED_TOO}", "nested",
-         {"regularisation": (0.5,), "remesh": 50, "seed": 0, "objective": "quality",
+         {"regularisation": "0.5", "remesh": 50, "seed": 0, "objective": "quality",
           "limits": {"seconds": 9.0}}),
         # a formulation without iterations needs no limits
         (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
@@ -123,15 +123,15 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve 6.2 --n 12x1", "'12x1'"),
         ("solve 6.2 --n 7x6", "7"),
         ("solve 6.1 --delta -1", "-1"),
-        ("solve 6.1 --delta 1,2,3", "1,2,3"),
+        ("solve 6.1 --delta 1,2,3", "'1,2,3'"),
         ("solve 6.1 --seed -1", "-1"),
         ("solve 6.1 --seed 1,2", "1,2"),
         ("solve 6.1 -f fixed --seed 1", "not an option of fixed"),
         ("solve 6.1 -f fixed --starts 1", "starts"),
-        ("solve 6.1 --order 0", "--order must be 1 for linear displacements or 2 for quadratic ones"),
-        ("check my.toml --order 3", "'3'"),
+        ("solve 6.1 --order 0", "'--order'"),
+        ("check my.toml --order 3", "3"),
         ("advise my.toml --order true", "'true'"),
-        ("solve 6.1 --quadrature 0", "'0'"),
+        ("solve 6.1 --quadrature 0", "quadrature must be 'auto', 'midpoint' or a degree from 1 to 50, got 0"),
         ("solve 6.1 --out ''", "--out needs the name of a folder"),
         ("solve 6.1 --objective energie", "energie"),
         ("solve 6.1 --objective error-l2", "error-l2"),

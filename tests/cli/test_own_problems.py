@@ -217,11 +217,6 @@ def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) ->
     assert Path("own.msh").read_bytes() == given
 
 
-def test_a_number_of_nodes_needs_a_new_mesh(rmesh, block: Path) -> None:
-    said = rmesh("solve block.toml --nodes 60")
-    assert (said.code, "--nodes 60 is for --remesh" in said.err) == (2, True)
-
-
 FITTED = """
 [mesh]
 shape = "rectangle"

@@ -56,11 +56,13 @@ def test_move_limits_follow_the_mesh_width_unless_given() -> None:
         EXAMPLES["6.4"]
     assert EXAMPLES["6.1"]((16, 4)).motion.delta == pytest.approx((0.01375, 0.055))
     assert EXAMPLES["6.2"]((6, 12)).motion.delta == pytest.approx((0.31334, 0.036665))
+    assert EXAMPLES["6.1"]("16x4").motion == EXAMPLES["6.1"]((16, 4)).motion
+    assert EXAMPLES["6.1"](4, "0.1,0.2").motion.delta == (0.1, 0.2)
     assert EXAMPLES["6.1"](4, 0.01).motion.delta == (0.01, 0.01)
     assert EXAMPLES["6.3"]((4, 2), (0.1, 0.2)).motion.delta == (0.1, 0.2)
     assert EXAMPLES["6.1"](4, "none").motion.delta is None
     for bad in ("x", (1, 2, 3)):
-        with pytest.raises(ValueError, match=re.escape(f"or two of them, got {bad!r}")):
+        with pytest.raises(ValueError, match=re.escape(f"two of them, or none, got {bad!r}")):
             EXAMPLES["6.1"](4, bad)
 
 
@@ -84,7 +86,7 @@ def test_exact_energy_of_61_by_integration() -> None:
     assert total == pytest.approx(EXACT_ENERGY_61, abs=1e-9)
 
 
-@pytest.mark.parametrize("n", [1, 0, -3, 2.5, (8, 8, 8), "8"])
+@pytest.mark.parametrize("n", [1, 0, -3, 2.5, (8, 8, 8), "8x"])
 def test_bad_sizes_name_the_value(n: object) -> None:
     with pytest.raises(ValueError, match=re.escape(repr(n))):
         EXAMPLES["6.1"](n)

@@ -116,11 +116,14 @@ def test_a_problem_file_is_known_by_its_content(path):
     [
         (JOINT, "there is nothing to solve"),
         ("examples = ['6.1']", "formulations = nothing"),
-        (JOINT + "examples = ['6.9']", "examples: unknown example '6.9'"),
+        (JOINT + "examples = ['6.9']", "unknown example '6.9'"),
         ("examples = ['6.1']\nformulations = ['jiont']", "did you mean joint"),
         (JOINT + "examples = ['6.1']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
-        (JOINT + "examples = ['6.1']\nsizes = [1]", "expected sizes such as 8 or '12x6'"),
-        (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "expected sizes such as 8 or '12x6'"),
+        (
+            JOINT + "examples = ['6.1']\nsizes = [1]",
+            "sizes = [1]: the size must be a whole number of at least 2",
+        ),
+        (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "two such as 12x6, got '1x4'"),
         (JOINT + "examples = ['6.1']\nseeds = [-1]", "expected seeds such as"),
         (JOINT + "examples = ['6.1']\norder = 0", "order = 0: expected 1 for linear displacements, 2 for"),
         (JOINT + "examples = ['6.1']\norder = [1, true]", "expected 1 for linear"),
