@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from html import escape
 from numbers import Real
 from typing import TYPE_CHECKING, Any
@@ -43,6 +44,28 @@ def html_table(title: str, rows: Rows) -> str:
     """The same as HTML, all text escaped."""
     lines = "".join(f"<tr><th>{escape(label)}</th><td>{escape(value)}</td></tr>" for label, value in rows)
     return f"<table><caption>{escape(title)}</caption>{lines}</table>"
+
+
+class Shown(ABC):
+    """What a terminal, ``print`` and Jupyter show as a table."""
+
+    @property
+    @abstractmethod
+    def title(self) -> str:
+        """What it is, for people."""
+
+    @abstractmethod
+    def summary(self) -> Rows:
+        """(label, value) rows for people."""
+
+    def __rich__(self) -> Table:
+        return rich_table(self.title, self.summary())
+
+    def __repr__(self) -> str:
+        return plain_table(self.title, self.summary())
+
+    def _repr_html_(self) -> str:
+        return html_table(self.title, self.summary())
 
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")

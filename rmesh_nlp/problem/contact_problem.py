@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.display import Rows, bounds_in_words, describe, figure, html_table, plain_table, rich_table
+from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
@@ -27,9 +27,6 @@ from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "dirichlet": ((str, Dirichlet), "names of boundaries or Dirichlet"),
     "tractions": ((Traction,), "Traction"),
@@ -42,8 +39,8 @@ KINDS: dict[str, tuple[tuple[type, ...], str]] = {
 """What some fields of a problem consist of."""
 
 
-@dataclass(frozen=True)
-class ContactProblem(ProblemData):
+@dataclass(frozen=True, repr=False)
+class ContactProblem(Shown, ProblemData):
     """A contact problem on a mesh with movable nodes, checked when it is made.
 
     All numbers are in one consistent system of units; energies and forces are per unit thickness.
@@ -199,14 +196,10 @@ class ContactProblem(ProblemData):
         contact = [f"{part.nodes.size} nodes {part.obstacle.in_words()}" for part in self.contact_sets]
         return [*rows, ("contact", "; ".join(contact) or "none"), ("motion", self.motion.in_words())]
 
-    def __rich__(self) -> Table:
-        return rich_table(f"Contact problem {self.name!r}", self.summary())
-
-    def __repr__(self) -> str:
-        return plain_table(f"Contact problem {self.name!r}", self.summary())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"Contact problem {self.name!r}", self.summary())
+    @property
+    def title(self) -> str:
+        """What it is, for people."""
+        return f"Contact problem {self.name!r}"
 
 
 def refined(problem: ContactProblem, *, polygon: bool = False, mesh: MeshTri | None = None) -> ContactProblem:

@@ -10,7 +10,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
-from rmesh_nlp.display import Rows, html_table, plain_table, rich_table
+from rmesh_nlp.display import Rows, Shown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.budget import Limits
@@ -33,11 +33,10 @@ from rmesh_nlp.solving.summary import summary
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from rich.table import Table
 
 
-@dataclass(frozen=True, kw_only=True)
-class Solution:
+@dataclass(frozen=True, kw_only=True, repr=False)
+class Solution(Shown):
     """A relocated mesh with its contact solution, as it was assessed, and how it was found.
 
     Attributes
@@ -294,11 +293,7 @@ class Solution:
         """Status, what was minimised, and measured residuals, as (label, value) rows for people."""
         return summary(self)
 
-    def __rich__(self) -> Table:
-        return rich_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
-
-    def __repr__(self) -> str:
-        return plain_table(f"Solution of {self.problem.name!r} by {self.formulation}", self.summary())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"{self.problem.name!r} by {self.formulation}", self.summary())
+    @property
+    def title(self) -> str:
+        """What it is, for people."""
+        return f"Solution of {self.problem.name!r} by {self.formulation}"

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.display import Rows, html_table, rich_table
+from rmesh_nlp.display import Rows, Shown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective import Fields, Objective
@@ -18,9 +17,6 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import ACCURATE
-
-if TYPE_CHECKING:
-    from rich.table import Table
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""
@@ -36,7 +32,7 @@ LEAST_REMAINDER = 1e-13
 
 
 @dataclass(frozen=True)
-class TaylorTest:
+class TaylorTest(Shown):
     """How the remainder of the linearised objective falls.
 
     Attributes
@@ -84,11 +80,10 @@ class TaylorTest:
             ("gradient", f"{'right' if self.passed else 'WRONG'}: order {self.order:.2f}"),
         ]
 
-    def __rich__(self) -> Table:
-        return rich_table(f"Taylor test of {self.objective!r}", self.summary())
-
-    def _repr_html_(self) -> str:
-        return html_table(f"Taylor test of {self.objective!r}", self.summary())
+    @property
+    def title(self) -> str:
+        """What it is, for people."""
+        return f"Taylor test of {self.objective!r}"
 
 
 def verify_gradient(
