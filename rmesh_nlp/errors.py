@@ -52,9 +52,10 @@ def located(place: object) -> Iterator[None]:
 class ProblemError(BadInputError):
     """A problem that contradicts itself.
 
-    ``part`` names the part of the problem that is at fault: order, quadrature, mesh, law, subdomain, dirichlet, boundary (of an
-    obstacle), obstacle, friction, coulomb, motion, curves, tractions, point_loads or design. ``name`` says
-    which of several: of a region or a boundary, a rule of the motion, or the number of an obstacle or a load.
+    ``part`` names the part of the problem that is at fault: order, quadrature, mesh, law, subdomain,
+    dirichlet, boundary (of an obstacle), obstacle, friction, coulomb, motion, curves, tractions, point_loads
+    or design. ``name`` says which of several: of a region or a boundary, a rule of the motion, or the number
+    of an obstacle or a load.
     """
 
     def __init__(self, part: str, message: str, name: str | int | None = None) -> None:

@@ -21,9 +21,8 @@ from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.folder import safe_name, write_new, write_whole
-from rmesh_nlp.io.problem_builder import build
-from rmesh_nlp.io.problem_file import read_table, with_order
-from rmesh_nlp.io.problem_file import template as problem_template
+from rmesh_nlp.io.problem_file import load_problem as read_problem
+from rmesh_nlp.io.problem_file import read_table, template
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
@@ -34,17 +33,17 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import NEEDLESS, checked, options
 from rmesh_nlp.study.study_file import is_study
-from rmesh_nlp.study.study_file import template as study_template
 
 
 def new(path: Path, study: bool) -> None:
     """Write a commented template; an existing file is never replaced."""
     if study:
         name = safe_name(path.stem)
-        text, following = study_template(name, path.name), f"rmesh study {path} --out {name} --dry-run"
+        text = template(name, path.name, "rmesh_nlp.study")
+        following = f"rmesh study {path} --out {name} --dry-run"
     else:
         name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
-        text, following = problem_template(name, name + path.suffix), f"rmesh check {path}"
+        text, following = template(name, name + path.suffix), f"rmesh check {path}"
     try:
         if not path.parent.is_dir():
             raise BadInputError(f"cannot write {path}: there is no folder {str(path.parent)!r}")
@@ -155,7 +154,7 @@ def load_problem(path: Path, order: int | None = None, *, says: bool = True) -> 
     """The problem of a file, or with another order; repairs of its mesh are printed as notes."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", MeshRepairWarning)
-        problem = build(with_order(read_table(path), order), path)
+        problem = read_problem(path, order)
     for warning in caught:
         if says and issubclass(warning.category, MeshRepairWarning):
             print(f"note: {path}: {warning.message}")

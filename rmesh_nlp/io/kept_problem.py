@@ -78,7 +78,7 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     if table.mesh.file is not None:
         mesh_table = table.mesh.model_copy(update={"file": names(table)[1]})
         table = table.model_copy(update={"mesh": mesh_table})
-    problem = build(table, path)
+    problem = build(table)
     # the command line may have given another order, and some formulations raise the degree of the rule
     asked = {name: record[name] for name in ("order", "quadrature") if record.get(name) is not None}
     if asked:

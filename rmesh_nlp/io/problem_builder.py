@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from inspect import Parameter
-from pathlib import Path
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
@@ -52,6 +49,7 @@ from rmesh_nlp.problem import (
     Units,
 )
 from rmesh_nlp.problem.conditions import symmetric
+from rmesh_nlp.problem.obstacle import unit
 
 T = TypeVar("T")
 
@@ -70,9 +68,9 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 """Entries of a table that an error of each part of a problem may speak of, if it says of which of several."""
 
 
-def build(table: ProblemTable, path: Path) -> ContactProblem:
-    """Read the mesh and put the problem together; ``path`` is where the file is."""
-    return _Builder(table, Source(path, table.data)).problem()
+def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
+    """Read the mesh and put the problem together, or with displacements of another order."""
+    return _Builder(table, table.source).problem(order)
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ class _Builder:
     table: ProblemTable
     source: Source
 
-    def problem(self) -> ContactProblem:
+    def problem(self, order: int | None) -> ContactProblem:
         table, mesh, at = self.table, self.mesh(), self.source.at
         laws = {name: self.law(spec, "materials", name) for name, spec in table.materials.items()}
         law = laws if table.material is None else self.law(table.material, "material")
@@ -115,7 +113,7 @@ class _Builder:
                 size=f"{mesh.t.shape[1]} triangles",
                 point_loads=tuple(self.point_load(k, load, mesh) for k, load in enumerate(table.point_loads)),
                 units=Units(**table.units.entries()),
-                order=table.order,
+                order=table.order if order is None else order,
                 design=self.design(),
                 constraints=self.constraints(),
             )
@@ -226,31 +224,13 @@ def _obstacle(table: ContactTable, components: int) -> Obstacle:
         return Obstacle.graph(**common, height=PiecewiseLinear(*zip(*table.points, strict=True)))
     if table.height is not None:
         return Obstacle.graph(**common, height=table.height)
-    normal = (1.0,) if components == 1 else _unit(table.normal or (0.0, 1.0))
+    normal = (1.0,) if components == 1 else unit(table.normal or (0.0, 1.0))
     return Obstacle(**common, **table.entries("offset"), normal=normal)
 
 
-def _unit(normal: tuple[float, float]) -> tuple[float, float]:
-    length = float(np.hypot(*normal))
-    if length == 0:
-        raise ValueError(f"normal must be a non-zero vector, got {normal}")
-    return normal[0] / length, normal[1] / length
-
-
-@dataclass(frozen=True)
-class OfParameter:
-    """An expression of t, as a function that takes symbols and numbers."""
-
-    text: str
-
-    @cached_property
-    def _function(self) -> ca.Function:
-        t = ca.SX.sym("t")
-        return ca.Function("expression", [t], [value_of(self.text, {"t": t})])
-
-    def __call__(self, t: Any) -> Any:
-        """Its value."""
-        return self._function(t)
+def _of_parameter(text: str | None) -> Callable[[Any], Any]:
+    """An expression of t as a function."""
+    return lambda t: value_of(str(text), {"t": t})
 
 
 def _curve(table: CurveTable | str, mesh: MeshTri, name: str) -> Curve:
@@ -266,4 +246,4 @@ def _curve(table: CurveTable | str, mesh: MeshTri, name: str) -> Curve:
     if table.spline is not None:
         return Spline(tuple(table.spline), table.closed)
     assert table.t is not None
-    return Parametrised(OfParameter(str(table.x)), OfParameter(str(table.y)), table.t, table.closed)
+    return Parametrised(_of_parameter(table.x), _of_parameter(table.y), table.t, table.closed)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import one_line
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_builder import build
-from rmesh_nlp.io.problem_messages import ProblemFileError
+from rmesh_nlp.io.problem_messages import ProblemFileError, Source
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.problem import ContactProblem
 
@@ -25,9 +25,15 @@ LARGEST_FILE = 1_000_000  # bytes that a problem file may have
 DEEPEST = 20  # how deep tables and lists may be nested; a valid file needs five
 
 
-def template(name: str, file: str) -> str:
-    """The commented template of ``rmesh new``: a problem ``name`` in ``file`` that solves in a second."""
-    text = files("rmesh_nlp.io").joinpath("template.toml").read_text(encoding="utf-8")
+T = TypeVar("T", bound=BaseModel)
+
+
+def template(name: str, file: str, package: str = "rmesh_nlp.io") -> str:
+    """The commented template of ``rmesh new``: a problem ``name`` in ``file`` that solves in a second.
+
+    That of a study is in the package of studies.
+    """
+    text = files(package).joinpath("template.toml").read_text(encoding="utf-8")
     return text.replace("{name}", name).replace("{file}", file)
 
 
@@ -39,22 +45,21 @@ def load_problem(path: str | Path, order: int | None = None) -> ContactProblem:
     ProblemFileError
         With one line per error, each naming file, key, value and what was expected.
     """
-    return build(with_order(read_table(path), order), Path(path))
-
-
-def with_order(table: ProblemTable, order: int | None) -> ProblemTable:
-    """The tables with another order, None for their own."""
-    return table if order is None else table.model_copy(update={"order": order})
+    return build(read_table(path), order)
 
 
 def read_table(path: str | Path) -> ProblemTable:
     """The checked tables of a problem file, its mesh not yet read."""
-    path = Path(path)
-    data = read_toml(path)
+    return read_tables(path, ProblemTable)
+
+
+def read_tables(path: str | Path, kind: type[T]) -> T:
+    """The checked tables of a file of a kind; a ProblemFileError has one line per error."""
+    source = Source(Path(path), read_toml(Path(path)))
     try:
-        return ProblemTable.of(path, data)
+        return kind.model_validate(source.data, context=source)
     except ValidationError as error:
-        raise messages.schema_errors(path, error, data, ProblemTable) from error
+        raise messages.schema_errors(source, error, kind) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -6,13 +6,16 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+import casadi as ca
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError, nearest, one_line
+from rmesh_nlp.problem.design import RESERVED, symbol
 
 
 class ProblemFileError(BadInputError):
@@ -49,6 +52,15 @@ class Source:
 
     path: Path
     data: Mapping[str, Any]
+
+    @cached_property
+    def symbols(self) -> dict[str, ca.SX]:
+        """Those of the design variables that it declares, by name."""
+        names: list[str] = []
+        for table in (value_at(self.data, ("design",)), value_at(self.data, ("design", "shapes"))):
+            names += table if isinstance(table, dict) else ()
+        own = [name for name in names if name.isidentifier() and name not in ("shapes", *RESERVED)]
+        return {name: symbol(name) for name in own}
 
     def first(self, places: list[Place]) -> Place:
         """The first of some places where something stands, or else the last."""
@@ -99,14 +111,12 @@ MOST = 10
 """Errors of one file that are said in a line each."""
 
 
-def schema_errors(
-    path: Path, error: ValidationError, data: dict[str, Any], file: type[BaseModel]
-) -> ProblemFileError:
+def schema_errors(source: Source, error: ValidationError, file: type[BaseModel]) -> ProblemFileError:
     """Pydantic's errors, one line each up to ``MOST``; ``file`` is the model of a whole file."""
-    source, tables, errors = Source(path, data), {"": file, **dict(_tables(file))}, error.errors()
+    tables, errors = {"": file, **dict(_tables(file))}, error.errors()
     lines = [_line(item, source, tables) for item in errors[:MOST]]
     rest = [f"and {len(errors) - MOST} more errors"] if len(errors) > MOST else []
-    return ProblemFileError([f"{path}: {line}" for line in lines + rest])
+    return ProblemFileError([f"{source.path}: {line}" for line in lines + rest])
 
 
 def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> str:

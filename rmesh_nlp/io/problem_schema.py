@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import Parameter, signature
-from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 from pydantic import (
@@ -14,6 +13,7 @@ from pydantic import (
     Field,
     PrivateAttr,
     SkipValidation,
+    ValidationInfo,
     ValidatorFunctionWrapHandler,
     WrapValidator,
     create_model,
@@ -21,6 +21,7 @@ from pydantic import (
 )
 from skfem import MeshTri
 
+from rmesh_nlp.io.problem_messages import Source
 from rmesh_nlp.io.problem_values import (
     KINDS,
     Condition,
@@ -37,7 +38,7 @@ from rmesh_nlp.io.problem_values import (
     Vector,
     among,
     as_list,
-    context_of,
+    source_of,
 )
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.problem import (
@@ -303,22 +304,16 @@ class ProblemTable(Table):
     motion: MotionTable = MotionTable()
     curves: dict[str, Annotated[CurveTable, WrapValidator(_curve)]] = Field(default_factory=dict)
     solve: SolveTable = SolveTable()
-    _data: Mapping[str, Any] = PrivateAttr(default_factory=dict)
-
-    @classmethod
-    def of(cls, path: Path, data: Mapping[str, Any]) -> ProblemTable:
-        """The tables of a file, checked."""
-        table = cls.model_validate(data, context=context_of(path, data))
-        table._data = data
-        return table
+    _source: Source = PrivateAttr()
 
     @property
-    def data(self) -> Mapping[str, Any]:
-        """The tables as they stand in the file."""
-        return self._data
+    def source(self) -> Source:
+        """The file that it stands in."""
+        return self._source
 
     @model_validator(mode="after")
-    def _one_material(self) -> ProblemTable:
+    def _one_material(self, info: ValidationInfo) -> ProblemTable:
+        self._source = source_of(info)
         if (self.material is None) == (not self.materials):
             raise ValueError("expected either [material] or [materials.<subdomain>]")
         return self

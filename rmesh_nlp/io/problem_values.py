@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Annotated, Any, Literal, TypeAlias
 
 import casadi as ca
@@ -20,9 +18,8 @@ from pydantic import (
 
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.fem.objective_text import beside, parse_objective
-from rmesh_nlp.io.problem_messages import value_at
+from rmesh_nlp.io.problem_messages import Source
 from rmesh_nlp.problem import Coefficient, Relative
-from rmesh_nlp.problem.design import RESERVED, symbol
 from rmesh_nlp.problem.motion import Where
 
 LARGEST = 1e100  # numbers must be smaller than this, so that their squares are finite
@@ -56,25 +53,9 @@ def among(names: Iterable[str]) -> BeforeValidator:
     return BeforeValidator(check)
 
 
-@dataclass(frozen=True)
-class Context:
-    """What the values of a file may refer to: the folder that it is in, and symbols of design variables."""
-
-    folder: Path
-    symbols: Mapping[str, ca.SX] = field(default_factory=dict)
-
-
-def context_of(path: Path, data: Mapping[str, Any]) -> Context:
-    """That of a file, by the design variables that it declares, before it is checked."""
-    names: list[str] = []
-    for table in (value_at(data, ("design",)), value_at(data, ("design", "shapes"))):
-        names += table if isinstance(table, dict) else ()
-    own = [name for name in names if name.isidentifier() and name not in ("shapes", *RESERVED)]
-    return Context(path.parent, {name: symbol(name) for name in own})
-
-
-def _context(info: ValidationInfo) -> Context:
-    assert isinstance(info.context, Context)
+def source_of(info: ValidationInfo) -> Source:
+    """The file that a value stands in."""
+    assert isinstance(info.context, Source)
     return info.context
 
 
@@ -84,7 +65,7 @@ Value: TypeAlias = float | ca.SX | Expression
 
 def _coefficient(value: Any, info: ValidationInfo) -> Value:
     if isinstance(value, str):
-        expression = Expression(value, _context(info).symbols)
+        expression = Expression(value, source_of(info).symbols)
         if expression.value is None:
             return expression
         if not expression.value.is_constant():
@@ -98,7 +79,7 @@ def _coefficient(value: Any, info: ValidationInfo) -> Value:
 
 def _designed(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float | ca.SX:
     """A number, or where there are design variables an expression of them."""
-    if not isinstance(value, str) or not _context(info).symbols:
+    if not isinstance(value, str) or not source_of(info).symbols:
         return float(read(value))
     number = _coefficient(value, info)
     if isinstance(number, Expression):
@@ -106,30 +87,15 @@ def _designed(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationIn
     return number
 
 
-def _components(value: Any, info: ValidationInfo) -> tuple[Value | None, ...]:
-    """One or two; in ``[dirichlet]`` one may be free."""
-    items = as_list(value)
-    if not 1 <= len(items) <= 2:
-        raise ValueError
-    return tuple(None if item is None else _coefficient(item, info) for item in items)
-
-
-def _given(value: Any, info: ValidationInfo) -> str | tuple[Value | None, ...]:
-    if value == SYMMETRY:
-        return SYMMETRY
-    return _components([None if item == FREE else item for item in as_list(value)], info)
-
-
-def _condition(value: Any) -> Expression:
-    if not isinstance(value, str):
-        raise ValueError
-    return Expression(value)
+def _given(value: Any, read: ValidatorFunctionWrapHandler) -> Any:
+    """A component may be free; a word stands for those of a boundary on an axis."""
+    return SYMMETRY if value == SYMMETRY else read([None if v == FREE else v for v in as_list(value)])
 
 
 def _objective(text: str, info: ValidationInfo) -> str:
     """The text of an objective that can be read, whose files are beside the file that it stands in."""
     parse_objective(text)
-    return beside(text, _context(info).folder)
+    return beside(text, source_of(info).path.parent)
 
 
 def as_list(value: Any) -> list[Any]:
@@ -167,10 +133,23 @@ Points = Annotated[
     list[_Two], Field(min_length=2), expected("points such as [[0, 0], [1, 0.1]], two or more")
 ]
 Scalar = Annotated[Any, BeforeValidator(_coefficient), expected("a number or an expression")]
-Vector = Annotated[Any, BeforeValidator(_components), expected(COMPONENTS)]
-Given = Annotated[Any, BeforeValidator(_given), expected(COMPONENTS)]
+Vector = Annotated[
+    tuple[Scalar, ...],
+    BeforeValidator(as_list),
+    Field(min_length=1, max_length=2),
+    expected(COMPONENTS),
+]
+Given = Annotated[
+    tuple[Scalar | None, ...],
+    Field(min_length=1, max_length=2),
+    WrapValidator(_given),
+    expected(COMPONENTS),
+]
 Condition = Annotated[
-    Any, BeforeValidator(_condition), expected("a condition on x and y such as 'y == 1 and x > 2'")
+    str,
+    Field(strict=True),
+    AfterValidator(Expression),
+    expected("a condition on x and y such as 'y == 1 and x > 2'"),
 ]
 Delta = Annotated[
     _Real | _Two | _Relative | None,

@@ -32,6 +32,14 @@ NO_NORMAL = 1e-12
 """Components of a unit normal below this are zero."""
 
 
+def unit(normal: Vector) -> Vector:
+    """The vector of length 1 in a direction; a ValueError if it is none."""
+    length = float(np.hypot(*normal))
+    if not 0 < length < np.inf:
+        raise ValueError(f"normal must be a non-zero vector, got {normal}")
+    return normal[0] / length, normal[1] / length
+
+
 class Place(Enum):
     """Where contact may happen when it is not on a named boundary."""
 
@@ -114,10 +122,7 @@ class Obstacle:
 
         ``normal`` points from the line to the body and may have any length but zero.
         """
-        length = float(np.hypot(*normal))
-        if not 0 < length < np.inf:
-            raise ValueError(f"normal must be a non-zero vector, got {normal}")
-        n = (normal[0] / length, normal[1] / length)
+        n = unit(normal)
 
         def distance(x: Expression, y: Expression) -> Expression:
             return n[0] * (x - point[0]) + n[1] * (y - point[1])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -14,15 +13,13 @@ from pydantic import (
     Field,
     JsonValue,
     SkipValidation,
-    ValidationError,
     model_validator,
 )
 
 from rmesh_nlp.examples.paper import as_size
-from rmesh_nlp.io.problem_file import read_toml
-from rmesh_nlp.io.problem_messages import schema_errors
+from rmesh_nlp.io.problem_file import read_tables, read_toml
 from rmesh_nlp.io.problem_schema import Table
-from rmesh_nlp.io.problem_values import LARGEST, Context, Flag, ObjectiveText, Seed, Text, as_list, expected
+from rmesh_nlp.io.problem_values import LARGEST, Flag, ObjectiveText, Seed, Text, as_list, expected
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
 """Kinds of :func:`rmesh_nlp.examples.random_problems.random_problem`."""
@@ -131,20 +128,9 @@ class StudyTable(Table):
 
 def read_study(path: str | Path) -> StudyTable:
     """The checked tables of a study file; a ProblemFileError has one line per error."""
-    path = Path(path)
-    data = read_toml(path)
-    try:
-        return StudyTable.model_validate(data, context=Context(path.parent))
-    except ValidationError as error:
-        raise schema_errors(path, error, data, StudyTable) from None
+    return read_tables(path, StudyTable)
 
 
 def is_study(path: str | Path) -> bool:
     """Whether a TOML file states a study rather than a problem."""
     return "formulations" in read_toml(Path(path))
-
-
-def template(name: str, file: str) -> str:
-    """The commented template of ``rmesh new --study``: a study ``name`` in ``file`` of some seconds."""
-    text = files("rmesh_nlp.study").joinpath("template.toml").read_text(encoding="utf-8")
-    return text.replace("{name}", name).replace("{file}", file)

@@ -13,8 +13,7 @@ from matplotlib import image
 
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.kept_problem import read_kept
-from rmesh_nlp.io.problem_builder import build
-from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.solving import assess as assessing
 from rmesh_nlp.solving import driver
@@ -189,7 +188,7 @@ def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> 
     made = read_mesh(Path("better.msh"))
     assert abs(made.p.shape[1] - 60) <= 3
     assert {"left", "right", "top", "bottom"} <= set(made.boundaries)
-    assert np.ptp(made.p, axis=1) == pytest.approx(np.ptp(build(read_table(block), block).mesh.p, axis=1))
+    assert np.ptp(made.p, axis=1) == pytest.approx(np.ptp(load_problem(block).mesh.p, axis=1))
 
 
 @pytest.mark.parametrize(
@@ -209,7 +208,7 @@ def test_remesh_refuses_what_it_cannot_write(rmesh, block: Path, typed: str, wor
 
 
 def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) -> None:
-    write_mesh(build(read_table(block), block).mesh, "own.msh")
+    write_mesh(load_problem(block).mesh, "own.msh")
     given, text = Path("own.msh").read_bytes(), BLOCK[BLOCK.index("[material]") :]
     block.write_text(f'[mesh]\nfile = "own.msh"\n{text}')
     said = rmesh("remesh block.toml --nodes 60 --out ./own.msh")
@@ -249,7 +248,7 @@ def test_measurements_are_beside_the_problem_file(rmesh, formulation: str) -> No
     folder.mkdir()
     path = folder / "fitted.toml"
     path.write_text(FITTED.replace("FORMULATION", formulation))
-    problem = build(read_table(path), path)
+    problem = load_problem(path)
     true = driver.solve(problem.at_design({"E": 1.3}), "fixed")
     nodes = np.flatnonzero(problem.mesh.p[0] == 1)
     columns = np.vstack([problem.mesh.p[:, nodes], true.displacement[:, nodes]]).T

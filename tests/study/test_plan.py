@@ -11,8 +11,9 @@ from rmesh_nlp import read_records
 from rmesh_nlp.cli import app as cli
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import safe_name
+from rmesh_nlp.io.problem_file import template
 from rmesh_nlp.study.plan import PlannedSolve, build, make_plan, seconds_of_plan
-from rmesh_nlp.study.study_file import read_study, template
+from rmesh_nlp.study.study_file import read_study
 from support.problem_files import SCALAR, VALID
 
 JOINT = "formulations = ['joint']\n"
@@ -47,7 +48,7 @@ def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path):
 
 
 def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path):
-    plan = plan_of(path, template("mine", "study.toml"))
+    plan = plan_of(path, template("mine", "study.toml", "rmesh_nlp.study"))
     assert {solve.variant for solve in plan} == {"fixed", "auto"}
     assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
 
@@ -56,7 +57,7 @@ def test_the_study_of_the_page_and_the_settings_that_the_template_suggests_are_v
     path.with_name("my.toml").write_text(VALID)
     page = (Path(__file__).parents[2] / "docs/studies.md").read_text()
     (text,) = re.findall(r"```toml\n(.*?)```", page, re.S)
-    settings = re.findall(r"^#   (\S.*)$", template("mine", "study.toml"), re.M)
+    settings = re.findall(r"^#   (\S.*)$", template("mine", "study.toml", "rmesh_nlp.study"), re.M)
     assert {solve.variant for solve in plan_of(path, text)} == {"joint", "loose"}
     suggested = "\n".join(["examples = ['6.1']", *settings])
     assert {solve.variant for solve in plan_of(path, suggested)} == {"loose"}
