@@ -23,7 +23,7 @@ class Fixed(Formulation):
     relocates: ClassVar[bool] = False
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        state = active_set.solve(outer.system(np.zeros(outer.n)))
+        state = active_set.solve(outer.contact.system_at(np.zeros(outer.n)))
         monitor.work += Work(1, 1, state.iterations)
         nan, seconds = float("nan"), monitor.budget.elapsed
         step = Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds, energy_given=state.energy)

@@ -207,7 +207,7 @@ def _own(outer: Outer, q: Array, program: Relocation, result: NLPResult) -> Equi
     tangential = np.zeros(program.n_contact if program.n_s else 0)
     tangential[program.friction_rows] = friction
     active = ActiveSet(normal > 0, np.sign(tangential).astype(np.int8))
-    system = outer.contact.system(program.nodes(q))
+    system = outer.contact.system_at(q)
     return Equilibrium(u, system.energy(u), normal, tangential, active, Status.CONVERGED, 0)
 
 

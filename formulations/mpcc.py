@@ -287,7 +287,7 @@ def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> Homotopy:
 def _equilibrium(outer: Outer, program: Bilevel, result: MPCCResult) -> Equilibrium:
     """The MPCC's own displacement and forces, to be audited as they are."""
     q, u, normal, tangential = program.split(result.x)
-    system = outer.system(q)
+    system = outer.contact.system_at(q)
     slip = system.tangents @ u if system.slip_bound.size else np.zeros(0)
     active = ActiveSet(normal > 0, np.sign(slip).astype(np.int8))
     return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)

@@ -132,6 +132,11 @@ class ContactSolver:
             coulomb=coefficients(self.discretisation.space, nodes, at),
         )
 
+    def system_at(self, q: Array) -> ContactSystem:
+        """The quadratic program at outer variables ``q`` (n_q,)."""
+        free = self.discretisation.mesh_map
+        return self.system(free.positions.values(q), free.design(q))
+
     def solve(self, nodes: Array, start: ActiveSet | None = None) -> Equilibrium:
         """Contact solve at vertex positions (2, vertices), from the active set of the last one if given."""
         return solve(self.system(nodes), start)

@@ -88,9 +88,7 @@ def remove_leftovers(folder: Path) -> None:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-def write_whole(
-    path: Path, write: Callable[[Path], object], put: Callable[[Path, Path], object] = os.replace
-) -> None:
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Let ``write`` fill a file aside, force it to the disk, then put it in place at once.
 
     The file is filled in a new folder that only this user can enter, with a name that cannot be
@@ -102,7 +100,7 @@ def write_whole(
         write(aside)
         with aside.open("rb") as file:
             os.fsync(file.fileno())  # a renamed file that is not yet on the disk is empty after a power cut
-        put(aside, path)
+        os.replace(aside, path)
     if interrupted():
         raise KeyboardInterrupt
 
@@ -112,8 +110,6 @@ def _naming(path: Path) -> Iterator[None]:
     """An OSError that names no file, or one aside, is one of ``path``."""
     try:
         yield
-    except FileExistsError:
-        raise
     except OSError as error:
         raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
@@ -125,18 +121,12 @@ def write_text(path: Path, text: str) -> None:
 
 def write_new(path: Path, text: str) -> None:
     """Write a text file whole; a FileExistsError is raised if something has this name, which stays."""
-    write_whole(path, lambda aside: aside.write_text(text, encoding="utf-8"), _put_new)
-
-
-def _put_new(aside: Path, path: Path) -> None:
+    path.touch(exist_ok=False)
     try:
-        os.link(aside, path)  # unlike a rename it never replaces
-    except FileExistsError:
+        write_text(path, text)
+    except BaseException:
+        path.unlink(missing_ok=True)
         raise
-    except OSError as error:  # a file system without links
-        if os.path.lexists(path):
-            raise FileExistsError(f"{path} exists") from error
-        os.replace(aside, path)
 
 
 def append_whole(path: Path, text: str) -> None:

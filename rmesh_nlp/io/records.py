@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -179,25 +178,14 @@ def damaged_last_line(path: Path) -> tuple[int, bytes]:
     if not path.exists():
         return 0, b""
     try:
-        start, line = _last_line(path)
+        content = path.read_bytes()
     except OSError as error:
         raise BadInputError(f"cannot read {path}: {error.strerror}") from error
+    start = content.rfind(b"\n", 0, max(len(content) - 1, 0)) + 1
+    line = content[start:]
     if line and (not line.endswith(b"\n") or (start and line[:1] in b"{\0" and not _is_json(line))):
         return start, line
     return start + len(line), b""
-
-
-def _last_line(path: Path) -> tuple[int, bytes]:
-    """Where the last line begins, and the line; only the end of the file is read."""
-    with path.open("rb") as file:
-        size, length = file.seek(0, os.SEEK_END), 4096
-        while True:
-            begin = file.seek(max(0, size - length))
-            tail = file.read()
-            start = tail.rfind(b"\n", 0, max(len(tail) - 1, 0)) + 1
-            if start or not begin:
-                return begin + start, tail[start:]
-            length *= 8
 
 
 def _is_json(line: bytes) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem
+from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array, Block
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.objective import Objective
@@ -95,13 +95,13 @@ class ReducedEnergy:
     def start(self) -> ContactPoint:
         """The contact solution on the mesh as given; it counts as no contact solve of a formulation."""
         q = np.zeros(self.relocation.n_q)
-        return ContactPoint(q, self._system(q), self.model.given)
+        return ContactPoint(q, self.model.system_at(q), self.model.given)
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
-        system, given = self._system(q), None if np.any(q) else self.model.given
+        system, given = self.model.system_at(q), None if np.any(q) else self.model.given
         equilibrium = solve(system, self._active) if given is None else given
         if given is None or not self._is_given_counted:
             self.contact_solves += 1
@@ -119,9 +119,6 @@ class ReducedEnergy:
         gradient = self.gradient(self.unknowns(q, equilibrium.u), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
         return ReducedPoint(q, inner.system, equilibrium, value, gradient, True)
-
-    def _system(self, q: Array) -> ContactSystem:
-        return self.model.system(self.relocation.nodes(q), self.relocation.mesh_map.design(q))
 
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
         """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.

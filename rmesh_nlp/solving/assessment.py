@@ -93,11 +93,6 @@ class Assessment:
     warnings: tuple[str, ...] = ()
 
     @property
-    def is_energy(self) -> bool:
-        """Whether the energy is minimised, perhaps with terms in the positions."""
-        return self.objective.collapses
-
-    @property
     def gain(self) -> float:
         """Decrease of the energy by the problem's own rules."""
         return self.given.energy - self.final.energy
@@ -115,7 +110,7 @@ class Assessment:
     @property
     def decrease(self) -> float:
         """Decrease of what is minimised, audited; terms in the positions of two meshes do not compare."""
-        if self.is_energy and not self.is_same_mesh:
+        if self.objective.collapses and not self.is_same_mesh:
             return self.gain_audited
         return self.given.objective_audited - self.final.objective_audited
 
@@ -163,7 +158,7 @@ class Assessment:
     def is_exploited(self) -> bool:
         """Whether the energy fell by the problem's own rules only."""
         fell = self.gain >= -self.rounding
-        return self.is_energy and fell and self.gain_audited < -self.rounding
+        return self.objective.collapses and fell and self.gain_audited < -self.rounding
 
     @property
     def improved(self) -> bool:
@@ -173,7 +168,7 @@ class Assessment:
         """
         if self.final.min_area_ratio > 0 and self.given.violation > 0:
             return True
-        rose = self.is_energy and self.gain_computed < -self.rounding
+        rose = self.objective.collapses and self.gain_computed < -self.rounding
         return self.decrease >= -self.rounding and not rose and not self.is_exploited
 
     @property

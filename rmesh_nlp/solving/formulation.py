@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from rmesh_nlp.errors import BadInputError, nearest, unknown
@@ -114,20 +115,15 @@ class Chooser(Settings, ABC):
         """A formulation, and why; ``is_started`` if a start is given that must not be left."""
 
 
-def available() -> dict[str, EntryPoint]:
-    """Installed formulations by name; nothing is imported yet."""
-    return dict(_entries(entry_points, GROUP))
-
-
-def wrappers() -> dict[str, EntryPoint]:
-    """Installed formulations that take one, by the option that asks for them."""
-    return dict(_entries(entry_points, WRAPPERS))
+def available(group: str = GROUP) -> Mapping[str, EntryPoint]:
+    """Installed formulations, or those of ``WRAPPERS``, by name; nothing is imported yet."""
+    return _entries(entry_points, group)
 
 
 @lru_cache
-def _entries(found: Callable[..., Iterable[EntryPoint]], group: str) -> tuple[tuple[str, EntryPoint], ...]:
+def _entries(found: Callable[..., Iterable[EntryPoint]], group: str) -> Mapping[str, EntryPoint]:
     """Looked for once: it reads the metadata of every installed package, which takes ten contact solves."""
-    return tuple((entry.name, entry) for entry in found(group=group))
+    return MappingProxyType({entry.name: entry for entry in found(group=group)})
 
 
 def formulations() -> tuple[str, ...]:
@@ -135,9 +131,9 @@ def formulations() -> tuple[str, ...]:
     return tuple(sorted(available()))
 
 
-def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -> Any:
+def find(name: str, group: str = GROUP) -> Any:
     """The class or the choosing function of a name; a BadInputError if there is none, or no such module."""
-    installed = group()
+    installed = available(group)
     if name not in installed:
         raise unknown("formulation", name, installed)
     try:
@@ -147,10 +143,10 @@ def find(name: str, group: Callable[[], Mapping[str, EntryPoint]] = available) -
         raise BadInputError(said) from error
 
 
-def name_of(kind: type[Any], group: Callable[[], Mapping[str, EntryPoint]] = available) -> str:
+def name_of(kind: type[Any], group: str = GROUP) -> str:
     """The name of an entry point of a class; that of the class where it has none."""
     value = f"{kind.__module__}:{kind.__qualname__}"
-    names = [name for name, entry in group().items() if entry.value == value]
+    names = [name for name, entry in available(group).items() if entry.value == value]
     return names[0] if names else kind.__name__.lower()
 
 
@@ -172,7 +168,7 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
     kind, is_named = kind_of(formulation), isinstance(formulation, str)
     names = {"objective", *(kind.names() if is_named else ())}
     if getattr(kind, "relocates", True):
-        names |= {*KEYWORDS, *(wrappers() if is_named else ())}
+        names |= {*KEYWORDS, *(available(WRAPPERS) if is_named else ())}
     return names
 
 
@@ -214,5 +210,5 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     made = kind().having({key: value for key, value in asked.items() if key in own})
     around = [key for key, value in asked.items() if key not in own and value not in (0, False)]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
-        made = find(key, wrappers)(made, asked[key])
+        made = find(key, WRAPPERS)(made, asked[key])
     return made

@@ -11,7 +11,6 @@ import numpy as np
 
 from rmesh_nlp.assessment.assessor import Assessor
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.constraints import is_constrained
@@ -189,10 +188,6 @@ class Outer:
         if not np.any(q):  # where shapes begin
             return plain, np.zeros(plain.n)
         return plain, plain.discretisation.mesh_map.q_of(self.nodes(q))
-
-    def system(self, q: Array) -> ContactSystem:
-        """The contact problem at outer variables ``q``."""
-        return self.contact.system(self.nodes(q), self.discretisation.mesh_map.design(q))
 
     def nodes(self, q: Array) -> Array:
         """(2, nodes) positions at outer variables ``q``."""

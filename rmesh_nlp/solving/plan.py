@@ -10,7 +10,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, name_of, wrappers
+from rmesh_nlp.solving.formulation import WRAPPERS, Chooser, Formulation, Wrapper, name_of
 from rmesh_nlp.solving.start import Start
 
 
@@ -56,7 +56,7 @@ class Plan:
 def _check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
     """Raise a BadInputError where a start is given and a formulation makes its own."""
     if isinstance(asked, Wrapper):
-        name = name_of(type(asked), wrappers)
+        name = name_of(type(asked), WRAPPERS)
         for option in asked.begins_by_itself:
             if given.get(option) is not None:
                 raise BadInputError(f"{name} cannot be combined with {option}: it begins by itself")

@@ -212,8 +212,7 @@ def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state
     rel = energy.relocation
     fields, accurate = rel.discretisation.fields(), rel.problem.with_rule(ACCURATE)
     fields = fields._replace(problem=accurate, positions=fields.positions.at_rest(q))
-    system = energy.model.system(rel.nodes(q), rel.mesh_map.design(q))
-    x = kkt_unknowns(ContactPoint(q, system, state), rel.friction_rows)
+    x = kkt_unknowns(ContactPoint(q, energy.model.system_at(q), state), rel.friction_rows)
     return objective.on(fields).evaluate()(x)
 
 

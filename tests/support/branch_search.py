@@ -136,7 +136,7 @@ class _Nodes:
 
 def _systems(outer: Outer) -> Systems:
     """Contact systems by outer variables: those of the differences are the same on every branch."""
-    kept = cache(lambda key: outer.system(np.frombuffer(key)))
+    kept = cache(lambda key: outer.contact.system_at(np.frombuffer(key)))
     return lambda q: kept(q.tobytes())
 
 
