@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import LinAlgError, lstsq, solve
+from scipy.optimize import brentq
 from scipy.sparse import csr_matrix, diags
 from scipy.sparse.linalg import splu
 
@@ -75,15 +76,10 @@ def multipliers(K: Any, f: np.ndarray, rows: Rows, tolerance: float, u: np.ndarr
     penalty, mu, size = PENALTY * stiffness, np.clip(mu, low, high), 1e-300
     for _ in range(40):
         for steps in range(60):  # noqa: B007
-            z, rest = A @ u + d, K @ u - f
-            trial = mu - penalty * z
-            on, r = (trial > low) & (trial < high), rest - A.T @ np.clip(trial, low, high)
-            step = -newton_step(K, A[on].T @ diags(penalty[on]) @ A[on], 1e-9 * diagonal, r)
-            size = max(size, abs(f @ u), abs(rest @ u), abs(step @ r) * 1e-6)
-            change = A @ step
-            slopes = step @ rest, step @ (K @ step), change, trial, penalty * change
-            u = u + line_search(*slopes, low, high) * step
-            if -(step @ r) <= 1e-15 * size:
+            before = u
+            u, decrease = newton_step(K, f, rows, mu, penalty, u)
+            size = max(size, abs(f @ before), abs((K @ before - f) @ before), decrease * 1e-6)
+            if decrease <= 1e-15 * size:
                 break
         z = A @ u + d
         mu = np.clip(mu - penalty * z, low, high)
@@ -96,8 +92,27 @@ def multipliers(K: Any, f: np.ndarray, rows: Rows, tolerance: float, u: np.ndarr
     return u, mu, False
 
 
-def newton_step(K: Any, more: csr_matrix, small: np.ndarray, r: np.ndarray) -> np.ndarray:
-    """Solve ``(K + more + small) s = r``; ``small`` is for a body that only contact holds."""
+def newton_step(
+    K: Any, f: np.ndarray, rows: Rows, mu: np.ndarray, penalty: np.ndarray, u: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The lowest point along a semismooth Newton step, and by how much the linear model falls."""
+    A, d, low, high = rows
+    z, rest = A @ u + d, K @ u - f
+    trial = mu - penalty * z
+    on, r = (trial > low) & (trial < high), rest - A.T @ np.clip(trial, low, high)
+    small = 1e-9 * K.diagonal()  # for a body that only contact holds
+    step = -solved(K, A[on].T @ diags(penalty[on]) @ A[on], small, r)
+    change, curvature = A @ step, step @ (K @ step)
+
+    def slope(t: float) -> float:
+        return float(step @ rest + t * curvature - change @ np.clip(trial - t * penalty * change, low, high))
+
+    t = 1.0 if slope(1.0) <= 0 else brentq(slope, 0.0, 1.0, xtol=1e-16) if slope(0.0) < 0 else 0.0
+    return u + t * step, abs(step @ r)
+
+
+def solved(K: Any, more: csr_matrix, small: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """Solve ``(K + more + small) s = r``."""
     if not isinstance(K, np.ndarray):
         return factorised(K + more + diags(small)).solve(r)
     H = K + more.toarray() + np.diag(small)
@@ -105,22 +120,3 @@ def newton_step(K: Any, more: csr_matrix, small: np.ndarray, r: np.ndarray) -> n
         return solve(H, r, assume_a="pos")
     except LinAlgError:
         return lstsq(H, r)[0]
-
-
-def line_search(
-    first: float,
-    second: float,
-    z: np.ndarray,
-    force: np.ndarray,
-    drop: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-) -> float:
-    """The zero t in (0, 1] of ``first + t second - z . clip(force - t drop)``, or 1."""
-    lower, upper = 0.0, 1.0
-    if first + second - z @ np.clip(force - drop, low, high) > 0:
-        for _ in range(60):
-            t = (lower + upper) / 2
-            falls = first + t * second - z @ np.clip(force - t * drop, low, high) < 0
-            lower, upper = (t, upper) if falls else (lower, t)
-    return upper
