@@ -7,7 +7,6 @@ operation runs over thousands of columns: a third of the time, for the same numb
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -15,27 +14,13 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Evaluator
-from rmesh_nlp.settings import Count, Settings
 
+NUMPY_FROM = 200
+"""Number of columns from which on numpy takes the place of CasADi's map. Functions of 128 to 5000 operations
+are as fast in both with 200, and with 1000 three times as fast in numpy."""
 
-@dataclass(frozen=True)
-class AssemblySettings(Settings):
-    """How element functions are evaluated over a mesh; the results differ by rounding only.
-
-    Attributes
-    ----------
-    numpy_from : int
-        Number of elements from which on numpy takes the place of CasADi's map. Functions of 128 to 5000
-        operations are as fast in both with 200, and with 1000 three times as fast in numpy.
-    chunk : int
-        Elements at a time, so that what is being worked on stays in the cache.
-    """
-
-    numpy_from: Count = 200
-    chunk: Count = 4096
-
-
-USUAL = AssemblySettings()
+CHUNK = 4096
+"""Columns at a time, so that what is being worked on stays in the cache."""
 
 
 OPERATIONS: dict[int, Callable[..., Any]] = {
@@ -83,11 +68,9 @@ Columns = Callable[[Sequence[Array | None]], list[Array]]
 As everywhere in CasADi an argument None is zero."""
 
 
-def columnwise(function: ca.Function, n: int, settings: AssemblySettings = USUAL) -> Columns:
+def columnwise(function: ca.Function, n: int) -> Columns:
     """A Function with dense arguments over ``n`` columns, the faster way."""
-    if n >= settings.numpy_from and is_vectorisable(function):
-        return Vectorised(function, n, settings.chunk)
-    return Mapped(function, n)
+    return (Vectorised if n >= NUMPY_FROM and is_vectorisable(function) else Mapped)(function, n)
 
 
 class Mapped:
@@ -103,10 +86,10 @@ class Mapped:
 
 
 class Vectorised:
-    """The same in numpy, ``chunk`` columns at a time, of a Function that :func:`is_vectorisable`."""
+    """The same in numpy, ``CHUNK`` columns at a time, of a Function that :func:`is_vectorisable`."""
 
-    def __init__(self, function: ca.Function, n: int, chunk: int = USUAL.chunk) -> None:
-        self._function, self._n, self._chunk = function, n, chunk
+    def __init__(self, function: ca.Function, n: int) -> None:
+        self._function, self._n = function, n
         self._bound: dict[int, _Bound] = {}
 
     def __call__(self, arguments: Sequence[Array | None]) -> list[Array]:
@@ -114,8 +97,8 @@ class Vectorised:
         lengths = (self._function.nnz_out(i) for i in range(self._function.n_out()))
         results = [np.empty((length, self._n)) for length in lengths]
         with np.errstate(all="ignore"):  # as CasADi: what is not finite shows in the result
-            for first in range(0, self._n, self._chunk):
-                columns = slice(first, min(first + self._chunk, self._n))
+            for first in range(0, self._n, CHUNK):
+                columns = slice(first, min(first + CHUNK, self._n))
                 width = columns.stop - columns.start
                 if width not in self._bound:
                     self._bound[width] = _Bound(self._function, width)

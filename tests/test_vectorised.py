@@ -12,7 +12,7 @@ from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.numeric import Numeric
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.vectorised import USUAL, Mapped, Vectorised, columnwise, is_vectorisable
+from rmesh_nlp.vectorised import CHUNK, NUMPY_FROM, Mapped, Vectorised, columnwise, is_vectorisable
 
 
 def every_operation() -> ca.Function:
@@ -28,7 +28,7 @@ def every_operation() -> ca.Function:
     return ca.Function("every", [x, y, unused], [ca.vertcat(*results), ca.SX(0, 1), ca.diag(x)])
 
 
-@pytest.mark.parametrize("n", [1, 3, USUAL.chunk, USUAL.chunk + 5])
+@pytest.mark.parametrize("n", [1, 3, CHUNK, CHUNK + 5])
 def test_the_same_as_a_map(n: int) -> None:
     function = every_operation()
     assert is_vectorisable(function)
@@ -54,9 +54,9 @@ def test_an_argument_may_be_left_out() -> None:
 
 def test_what_numpy_cannot_do_is_mapped() -> None:
     x = ca.SX.sym("x")
-    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), USUAL.numpy_from)
+    kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), NUMPY_FROM)
     assert isinstance(kernel, Mapped)
-    assert kernel([np.zeros((1, USUAL.numpy_from))])[0].shape == (1, USUAL.numpy_from)
+    assert kernel([np.zeros((1, NUMPY_FROM))])[0].shape == (1, NUMPY_FROM)
 
 
 def test_an_interruption_comes_through_casadi(monkeypatch) -> None:

@@ -14,6 +14,7 @@ from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Symmetric
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
@@ -190,19 +191,16 @@ class _AtZero:
     ) -> None:
         positions, X = parts.vertices.positions, parts.vertices.symbol
         x, groups = ca.MX.sym("x", n), [term.on(positions, field) for term in terms]
-        sums = parts.assemble(groups, x, X, parts.n_contact)
+        self._sums = Assembled(groups, x, X, parts.n_contact)
         self._zero, self._no_forces = np.zeros(n), np.zeros(parts.n_contact)
-        self._first = sums.gradient
         self._quadratic = quadratic
         if quadratic:
-            self._rows, self._second = sums.values, sums.hessian()
-            self.matrix = Symmetric(self._second.pattern)
+            self.matrix = Symmetric(self._sums.second.pattern)
 
     def __call__(self, given: Array) -> tuple[float, list[Array]]:
         """The value, and all else."""
-        value, gradient = self._first(self._zero, given)
+        value, gradient, rows, _ = self._sums.first(self._zero, given)
         if not self._quadratic:
             return float(value[0]), [gradient]
-        _, rows = self._rows(self._zero, given)
-        (hessian,) = self._second(self._zero, given, np.ones(1), self._no_forces)
+        (hessian,) = self._sums.second(self._zero, given, np.ones(1), self._no_forces)
         return float(value[0]), [gradient, rows, hessian]

@@ -6,16 +6,13 @@ model puts them one after the other (:meth:`~rmesh_nlp.fem.fields.Field.numbered
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import casadi as ca
 import numpy as np
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
 from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
 from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
@@ -26,7 +23,6 @@ from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.rigid import rigid_motions
-from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 
 @dataclass(frozen=True)
@@ -37,7 +33,6 @@ class Discretisation:
     """
 
     problem: ContactProblem
-    assembly: AssemblySettings = USUAL
     displacement_space: DisplacementSpace | None = None
 
     @cached_property
@@ -147,11 +142,7 @@ class Discretisation:
     @cached_property
     def validity(self) -> Validity:
         """Rows of the elements that the move limits alone do not keep valid."""
-        return validity(self.problem, self.mesh_map, self.assembly)
-
-    def assemble(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> Assembled:
-        """Sum element groups."""
-        return Assembled(groups, x, p, n_rows, self.assembly)
+        return validity(self.problem, self.mesh_map)
 
     def bulk(self, positions: Field, displacement: Field) -> list[ElementGroup]:
         """The energy without friction on these fields."""
@@ -195,8 +186,6 @@ class Discretisation:
         return displacement_field(self.space)
 
 
-def discretise(
-    problem: ContactProblem | Discretisation, assembly: AssemblySettings | None = None
-) -> Discretisation:
+def discretise(problem: ContactProblem | Discretisation) -> Discretisation:
     """The discretisation of a problem; one that is given is handed on as it is."""
-    return problem if isinstance(problem, Discretisation) else Discretisation(problem, assembly or USUAL)
+    return problem if isinstance(problem, Discretisation) else Discretisation(problem)

@@ -1,8 +1,8 @@
 """From element Functions to a global objective, constraints and their sparse derivatives.
 
-Each is a sum over elements of one small function of a few local values, which is differentiated once.
-In numpy (:mod:`rmesh_nlp.fem.numeric`) it runs over all elements at a time. CasADi's expressions of the same
-sums can be differentiated further and cost least on a small mesh; its Functions are what solvers take.
+Each is a sum over elements of one small function of a few local values, which is differentiated once, and
+evaluated in numpy for all elements at a time (:mod:`rmesh_nlp.fem.numeric`). For solvers these sums are
+CasADi Functions that call Python. Objective and constraints are CasADi expressions as well.
 """
 
 from __future__ import annotations
@@ -12,138 +12,41 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import RESULTS, plain
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Values
-from rmesh_nlp.fem.numeric import AXES, Kernel, LocalKernels, Mapped, Numeric, merged
+from rmesh_nlp.fem.element import plain
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
+from rmesh_nlp.fem.numeric import Numeric, first_order, merged, second_order
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.straightened import straightened
-from rmesh_nlp.fem.sums import Shape, Sums, sparse
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import Derivatives
-from rmesh_nlp.vectorised import USUAL, AssemblySettings, columnwise
-
-
-class _InCasadi:
-    """Sums as expressions of the inputs, each argument gathered once."""
-
-    def __init__(self, inputs: list[ca.MX]) -> None:
-        self._inputs = inputs
-        self._gathered: dict[int, tuple[Values, ca.MX]] = {}
-
-    def __call__(self, shapes: list[Shape], kernels: list[Kernel]) -> list[ca.MX]:
-        """One expression for each output."""
-        local = [k.function.map(k.size).call([self._gather(*a) for a in k.arguments]) for k in kernels]
-        outputs = []
-        for number, shape in enumerate(shapes):
-            parts = [kernel.results[number] for kernel in kernels]
-            sums = Sums(shape, parts)
-            nonzeros = ca.MX.zeros(sums.pattern.nnz(), 1)
-            for part, results in enumerate(local):
-                matrix = sums.by_element(part, parts[part].row.shape)
-                if matrix.nnz():
-                    nonzeros += matrix @ ca.vec(results[number])
-            outputs.append(ca.MX(sums.pattern, nonzeros))
-        return outputs
-
-    def _gather(self, source: int, field: Values) -> ca.MX:
-        """Local values (length, elements) of a field of one input."""
-        if id(field) not in self._gathered:
-            w, index = self._inputs[source], field.index
-            moving = index != CONSTANT
-            shape = (moving.size, int(w.shape[0]))
-            pick = sparse(shape, _by_element(moving.shape)[moving], index[moving], field.scale[moving])
-            local = pick @ w + ca.DM(field.offset.ravel(order="F"))
-            # the field is kept too, for its id to stay its own
-            self._gathered[id(field)] = field, ca.reshape(local, *moving.shape)
-        return self._gathered[id(field)][1]
-
-
-class Summed(PythonFunction):
-    """The same sums as a Function of dense columns."""
-
-    def __init__(self, name: str, inputs: list[ca.MX], numeric: Numeric) -> None:
-        self._numeric = numeric
-        outputs = [sums.pattern for sums in numeric.sums]
-        super().__init__(name, [symbol.sparsity() for symbol in inputs], outputs)
-
-    def has_eval_buffer(self) -> bool:
-        """Evaluation in place, without copies to CasADi's own matrices."""
-        return True
-
-    def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview | None]) -> int:
-        """Evaluate on flat buffers of all nonzeros; an argument None is zero, a result None is not wanted."""
-        nonzeros = self._numeric(*(None if a is None else np.frombuffer(a) for a in arg))
-        for result, values in zip(res, nonzeros, strict=True):
-            if result is not None:
-                np.frombuffer(result)[:] = values
-        return 0
-
-
-def _by_element(shape: Shape) -> Index:
-    """Where CasADi stores the entries of a (length, elements) array: one element after the other."""
-    return np.arange(shape[0] * shape[1]).reshape(shape, order="F")
+from rmesh_nlp.vectorised import columnwise
 
 
 class Assembled:
     """Global objective and constraints as MX expressions, and their derivatives, each built when asked for.
 
     The fields of the groups index the columns ``x`` or ``p``; of ``n_rows`` constraints those that no group
-    touches are zero. This object must live as long as any Function made of the derivatives: some are Python
-    callbacks, ``kernels``, which CasADi does not own.
+    touches are zero.
     """
 
-    def __init__(
-        self,
-        groups: Sequence[ElementGroup],
-        x: ca.MX,
-        p: ca.MX,
-        n_rows: int,
-        settings: AssemblySettings = USUAL,
-    ) -> None:
+    def __init__(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> None:
         present = [group for group in groups if group.size > 0]
         self._groups = merged([part for group in present for part in straightened(group)])
-        self._large = any(group.size >= settings.numpy_from for group in groups)
-        self._settings = settings
-        self._inputs = [x, p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)]
-        self._lengths = {"one": 1, "rows": n_rows, "x": int(x.shape[0])}
-        self._in_casadi = _InCasadi(self._inputs)
-        self.kernels: list[ca.Function] = []
+        self._x, self._p, self._n_rows = x, p, n_rows
 
     @cached_property
-    def _local(self) -> list[LocalKernels]:
-        return [LocalKernels(group) for group in self._groups]
-
-    @property
-    def values(self) -> Numeric:
-        """``(x, p) -> (f, g)`` on arrays."""
-        return self._numeric("values")
-
-    @property
-    def gradient(self) -> Numeric:
-        """``(x, p) -> (f, gradient)`` on arrays."""
-        return self._numeric("gradient")
-
-    @property
-    def jacobian(self) -> Numeric:
-        """``(x, p) -> (g, nonzeros of the Jacobian)`` on arrays."""
-        return self._numeric("jacobian")
-
-    def hessian(self, leading: int | None = None) -> Numeric:
-        """``(x, p, lam_f, lam_g) -> (nonzeros of the Hessian of the Lagrangian,)`` on arrays, upper triangle.
-
-        With ``leading`` only the rows of as many unknowns.
-        """
-        return self._numeric("hessian", leading)
-
-    def _numeric(self, which: str, leading: int | None = None) -> Numeric:
-        kernels = [part.kernel(which, leading, whole=False) for part in self._local]
-        return Numeric(self._shapes(which), [Mapped(kernel, self._settings) for kernel in kernels])
+    def first(self) -> Numeric:
+        """``(x, p) -> (f, gradient, g, nonzeros of the Jacobian)`` on arrays."""
+        return first_order(self._groups, self._x.shape[0], self._n_rows)
 
     @cached_property
-    def _expressions(self) -> list[ca.MX]:
-        return self._in_casadi(*self._sums("values"))
+    def second(self) -> Numeric:
+        """``(x, p, lam_f, lam_g) -> (nonzeros of the Hessian of the Lagrangian,)``, its upper triangle."""
+        return second_order(self._groups, self._x.shape[0], self._n_rows)
 
     @property
     def f(self) -> ca.MX:
@@ -156,38 +59,69 @@ class Assembled:
         return self._expressions[1]
 
     @cached_property
-    def grad_f(self) -> ca.Function:
-        """``(x, p) -> (f, gradient)``."""
-        return self._function("nlp_grad_f", 2, "gradient")
-
-    @cached_property
-    def jac_g(self) -> ca.Function:
-        """``(x, p) -> (g, Jacobian)``."""
-        return self._function("nlp_jac_g", 2, "jacobian")
-
-    @cached_property
-    def hess_lag(self) -> ca.Function:
-        """``(x, p, lam_f, lam_g) ->`` upper triangle of the Hessian of the Lagrangian."""
-        return self._function("nlp_hess_l", 4, "hessian")
-
-    @property
     def derivatives(self) -> Derivatives:
-        """The derivative Functions in the form that nlpsol takes."""
-        return Derivatives(self.grad_f, self.jac_g, self.hess_lag, tuple(self.kernels))
+        """Derivative Functions in the form that nlpsol takes."""
+        x, p, lam_f, lam_g = self._x, self._p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self._n_rows)
+        kernels = (
+            _Summed("nlp_grad_f", [x, p], self.first, slice(0, 2)),
+            _Summed("nlp_jac_g", [x, p], self.first, slice(2, 4)),
+            _Summed("nlp_hess_l", [x, p, lam_f, lam_g], self.second, slice(0, 1)),
+        )
+        grad_f, jac_g, hess_lag = (kernel.function for kernel in kernels)
+        return Derivatives(grad_f, jac_g, hess_lag, kernels)
 
-    def _shapes(self, which: str) -> list[Shape]:
-        axes = [AXES[name] for name in RESULTS[which]]
-        return [(self._lengths[rows], self._lengths[columns]) for rows, columns in axes]
+    @cached_property
+    def _expressions(self) -> tuple[ca.MX, ca.MX]:
+        f, g = ca.MX(0), ca.MX.zeros(self._n_rows)
+        for group in self._groups:
+            function = plain(group.function, group.at_points).map(group.size)
+            value, rows = function.call([self._gathered(field) for field in group.arguments])
+            used = group.rows != CONSTANT
+            f += ca.sum2(value)
+            g += _selection(
+                group.rows[used], _by_element(group.rows)[used], (g.numel(), rows.numel())
+            ) @ ca.vec(rows)
+        return f, g
 
-    def _sums(self, which: str) -> tuple[list[Shape], list[Kernel]]:
-        return self._shapes(which), [part.kernel(which) for part in self._local]
+    def _gathered(self, field: Field) -> ca.MX:
+        """Local values (length, elements) of a field."""
+        w, used = self._p if field.parameter else self._x, field.index != CONSTANT
+        shape = used.size, w.numel()
+        pick = _selection(_by_element(used)[used], field.index[used], shape, field.scale[used])
+        return ca.reshape(pick @ w + ca.DM(field.offset.ravel(order="F")), *used.shape)
 
-    def _function(self, name: str, n_in: int, which: str) -> ca.Function:
-        inputs = self._inputs[:n_in]
-        if not self._large:
-            return ca.Function(name, inputs, self._in_casadi(*self._sums(which)))
-        self.kernels.append(Summed(name, inputs, self._numeric(which)))
-        return ca.Function(name, inputs, self.kernels[-1].call(inputs))
+
+class _Summed(PythonFunction):
+    """Some results of sums as a Function of dense columns."""
+
+    def __init__(self, name: str, inputs: list[ca.MX], numeric: Numeric, chosen: slice) -> None:
+        self._numeric, self._chosen = numeric, chosen
+        outputs = [sums.pattern for sums in numeric.sums[chosen]]
+        super().__init__(name, [symbol.sparsity() for symbol in inputs], outputs)
+        self.function = ca.Function(name, inputs, self.call(inputs))
+
+    def has_eval_buffer(self) -> bool:
+        """Evaluation in place, without copies to CasADi's own matrices."""
+        return True
+
+    def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview | None]) -> int:
+        """Evaluate on flat buffers of all nonzeros; an argument None is zero, a result None is not wanted."""
+        nonzeros = self._numeric(*(None if a is None else np.frombuffer(a) for a in arg))
+        for result, values in zip(res, nonzeros[self._chosen], strict=True):
+            if result is not None:
+                np.frombuffer(result)[:] = values
+        return 0
+
+
+def _by_element(values: NDArray) -> Index:
+    """Where CasADi stores the entries of a (length, elements) array: one element after the other."""
+    return np.arange(values.size).reshape(values.shape, order="F")
+
+
+def _selection(row: Index, column: Index, shape: tuple[int, int], value: Array | float = 1.0) -> ca.DM:
+    """A sparse matrix by its entries; zeros among them are kept."""
+    values = np.broadcast_to(value, row.shape)
+    return ca.DM(sp.csc_array((values, (row, column)), shape=shape))
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

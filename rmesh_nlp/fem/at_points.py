@@ -17,7 +17,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Expression, Kind
 from rmesh_nlp.problem.coefficients import OPEN, PositionFunction
-from rmesh_nlp.vectorised import USUAL, Columns, columnwise
+from rmesh_nlp.vectorised import CHUNK, Columns, columnwise
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,21 +91,10 @@ class PointValues:
 
     def values(self, columns: list[Expression]) -> Expression:
         """The argument of an element function, from its other ones."""
+        points = ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares))
         # by the function itself, which may have free symbols
-        values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in self._points(columns)))
+        values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in points))
         return ca.vec(values if self.weights is None else values @ ca.DM(self.weights.T))
-
-    def _points(self, columns: list[Expression]) -> list[Expression]:
-        return list(ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares)))
-
-    def expressions(self, columns: list[Expression], order: int) -> list[Expression]:
-        """What :meth:`evaluated` returns, from the other arguments of an element function."""
-        derivatives = _derivatives(self.function.serialize(), order)
-        by_point = [derivatives.call(ca.vertsplit(point)) for point in self._points(columns)]
-        parts = [ca.horzcat(*(results[k] for results in by_point)).T for k in range(order + 1)]
-        if self.weights is not None:
-            parts = [ca.DM(matrix) @ part for matrix, part in zip(self._matrices, parts, strict=False)]
-        return [ca.vec(part) for part in parts]
 
     def evaluated(self, X: Array, order: int) -> list[Array]:
         """Derivatives of order 0, 1, ... at X (2 * vertices, elements), each as (numbers, elements).
@@ -121,7 +110,7 @@ class PointValues:
         text, count, n = self.function.serialize(), self.shares.shape[1], X.shape[1]
         rows = [count] * 3 if self.weights is None else [len(matrix) for matrix in self._matrices]
         results = [np.empty(((k + 1) * self.length, rows[k], n)) for k in range(order + 1)]
-        size = min(max(USUAL.chunk // count, 1), n)  # elements at a time, so that all stays in the cache
+        size = min(max(CHUNK // count, 1), n)  # elements at a time, so that all stays in the cache
         columns = _columns(text, order, size * count)
         for first in range(0, n, size):
             part = slice(min(first, n - size), min(first + size, n))
@@ -131,18 +120,15 @@ class PointValues:
                 result[..., part] = values if self.weights is None else matrix @ values
         return [result.reshape(-1, n) for result in results]
 
-    def symbols(self, kind: Kind) -> list[Expression]:
-        """Symbols for what :meth:`evaluated` returns for order 2."""
+    def chain(self, kind: Kind) -> Chain:
+        """How the values change with X, from symbols for what :meth:`evaluated` returns for order 2."""
         rows = [self.shares.shape[1]] * 3 if self.weights is None else map(len, self._matrices)
-        return [kind.sym(f"d{k}", n * (k + 1) * self.length) for k, n in enumerate(rows)]
-
-    def chain(self, symbols: list[Expression]) -> Chain:
-        """How the values change with X, from :meth:`symbols`."""
-        parts = [ca.reshape(symbol, -1, (k + 1) * self.length) for k, symbol in enumerate(symbols)]
+        lengths = [(k + 1) * self.length for k in range(3)]
+        symbols = [kind.sym(f"d{k}", n * size) for k, (n, size) in enumerate(zip(rows, lengths, strict=True))]
+        parts = [ca.reshape(symbol, -1, size) for symbol, size in zip(symbols, lengths, strict=True)]
         if self.weights is None:
             parts = [ca.sparsify(ca.DM(m)) @ part for m, part in zip(self._matrices, parts, strict=True)]
-        values, first, second = parts
-        return Chain(values, first, second, self.length, self.pairs)
+        return Chain(symbols, parts, self.length, self.pairs)
 
 
 class Chain:
@@ -150,7 +136,9 @@ class Chain:
 
     Parameters
     ----------
-    values, first, second
+    symbols : list
+        What ``parts`` are made of.
+    parts : list
         ``sum W f``, ``sum W l_b f'`` and ``sum W l_b l_c f''``: a row for each sum and each b, or pair of b
         and c, which runs fastest, and a column for each component of each derivative.
     length : int
@@ -159,14 +147,10 @@ class Chain:
     """
 
     def __init__(
-        self,
-        values: Expression,
-        first: Expression,
-        second: Expression,
-        length: int,
-        pairs: list[tuple[int, int]],
+        self, symbols: list[Expression], parts: list[Expression], length: int, pairs: list[tuple[int, int]]
     ) -> None:
-        self.values, self._length, self._pairs, self._second = ca.vec(values.T), length, pairs, second
+        values, first, self._second = parts
+        self.symbols, self.values, self._length, self._pairs = symbols, ca.vec(values.T), length, pairs
         n, vertices = values.shape[0], 1 + pairs[-1][1]
         by_vertex = [ca.vertsplit(ca.reshape(part, vertices, n)) for part in ca.horzsplit(first)]
         columns = [

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from skfem.quadrature import get_quadrature_line
 
 from rmesh_nlp.evaluation import Array, Expression, Kind
-from rmesh_nlp.fem.at_points import PointValues
+from rmesh_nlp.fem.at_points import Chain, PointValues
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
-
-FEW = 20
-"""Elements of one kind, such as those with the same nodes on a curve, of which there are few."""
 
 NO_ROWS = ca.SX(0, 1)
 """The constraints of an element that adds to the objective alone."""
@@ -81,96 +79,74 @@ def line_rule(degree: int) -> tuple[Array, Array]:
     return np.vstack([1 - points.ravel(), points.ravel()]), weights
 
 
-RESULTS = {
-    "values": ("f", "g"),
-    "gradient": ("f", "gradient"),
-    "jacobian": ("g", "jacobian"),
-    "hessian": ("hessian",),
-}
-"""Results of the Functions of :class:`Differentiated`."""
+class Local(NamedTuple):
+    """A derivative of an element function: nonzeros of its results, whose patterns these are.
 
-ORDERS = {"values": 0, "gradient": 1, "jacobian": 1, "hessian": 2}
-"""Order of the derivatives that they take of values at points."""
+    Its arguments are columns, then the derivatives of values at points up to an ``order``.
+    """
+
+    function: ca.Function
+    patterns: tuple[ca.Sparsity, ...]
+    order: int
 
 
 class Differentiated:
     """An element function ``(*columns[, values at points]) -> (f, g)`` and its derivatives by some columns.
 
-    f and the gradient have no nonzero if f is constantly zero. The Hessian is the upper triangle of that of
-    ``lam_f f + lam_g . g``. Values at points and their derivatives are arguments.
-
-    Attributes
-    ----------
-    patterns : dict of casadi.Sparsity
-        Of each result.
-    at_points : PointValues or None
+    Values at points and their derivatives are arguments. Where f is constantly zero it has no nonzero, and
+    no derivative has one.
     """
 
     def __init__(self, function: ca.Function, at_points: PointValues | None, variable: list[int]) -> None:
         symbols = local_symbols(function)
-        kind = type(symbols[0])
-        self.at_points, self._columns, self._at_points = at_points, symbols, []
-        local = ca.vertcat(kind(0, 1), *[symbols[i] for i in variable])
-        f, g = function(*symbols)
-        self._multipliers = kind.sym("lam_f"), kind.sym("lam_g", g.shape[0])
-        lagrangian = self._multipliers[0] * f + ca.dot(self._multipliers[1], g)
-        gradient, jacobian = ca.gradient(f, local), ca.jacobian(g, local)
-        hessian = ca.hessian(lagrangian, local)[0]
-        self._moves = at_points is not None and at_points.place in variable
-        if at_points is not None:
-            self._columns, values = symbols[:-1], symbols[-1]
-            self._at_points = at_points.symbols(kind)
-            chain = at_points.chain(self._at_points)
-            if self._moves:
-                # places of X among the local unknowns
-                first = sum(symbols[i].shape[0] for i in variable[: variable.index(at_points.place)])
-                X = slice(first, first + symbols[at_points.place].shape[0])
-                slope = kind(values.shape[0], local.shape[0])
-                slope[:, X] = chain.slope
-                by_value = ca.gradient(lagrangian, values)
-                mixed = ca.jacobian(by_value, local).T @ slope
-                gradient += slope.T @ ca.gradient(f, values)
-                jacobian += ca.jacobian(g, values) @ slope
-                hessian += mixed + mixed.T + slope.T @ ca.hessian(lagrangian, values)[0] @ slope
-                hessian[X, X] += chain.curvature(by_value)
-            expressions = ca.substitute([f, g, gradient, jacobian, hessian], [values], [chain.values])
-            f, g, gradient, jacobian, hessian = expressions
-        if f.is_zero():
-            f = kind(1, 1)  # without nonzeros: nothing to evaluate
-        results = {"f": f, "g": g, "gradient": gradient, "jacobian": jacobian, "hessian": ca.triu(hessian)}
-        self.patterns = {name: result.sparsity() for name, result in results.items()}
-        self._nonzeros = {name: r if name == "f" else r.nz[:] for name, r in results.items()}
-        self._functions: dict[tuple[object, ...], ca.Function] = {}
+        self._kind = type(symbols[0])
+        self._x = ca.vertcat(self._kind(0, 1), *[symbols[i] for i in variable])
+        self._f, self._g = function(*symbols)
+        self._columns, self._values, self._chain = symbols, symbols[-1], None
+        self._moving: tuple[Chain, slice, Expression] | None = None
+        if at_points is None:
+            return
+        self._columns, self._chain = symbols[:-1], at_points.chain(self._kind)
+        if at_points.place in variable:
+            first = sum(symbols[i].shape[0] for i in variable[: variable.index(at_points.place)])
+            X = slice(first, first + symbols[at_points.place].shape[0])  # places of X in x
+            slope = self._kind(self._values.shape[0], self._x.shape[0])
+            slope[:, X] = self._chain.slope
+            self._moving = self._chain, X, slope
 
-    def order(self, which: str) -> int:
-        """The order of the derivatives of values at points that ``which`` takes."""
-        return ORDERS[which] if self._moves else 0
+    @cached_property
+    def first(self) -> Local:
+        """Value f, its gradient, rows g and their Jacobian."""
+        f, g, x = self._f, self._g, self._x
+        gradient, jacobian = ca.gradient(f, x), ca.jacobian(g, x)
+        if self._moving is not None:
+            _, _, slope = self._moving
+            gradient += slope.T @ ca.gradient(f, self._values)
+            jacobian += ca.jacobian(g, self._values) @ slope
+        return self._made("first", [f, gradient, g, jacobian], 1)
 
-    def function(
-        self,
-        which: str,
-        kept: tuple[tuple[int, ...], ...] | None = None,
-        *,
-        whole: bool = True,
-        for_few: bool = False,
-    ) -> ca.Function:
-        """``(*columns[, *derivatives at points]) ->`` nonzeros of ``RESULTS[which]``, all or those ``kept``.
+    @cached_property
+    def second(self) -> Local:
+        """Upper triangle of the Hessian of ``lam_f f + lam_g . g``; takes lam_f and lam_g as well."""
+        lam_f, lam_g = self._kind.sym("lam_f"), self._kind.sym("lam_g", self._g.shape[0])
+        lagrangian = lam_f * self._f + ca.dot(lam_g, self._g)
+        hessian = ca.hessian(lagrangian, self._x)[0]
+        if self._moving is not None:
+            chain, X, slope = self._moving
+            by_value = ca.gradient(lagrangian, self._values)
+            mixed = ca.jacobian(by_value, self._x).T @ slope
+            hessian += mixed + mixed.T + slope.T @ ca.hessian(lagrangian, self._values)[0] @ slope
+            hessian[X, X] += chain.curvature(by_value)
+        return self._made("second", [ca.triu(hessian)], 2, lam_f, lam_g)
 
-        A ``whole`` one puts in the derivatives at points. A Hessian takes lam_f and lam_g as well. Common
-        subexpressions are not looked for if it is ``for_few`` elements: that would take longer than it saves.
-        """
-        key = which, kept, whole, for_few
-        if key not in self._functions:
-            results = [self._nonzeros[name] for name in RESULTS[which]]
-            if kept is not None:
-                results = [result[list(rows)] for result, rows in zip(results, kept, strict=True)]
-            given = self._at_points[: self.order(which) + 1]
-            if whole and self.at_points is not None:
-                at = self.at_points.expressions(self._columns, self.order(which))
-                results, given = ca.substitute(results, given, at), []
-            columns = [*self._columns, *given, *(self._multipliers if which == "hessian" else ())]
-            self._functions[key] = ca.Function(which, columns, results if for_few else ca.cse(results))
-        return self._functions[key]
+    def _made(self, name: str, results: list[Expression], order: int, *multipliers: Expression) -> Local:
+        order, inputs = 0 if self._moving is None else order, list(self._columns)
+        if self._chain is not None:
+            results = ca.substitute(results, [self._values], [self._chain.values])
+            inputs += self._chain.symbols[: order + 1]
+        results = [self._kind(*r.shape) if r.is_zero() else r for r in results]
+        function = ca.Function(name, [*inputs, *multipliers], ca.cse([r.nz[:] for r in results]))
+        return Local(function, tuple(result.sparsity() for result in results), order)
 
 
 def differentiated(

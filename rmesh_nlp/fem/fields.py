@@ -57,7 +57,7 @@ class Design:
     names: tuple[str, ...]
     values: Field
 
-    def of(self, names: tuple[str, ...], size: int) -> LocalField:
+    def of(self, names: tuple[str, ...], size: int) -> Field:
         """Those with these names on so many elements, the same on all."""
         return self.values.at(np.tile(np.array([[self.names.index(name)] for name in names]), size))
 
@@ -73,12 +73,9 @@ class Modes:
         """What is added."""
         return np.tensordot(self.amplitudes.values(w)[0], self.motions, 1)
 
-    def local(self, nodes: Index) -> tuple[LocalField, Array]:
-        """The amplitudes, and the motions (modes * length, elements), on elements with ``nodes``."""
-        n, components, _ = self.motions.shape
-        numbers = np.tile(np.arange(n)[:, None], nodes.shape[1])
-        motions = self.motions[:, :, nodes].transpose(0, 2, 1, 3)
-        return self.amplitudes.at(numbers), motions.reshape(n * components * len(nodes), -1)
+    def picked(self, pick: Callable[[NDArray], NDArray]) -> Modes:
+        """Those of some values of the field."""
+        return Modes(self.amplitudes, np.stack([pick(motion) for motion in self.motions]))
 
 
 @dataclass(frozen=True)
@@ -117,9 +114,13 @@ class Field:
         """Components and nodes, or length and elements of local values."""
         return self.index.shape[0], self.index.shape[1]
 
-    def at(self, nodes: Index) -> LocalField:
-        """Local values on elements with ``nodes`` (nodes per element, elements), a column for each."""
-        return LocalField(self, nodes)
+    def at(self, nodes: Index) -> Field:
+        """Local values on elements with ``nodes`` (nodes per element, elements), a column for each.
+
+        A column has the components of the first node, then of the second, ...
+        """
+        shape = self.shape[0] * len(nodes), nodes.shape[1]
+        return self._picked(lambda a: a[:, nodes].swapaxes(0, 1).reshape(shape))
 
     def component(self, number: int) -> Field:
         """One component as a field of its own."""
@@ -131,7 +132,8 @@ class Field:
 
     def _picked(self, pick: Callable[[NDArray], NDArray]) -> Field:
         bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
-        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends)
+        modes = self.modes and self.modes.picked(pick)
+        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends, modes)
 
     def straight(self) -> Field:
         """The affine field behind it."""
@@ -169,77 +171,6 @@ class Field:
         return result
 
 
-@dataclass(frozen=True)
-class LocalField:
-    """A nodal field on elements with ``nodes`` (nodes per element, elements), each a column.
-
-    It has the attributes of a :class:`Field`. A column has the components of the first node, then of the
-    second, ... Only the nodes are kept; arrays are made when they are asked for.
-    """
-
-    nodal: Field
-    nodes: Index
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Length and elements."""
-        return self.nodal.index.shape[0] * self.nodes.shape[0], self.nodes.shape[1]
-
-    @property
-    def parameter(self) -> bool:
-        """See :class:`Field`."""
-        return self.nodal.parameter
-
-    @property
-    def index(self) -> Index:
-        """See :class:`Field`."""
-        return self.gathered(self.nodal.index)
-
-    @property
-    def scale(self) -> Array:
-        """See :class:`Field`."""
-        return self.gathered(self.nodal.scale)
-
-    @property
-    def offset(self) -> Array:
-        """See :class:`Field`."""
-        return self.gathered(self.nodal.offset)
-
-    @property
-    def bends(self) -> Bends | None:
-        """See :class:`Field`."""
-        bends = self.nodal.bends
-        return bends and Bends(self.gathered(bends.which), bends.functions)
-
-    def gathered(self, values: NDArray) -> NDArray:
-        """Local values (length, elements) by those at nodes (components, nodes)."""
-        result = np.empty((len(self.nodes), len(values), self.nodes.shape[1]), values.dtype)
-        for nodes, out in zip(self.nodes, result, strict=True):
-            np.take(values, nodes, axis=1, out=out, mode="clip")
-        return result.reshape(self.shape)
-
-    def elements(self, chosen: Index) -> LocalField:
-        """On some of the elements."""
-        return LocalField(self.nodal, self.nodes[:, chosen])
-
-    def straight(self) -> LocalField:
-        """The affine field behind it."""
-        return LocalField(self.nodal.straight(), self.nodes)
-
-    @property
-    def modes(self) -> Modes | None:
-        """See :class:`Field`."""
-        return self.nodal.modes
-
-    def values(self, w: Array) -> Array:
-        """Local values for a numeric vector ``w``."""
-        return self.gathered(self.nodal.values(w))
-
-
-Values = Field | LocalField
-"""Arguments of a function of elements, (length, elements)."""
-
-
 def unknown_field(shape: tuple[int, int], first: int = 0, *, parameter: bool = False) -> Field:
     """A field all of whose values are unknowns, numbered node by node from ``first``."""
     components, nodes = shape
@@ -269,7 +200,7 @@ class ElementGroup:
     """
 
     function: ca.Function
-    arguments: tuple[Values, ...]
+    arguments: tuple[Field, ...]
     rows: Index
     at_points: PointValues | None = None
 
@@ -291,7 +222,7 @@ class ElementGroup:
 def element_group(
     function: ca.Function,
     positions: Field,
-    local: tuple[Values, ...],
+    local: tuple[Field, ...],
     rows: Index | None = None,
     at_points: PointValues | None = None,
 ) -> ElementGroup:
@@ -343,7 +274,7 @@ class ElementTerm:
         if self.component is not None:
             fields = (*fields[:-1], fields[-1].component(self.component))
         chosen = zip(fields, self.nodes, strict=True)
-        local: tuple[Values, ...] = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
+        local: tuple[Field, ...] = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
         if self.arc is not None and fields[0].along is not None:
             curve, nodes = self.arc
             local = (fields[0].along.component(curve).at(nodes), *local)

@@ -4,87 +4,69 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array, Expression
-from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.element import FEW, RESULTS, differentiated
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field, LocalField, Values
+from rmesh_nlp.fem.element import Local, differentiated
+from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.sums import Entries, Shape, Sums
-from rmesh_nlp.vectorised import AssemblySettings, columnwise
+from rmesh_nlp.vectorised import columnwise
+
+Inputs = Sequence[Array | None]
+"""x, p, lam_f and lam_g, as far as they are needed; None is zero."""
 
 
-class Kernel(NamedTuple):
-    """A function of one element, the inputs that its arguments come from, and where its results go.
+class Numeric:
+    """Sums over element groups as functions of arrays; the last results are remembered.
 
-    Inputs are x, p, lam_f and lam_g. Result number k is summed into output number k. With ``at_points`` the
-    function takes the derivatives of values there up to an ``order`` as well, after the first ``columns``
-    arguments.
+    Each group has a :class:`_Part`, which makes its local results.
     """
 
-    function: ca.Function
-    arguments: tuple[tuple[int, Values], ...]
-    results: tuple[Entries, ...]
-    size: int
-    columns: int
-    at_points: PointValues | None
-    order: int
+    def __init__(self, shapes: Sequence[Shape], parts: Sequence[tuple[_Part, Sequence[Entries]]]) -> None:
+        used = [(part, entries) for part, entries in parts if any(entry.row.size for entry in entries)]
+        self._parts = [part for part, _ in used]
+        self.sums = [Sums(shape, [entries[k] for _, entries in used]) for k, shape in enumerate(shapes)]
+        self._last: tuple[list[bytes | None], list[Array]] | None = None
+
+    @property
+    def pattern(self) -> sp.csc_array:
+        """That of the last result, a matrix, with 1, 2, ... as values."""
+        return self.sums[-1].numbered
+
+    def __call__(self, *inputs: Array | None) -> list[Array]:
+        """Nonzeros of each result, not to be written to, at as many of x, p, lam_f and lam_g as it takes."""
+        key = [None if values is None else values.tobytes() for values in inputs]
+        if self._last is None or key != self._last[0]:
+            local = [part(inputs) for part in self._parts]
+            self._last = key, [total([part[k] for part in local]) for k, total in enumerate(self.sums)]
+        return self._last[1]
 
 
-AXES = {
-    "f": ("one", "one"),
-    "g": ("rows", "one"),
-    "gradient": ("x", "one"),
-    "jacobian": ("rows", "x"),
-    "hessian": ("x", "x"),
-}
-"""What numbers the rows and columns of each result."""
+def first_order(groups: Sequence[ElementGroup], n_x: int, n_rows: int) -> Numeric:
+    """``(x, p) -> (f, its gradient, g, nonzeros of its Jacobian)`` of the sum of groups."""
+    parts = []
+    for group in groups:
+        variable, (one, rows, x) = _variable(group), _axes(group)
+        local = differentiated(group.function, group.at_points, variable).first
+        axes = (one, one), (x, one), (rows, one), (rows, x)
+        entries = [_entries(*pair, pattern) for pair, pattern in zip(axes, local.patterns, strict=True)]
+        parts.append((_Part(group, local), entries))
+    return Numeric(((1, 1), (n_x, 1), (n_rows, 1), (n_rows, n_x)), parts)
 
 
-class LocalKernels:
-    """The kernels of one element group whose fields are affine."""
-
-    def __init__(self, group: ElementGroup) -> None:
-        self.group = group
-        self.variable = _variable(group)
-        self._local = differentiated(group.function, group.at_points, self.variable)
-        self._axes = _axes(group, self.variable)
-
-    def kernel(self, which: str, leading: int | None = None, *, whole: bool = True) -> Kernel:
-        """The kernel with the results ``RESULTS[which]``; see :meth:`Assembled.hessian` for ``leading``.
-
-        A ``whole`` one puts in the values at points; else they are arguments.
-        """
-        results = [self._entries(name, leading) for name in RESULTS[which]]
-        kept = None
-        if leading is not None:  # many results go nowhere
-            used = [
-                np.flatnonzero(np.any((result.row >= 0) & (result.column >= 0), axis=1)) for result in results
-            ]
-            results = [result.some(rows) for result, rows in zip(results, used, strict=True)]
-            kept = tuple(tuple(rows.tolist()) for rows in used)
-        local, size = self._local, self.group.size
-        function = local.function(which, kept, whole=whole, for_few=size <= FEW)
-        at_points, columns = None if whole else self.group.at_points, len(self.group.arguments)
-        arguments, order = self.arguments(which), local.order(which)
-        return Kernel(function, arguments, tuple(results), size, columns, at_points, order)
-
-    def arguments(self, which: str) -> tuple[tuple[int, Values], ...]:
-        """The inputs and fields that a kernel takes."""
-        fields = self.group.arguments
-        arguments: tuple[tuple[int, Values], ...] = tuple((int(field.parameter), field) for field in fields)
-        if which == "hessian":
-            arguments += (2, self._axes["one"]), (3, self._axes["rows"])
-        return arguments
-
-    def _entries(self, name: str, leading: int | None) -> Entries:
-        a, b = (np.asarray(k, dtype=int) for k in self._local.patterns[name].get_triplet()[:2])
-        return _entries(self._axes, name, a, b, leading)
+def second_order(groups: Sequence[ElementGroup], n_x: int, n_rows: int) -> Numeric:
+    """``(x, p, lam_f, lam_g) ->`` nonzeros of the Hessian of ``lam_f f + lam_g . g``, its upper triangle."""
+    parts = []
+    for group in groups:
+        variable, (one, rows, x) = _variable(group), _axes(group)
+        local = differentiated(group.function, group.at_points, variable).second
+        part = _Part(group, local, ((2, one), (3, rows)))
+        parts.append((part, [_upper(_entries(x, x, local.patterns[0]), local.patterns[0])]))
+    return Numeric(((n_x, n_x),), parts)
 
 
 def _variable(group: ElementGroup) -> list[int]:
@@ -93,108 +75,71 @@ def _variable(group: ElementGroup) -> list[int]:
     return [i for i, f in fields if not f.parameter and np.any(f.index != CONSTANT)]
 
 
-def _axes(group: ElementGroup, variable: list[int]) -> dict[str, Field]:
-    """Numbers and scales of what each axis in :data:`AXES` stands for, (length, elements)."""
-    none, fields = np.zeros((0, group.size)), group.arguments
+def _axes(group: ElementGroup) -> tuple[Field, Field, Field]:
+    """Numbers and scales (length, elements): zeros for the objective, constraint rows, unknowns."""
+    none, variable = np.zeros((0, group.size)), [group.arguments[i] for i in _variable(group)]
     unknowns = Field(
-        np.concatenate([none, *(fields[i].index for i in variable)], dtype=np.int32, casting="unsafe"),
-        np.concatenate([none, *(fields[i].scale for i in variable)]),
+        np.concatenate([none.astype(np.int64), *(field.index for field in variable)]),
+        np.concatenate([none, *(field.scale for field in variable)]),
         none,
     )
-    return {"one": _plain(np.zeros((1, group.size), int)), "rows": _plain(group.rows), "x": unknowns}
-
-
-def _entries(axes: dict[str, Field], name: str, a: Index, b: Index, leading: int | None) -> Entries:
-    """Where the local results go that a pattern has in the rows ``a`` and columns ``b``."""
-    row, column = (axes[axis] for axis in AXES[name])
-    i, j = row.index[a], column.index[b]
-    scale = row.scale[a] * column.scale[b] if np.any(row.scale != 1) or np.any(column.scale != 1) else None
-    if name == "hessian":
-        twice = (i == j) & (a != b)[:, None]
-        if np.any(twice):  # two local values of one unknown: the lower triangle folds onto the diagonal too
-            scale = np.where(twice, 2.0, 1.0) * (1.0 if scale is None else scale)
-        i, j = np.minimum(i, j), np.maximum(i, j)
-        if leading is not None:
-            i[i >= leading] = CONSTANT
-    return Entries(i, j, scale)
+    return _plain(np.zeros((1, group.size), np.int64)), _plain(group.rows), unknowns
 
 
 def _plain(index: Index) -> Field:
     return Field(index, np.ones(index.shape), np.zeros(index.shape))
 
 
-Inputs = Sequence[Array | None]
-"""x, p, lam_f and lam_g, as far as they are needed; None is zero."""
+def _entries(row: Field, column: Field, pattern: ca.Sparsity) -> Entries:
+    """Where the local results with this pattern go."""
+    a, b = (np.asarray(numbers, dtype=int) for numbers in pattern.get_triplet())
+    return Entries(row.index[a], column.index[b], row.scale[a] * column.scale[b])
 
 
-class Mapped:
-    """Local results of one kernel, by its function over all elements."""
+def _upper(entries: Entries, pattern: ca.Sparsity) -> Entries:
+    """Those of an upper triangle in that of the sum."""
+    i, j, scale = entries
+    a, b = (np.asarray(numbers, dtype=int) for numbers in pattern.get_triplet())
+    # of two local values of one unknown the lower triangle folds onto the diagonal too
+    twice = (i == j) & (a != b)[:, None]
+    return Entries(np.minimum(i, j), np.maximum(i, j), np.where(twice, 2.0, 1.0) * scale)
 
-    def __init__(self, kernel: Kernel, settings: AssemblySettings) -> None:
-        self.entries, self._n, self._order = kernel.results, kernel.columns, kernel.order
-        self._columns = columnwise(kernel.function, kernel.size, settings)
-        self._gathers = [_Gather(*a) for a in kernel.arguments]
-        self._at_points = kernel.at_points
 
-    def __call__(self, inputs: Inputs, outputs: list[Array]) -> None:
-        """Write the results into arrays (length, elements)."""
+class _Part:
+    """Local results of one group, each (length, elements)."""
+
+    def __init__(
+        self, group: ElementGroup, local: Local, multipliers: tuple[tuple[int, Field], ...] = ()
+    ) -> None:
+        self._at_points, self._order, self._n = group.at_points, local.order, len(group.arguments)
+        self._columns = columnwise(local.function, group.size)
+        arguments = [(int(field.parameter), field) for field in group.arguments]
+        self._gathers = [_Gather(*argument) for argument in (*arguments, *multipliers)]
+
+    def __call__(self, inputs: Inputs) -> list[Array]:
         columns = [gather(inputs) for gather in self._gathers]
         if self._at_points is not None:
             X = columns[self._at_points.place]
             columns[self._n : self._n] = self._at_points.evaluated(X, self._order)
-        for output, result in zip(outputs, self._columns(columns), strict=True):
-            output[:] = result
-
-
-class Numeric:
-    """The sums over element groups as a function of arrays."""
-
-    def __init__(self, shapes: list[Shape], parts: Sequence[Mapped]) -> None:
-        self._parts = [part for part in parts if any(entries.row.size for entries in part.entries)]
-        self.sums = [
-            Sums(shape, [part.entries[number] for part in self._parts]) for number, shape in enumerate(shapes)
-        ]
-        self._results = [np.zeros(total.n_local) for total in self.sums]
-        self._views: list[list[Array]] = [[] for _ in self._parts]
-        for number, whole in enumerate(self._results):
-            first = 0
-            for views, part in zip(self._views, self._parts, strict=True):
-                shape = part.entries[number].row.shape
-                size = shape[0] * shape[1]
-                views.append(whole[first : first + size].reshape(shape))
-                first += size
-        for part in self._parts:
-            part.entries = ()
-
-    @property
-    def pattern(self) -> sp.csc_array:
-        """That of the last result, a matrix, with 1, 2, ... as values."""
-        return self.sums[-1].numbered
-
-    def __call__(self, *inputs: Array | None) -> list[Array]:
-        """Nonzeros of each result at x, p, lam_f and lam_g, as many of them as it takes."""
-        for part, views in zip(self._parts, self._views, strict=True):
-            part(inputs, views)
-        return [total(results) for total, results in zip(self.sums, self._results, strict=True)]
+        return self._columns(columns)
 
 
 class _Gather:
-    """One argument of a kernel from one input w: ``scale * w[index] + offset``, (length, elements)."""
+    """One argument of a part from one input w: ``scale * w[index] + offset``, (length, elements)."""
 
-    def __init__(self, source: int, field: Values) -> None:
-        self._source, self._local = source, field if isinstance(field, LocalField) else None
-        nodal = field.nodal if isinstance(field, LocalField) else field
-        moving = nodal.index != CONSTANT
-        self._offset = nodal.offset
-        self._index, self._scale = np.where(moving, nodal.index, 0), np.where(moving, nodal.scale, 0.0)
+    def __init__(self, source: int, field: Field) -> None:
+        moving = field.index != CONSTANT
+        self._source, self._offset = source, field.offset
+        self._index, self._scale = np.where(moving, field.index, 0), np.where(moving, field.scale, 0.0)
 
-    def __call__(self, inputs: Sequence[Array | None]) -> Array:
-        w, values = inputs[self._source], self._offset
-        if w is not None and w.size > 0:
-            values = w[self._index]
-            values *= self._scale
-            values += self._offset
-        return values if self._local is None else self._local.gathered(values)
+    def __call__(self, inputs: Inputs) -> Array:
+        w = inputs[self._source]
+        if w is None or w.size == 0:
+            return self._offset
+        values = w[self._index]
+        values *= self._scale
+        values += self._offset
+        return values
 
 
 def merged(groups: Sequence[ElementGroup]) -> list[ElementGroup]:
@@ -238,9 +183,7 @@ def _joined(group: ElementGroup, other: ElementGroup) -> ElementGroup:
     return ElementGroup(function, tuple(arguments), np.concatenate([group.rows, other.rows]), at_points)
 
 
-def _equal(first: Values, second: Values) -> bool:
-    if isinstance(first, LocalField) and isinstance(second, LocalField) and first.nodal is second.nodal:
-        return np.array_equal(first.nodes, second.nodes)
+def _equal(first: Field, second: Field) -> bool:
     return (
         first.parameter == second.parameter
         and np.array_equal(first.index, second.index)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Expression, Kind
 from rmesh_nlp.fem.element import local_symbols, plain
-from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, LocalField, constant_field
+from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, constant_field
 from rmesh_nlp.fem.space import Index
 
 
@@ -50,15 +50,15 @@ def _with_modes(group: ElementGroup) -> ElementGroup:
     columns = local_symbols(group.function)
     kind, inputs, inner = type(columns[0]), list(columns), list(columns)
     for i in moved:
-        field = arguments[i]
-        assert isinstance(field, LocalField)
-        assert field.modes is not None
-        amplitudes, motions = field.modes.local(field.nodes)
-        a, length = kind.sym("amplitudes", amplitudes.shape[0]), field.shape[0]
-        V = kind.sym("motions", len(motions))
-        inner[i] = columns[i] + ca.reshape(V, length, a.shape[0]) @ a
-        inputs, arguments = [*inputs, a, V], [*arguments, amplitudes, constant_field(motions)]
-        arguments[i] = LocalField(replace(field.nodal, modes=None), field.nodes)
+        field, modes = arguments[i], arguments[i].modes
+        assert modes is not None
+        n, length, size = modes.motions.shape
+        a, V = kind.sym("amplitudes", n), kind.sym("motions", n * length)
+        inner[i] = columns[i] + ca.reshape(V, length, n) @ a
+        amplitudes = modes.amplitudes.at(np.tile(np.arange(n)[:, None], size))
+        motions = constant_field(modes.motions.reshape(n * length, size))
+        inputs, arguments = [*inputs, a, V], [*arguments, amplitudes, motions]
+        arguments[i] = replace(field, modes=None)
     function = ca.Function(group.function.name(), inputs, group.function(*inner))
     return replace(group, function=function, arguments=tuple(arguments))
 

@@ -21,7 +21,6 @@ from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_fiel
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.vectorised import USUAL, AssemblySettings
 
 BLOCK = 1024
 """Elements whose 64 corners of the move limits are looked at together."""
@@ -48,7 +47,6 @@ class Validity:
     group: ElementGroup
     bound: Array
     n_q: int
-    assembly: AssemblySettings = USUAL
 
     @property
     def size(self) -> int:
@@ -68,7 +66,7 @@ class Validity:
     @cached_property
     def assembled(self) -> Assembled:
         """The rows and their derivatives as functions of ``q`` and an empty ``p``."""
-        return Assembled([self.group], self.q, ca.MX(0, 1), self.size, self.assembly)
+        return Assembled([self.group], self.q, ca.MX(0, 1), self.size)
 
     @property
     def upright_group(self) -> ElementGroup:
@@ -86,10 +84,10 @@ class Validity:
     def without_rows(self) -> Validity:
         """No rows at all, where a barrier stands in their place."""
         none = np.zeros(0, dtype=np.int64)
-        return Validity(none, self.group.some(none), np.zeros(0), self.n_q, self.assembly)
+        return Validity(none, self.group.some(none), np.zeros(0), self.n_q)
 
 
-def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings = USUAL) -> Validity:
+def validity(problem: ContactProblem, free: MeshMap) -> Validity:
     """The validity rows of a problem; ValueError if the mesh as given has a smaller angle than is asked for.
 
     Elements whose least area over the move limits is large enough need no constraint; all that move do if a
@@ -114,7 +112,7 @@ def validity(problem: ContactProblem, free: MeshMap, assembly: AssemblySettings 
     arguments = (free.positions.at(triangles[:, at_risk]), constant_field(initial[at_risk]))
     bound = np.zeros((at_risk.size, per_element))
     bound[:, 0] = motion.min_area_fraction
-    return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n, assembly)
+    return Validity(at_risk, ElementGroup(function, arguments, rows), bound.ravel(), free.n)
 
 
 def area_ratios(problem: ContactProblem, nodes: Array) -> Array:

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import in_units
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
@@ -77,13 +77,8 @@ class Relocation:
         """The same without validity rows."""
         return self._assembled((*self.energies, *self.rows), self.n_contact + 2 * self.n_s)
 
-    @cached_property
-    def contact_rows(self) -> Assembled:
-        """Gaps and slip rows alone."""
-        return self._assembled(self.rows, self.n_contact + 2 * self.n_s)
-
     def _assembled(self, groups: tuple[ElementGroup, ...], n_rows: int) -> Assembled:
-        return self.discretisation.assemble(groups, self.x, ca.MX(0, 1), n_rows)
+        return Assembled(groups, self.x, ca.MX(0, 1), n_rows)
 
     @cached_property
     def nlp(self) -> NLP:
@@ -247,13 +242,10 @@ class SecondDerivatives:
 
     def __init__(self, relocation: Relocation) -> None:
         self._relocation = rel = relocation
-        self._hessian = rel.lagrangian.hessian(rel.n_q)
-        self._jacobian = rel.contact_rows.jacobian
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper = self._hessian.pattern
+        upper, first = rel.lagrangian.second.pattern, rel.lagrangian.first.pattern
         self._qq = Symmetric(upper, rel.n_q)
         self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        first = self._jacobian.pattern
         self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
@@ -263,8 +255,8 @@ class SecondDerivatives:
         rows[rel.gap_rows] = -equilibrium.normal_force
         if rel.n_s:
             rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]
-        (values,) = self._hessian(x, None, np.ones(1), rows)
-        _, first = self._jacobian(x, None)
+        (values,) = rel.lagrangian.second(x, None, np.ones(1), rows)
+        *_, first = rel.lagrangian.first(x, None)
         return Blocks(
             self._qq(values), self._qu(values), self._qs(values), self._gap(first), self._slip(first)
         )
@@ -274,17 +266,16 @@ class ElementConstraints:
     """The validity rows of one problem, less their bounds."""
 
     def __init__(self, relocation: Relocation) -> None:
-        rows, self._bound = relocation.validity.assembled, relocation.validity.bound
-        self._first, self._second = Evaluator(rows.jac_g), Evaluator(rows.hess_lag)
-        self._jacobian = Block(numbered(rows.jac_g.sparsity_out(1)), slice(None), slice(None))
-        self._hessian = Symmetric(numbered(rows.hess_lag.sparsity_out(0)))
+        self._rows, self._bound = relocation.validity.assembled, relocation.validity.bound
+        self._jacobian = Block(self._rows.first.pattern, slice(None), slice(None))
+        self._hessian = Symmetric(self._rows.second.pattern)
 
     def at(self, q: Array) -> Linearised:
         """The rows at a valid ``q``."""
-        value, jacobian = self._first(q, [])
+        *_, value, jacobian = self._rows.first(q, None)
         return Linearised(value - self._bound, sp.csr_array(self._jacobian(jacobian)))
 
     def hessian(self, q: Array, multipliers: Array) -> sp.csc_array:
         """The Hessian of ``multipliers . rows``."""
-        (values,) = self._second(q, [], 0.0, multipliers)
+        (values,) = self._rows.second(q, None, np.zeros(1), multipliers)
         return self._hessian(values)

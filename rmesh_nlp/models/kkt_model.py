@@ -278,7 +278,7 @@ def bilevel(
     groups += [scaled_group(group, 1 / value) for group in of_outer]
 
     x = ca.MX.sym("x", n_x)
-    assembled = parts.assemble(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
+    assembled = Assembled(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
     return Bilevel(parts, assembled, length, force, value, summed, sums, n_equations, constraints, x)
 
 

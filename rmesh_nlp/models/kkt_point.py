@@ -38,22 +38,20 @@ class KKTConditions:
 
     def __init__(self, program: Bilevel) -> None:
         self.program = program
-        self._gradient, self._jacobian = program.assembled.gradient, program.assembled.jacobian
-        self._block = Block(self._jacobian.pattern, slice(None), slice(None))
+        self._block = Block(program.assembled.first.pattern, slice(None), slice(None))
         self._last: tuple[ContactPoint, KKTPoint] | None = None
 
     @cached_property
     def hessian(self) -> tuple[Numeric, Symmetric]:
         """The Hessian of the Lagrangian of the KKT model, and what makes a matrix of its nonzeros."""
-        numeric = self.program.assembled.hessian()
+        numeric = self.program.assembled.second
         return numeric, Symmetric(numeric.pattern)
 
     def at(self, point: ContactPoint) -> KKTPoint:
         """The KKT point of a contact solution, whose active set is held."""
         if self._last is None or self._last[0].equilibrium is not point.equilibrium:
             x = self.program.point(point)
-            (value,), slope = self._gradient(x, None)
-            rows, nonzeros = self._jacobian(x, None)
+            (value,), slope, rows, nonzeros = self.program.assembled.first(x, None)
             jacobian = sp.csr_array(self._block(nonzeros))
             held = held_by(self.program, point.equilibrium.active)
             self._last = point, KKTPoint(self, x, float(value), slope, rows, jacobian, held)

@@ -62,9 +62,7 @@ class ReducedEnergy:
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
         rel = self.relocation
-        self._gradient, self._jacobian = rel.lagrangian.gradient, rel.contact_rows.jacobian
-        rows = slice(0, rel.n_contact + 2 * rel.n_s)
-        self._rows = Block(self._jacobian.pattern, rows, slice(0, rel.n_q))
+        self._rows = Block(rel.lagrangian.first.pattern, slice(None), slice(0, rel.n_q))
         self._position_terms = element_values(rel.position_groups)
 
     @property
@@ -128,7 +126,7 @@ class ReducedEnergy:
         rel = self.relocation
         forces = np.zeros(rel.n_contact + 2 * rel.n_s)
         forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
-        (_, gradient), (_, rows) = self._gradient(x), self._jacobian(x)
+        _, gradient, _, rows = rel.lagrangian.first(x, None)
         return np.asarray(gradient[: rel.n_q] - self._rows(rows).T @ forces)
 
     def unknowns(self, q: Array, u: Array) -> Array:

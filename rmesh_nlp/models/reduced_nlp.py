@@ -94,9 +94,9 @@ def reduced_nlp(
         ubg=np.full(bound.size, np.inf),
         derivatives=Derivatives(
             grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
-            jac_g=areas.jac_g,
+            jac_g=areas.derivatives.jac_g,
             hess_lag=None,
-            kernels=(*areas.kernels, oracle),
+            kernels=(*areas.derivatives.kernels, oracle),
         ),
     )
     if constraints is not None:

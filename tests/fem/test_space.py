@@ -114,10 +114,10 @@ def test_design_variables_are_arguments_of_element_terms() -> None:
     fields = replace(unknown_field((1, 3)), design=design)
     assembled = Assembled([term.on(fields)], x, parameter, 0)
     at = np.array([1.0, 2.0, -3.0]), np.array([5.0, 100.0, 0.5])
-    f, gradient = assembled.grad_f(*at)
+    f, gradient = assembled.derivatives.grad_f(*at)
     assert float(f) == pytest.approx(5.5 * 14 / 2)
     np.testing.assert_allclose(gradient.full().ravel(), 5.5 * at[0])
-    np.testing.assert_allclose(assembled.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
+    np.testing.assert_allclose(assembled.derivatives.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
     with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
         term.on(unknown_field((1, 3)))
 

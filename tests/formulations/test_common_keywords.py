@@ -31,7 +31,6 @@ from rmesh_nlp.problem import Motion
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.formulation import KEYWORDS, options
 from rmesh_nlp.solving.parts import Step
-from rmesh_nlp.vectorised import AssemblySettings
 from support.formulations import auto, fixed, joint, mpcc, nested
 from support.solved import example, solved
 
@@ -159,7 +158,7 @@ def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
 
 WRAPPERS = (Confirmed, MultiStart, Remeshed, Schedule)
 FORMS = (AllAtOnce, Auto, Cascade, Descent, Fixed, Joint, Nested, *WRAPPERS)
-KINDS = (NewtonSettings, *FORMS, NestedSettings, AssemblySettings, Options, Limits)
+KINDS = (NewtonSettings, *FORMS, NestedSettings, Options, Limits)
 
 
 @pytest.mark.parametrize("kind", KINDS)
