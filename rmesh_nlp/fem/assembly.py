@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.element import plain
+from rmesh_nlp.fem.element import local_symbols, plain
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
 from rmesh_nlp.fem.numeric import Numeric, first_order, merged, second_order
 from rmesh_nlp.fem.space import Index
@@ -74,13 +74,15 @@ class Assembled:
     def _expressions(self) -> tuple[ca.MX, ca.MX]:
         f, g = ca.MX(0), ca.MX.zeros(self._n_rows)
         for group in self._groups:
-            function = plain(group.function, group.at_points).map(group.size)
-            value, rows = function.call([self._gathered(field) for field in group.arguments])
+            function = plain(group.function, group.at_points)
+            arguments = [self._gathered(field) for field in group.arguments]
+            value, rows = function.map(group.size).call(arguments)
+            if not function(*local_symbols(function))[0].is_zero():
+                f += ca.sum2(value)
             used = group.rows != CONSTANT
-            f += ca.sum2(value)
-            g += _selection(
-                group.rows[used], _by_element(group.rows)[used], (g.numel(), rows.numel())
-            ) @ ca.vec(rows)
+            if np.any(used):
+                place = _by_element(used)[used]
+                g += _selection(group.rows[used], place, (self._n_rows, used.size)) @ ca.vec(rows)
         return f, g
 
     def _gathered(self, field: Field) -> ca.MX:
