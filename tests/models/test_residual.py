@@ -42,16 +42,6 @@ def test_the_unit_has_a_floor_in_units_of_the_objective() -> None:
     assert OuterResidual(outer.energy, still).unit == pytest.approx(1e-6 * size_of(still))
 
 
-@pytest.mark.parametrize("formulation", ["joint", "mpcc"])
-def test_history_and_record_agree_where_no_contact_is_solved(formulation: str) -> None:
-    """The contact forces are multipliers of the energy NLP and unknowns of the KKT model."""
-    solution = solved(formulation, "6.3", (4, 2))
-    first, last = solution.history[0], solution.history[-1]
-    assert first.dual_residual > 100 * last.dual_residual
-    # both are rounding of a minimiser, the contact forces of one an interior point's
-    assert abs(last.dual_residual - solution.stationarity_residual) <= 1e-8 + 0.01 * last.dual_residual
-
-
 def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_solution(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

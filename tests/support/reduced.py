@@ -28,8 +28,8 @@ from support.problems import no_move_limits, sloped_block
 
 CONTACTS: dict[str, Callable[[], ContactProblem]] = {
     "6.1": lambda: EXAMPLES["6.1"](4),
-    "6.2": lambda: EXAMPLES["6.2"]((6, 4)),
-    "6.3": lambda: EXAMPLES["6.3"]((6, 4)),
+    "6.2": lambda: EXAMPLES["6.2"]((4, 3)),
+    "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
     "sloped, stick and slip": sloped_block,
     "curved foundation, stick and slip": block_sliding_on_a_circle,
 }
