@@ -201,7 +201,7 @@ def _sizes(problem: ContactProblem, u: Array) -> Found:
 def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Found:
     varying = any(callable(c) for law in problem.laws for c in law.load)
     given = bool(problem.tractions) or any(callable(c) or c != 0 for law in problem.laws for c in law.load)
-    held, value = problem.held()
+    held, value = problem.held
     if given and not np.any(value[held]) and not np.any(system.load):
         yield "load", "the loads vanish on this mesh: do they use the same lengths as the mesh?"
     elif accurate is not None and varying:

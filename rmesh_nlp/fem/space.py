@@ -121,7 +121,7 @@ class DisplacementSpace:
 
     def given(self) -> tuple[NDArray[np.bool_], Array]:
         """Where displacement components have no unknown, and their coefficients: both (components, nodes)."""
-        held, value = self.problem.held()
+        held, value = self.problem.held
         held = held.copy()
         held[:, np.setdiff1d(np.arange(held.shape[1]), self.problem.mesh.t)] = True  # on no triangle
         if self.order == 2:

@@ -194,10 +194,7 @@ class _Builder:
             if set(least) <= entries.keys() <= names.keys():
                 with self.source.at(*place):
                     return make(**entries)
-        if len(makes) == 1:
-            missing = next(name for name in needed[0] if name not in entries)
-            raise self.source.error((*place, missing), f"{what} needs it")
-        raise self.source.error(place, f"expected either {', or '.join(map(' and '.join, needed))}")
+        raise self.source.error(place, f"{what} needs {', or '.join(map(' and '.join, needed))}")
 
     def point_load(self, number: int, load: PointLoadTable, mesh: MeshTri) -> PointLoad:
         """The load at the node that is where the file says."""

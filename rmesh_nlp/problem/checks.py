@@ -223,7 +223,7 @@ def _nodes_and_points(p: Array, cells: NDArray, local: Array) -> Array:
 
 def _check_friction(problem: ProblemData) -> None:
     """With friction a contact node may be fixed along the tangent at zero, and not otherwise."""
-    held, value = problem.held()
+    held, value = problem.held
     for part in problem.contact_sets:
         if not part.obstacle.frictional:
             continue
@@ -258,7 +258,7 @@ def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
 def _check_shared_nodes(problem: ProblemData) -> None:
     """A node may meet two foundations if it can obey both gaps, and without friction."""
     nodes, count = np.unique(problem.contact_nodes, return_counts=True)
-    held, _ = problem.held()
+    held, _ = problem.held
     for node, number in zip(nodes[count > 1], count[count > 1], strict=True):
         meeting = [part.obstacle for part in problem.contact_sets if node in part.nodes]
         normals = np.hstack([obstacle.normals(problem.mesh.p[:, [node]]) for obstacle in meeting])

@@ -163,12 +163,9 @@ class ProblemData:
         nodes = [nodes_of(self.mesh, name) for name in names]
         return np.unique(np.concatenate([np.zeros(0, np.int64), *nodes]))
 
+    @cached_property
     def held(self) -> tuple[NDArray[np.bool_], Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""
-        return self._held
-
-    @cached_property
-    def _held(self) -> tuple[NDArray[np.bool_], Array]:
         shape = (self.components, self.mesh.p.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
         for support in self.supports:
@@ -197,7 +194,7 @@ class ProblemData:
     @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
         """Per obstacle the vertices whose gap depends on a displacement that is not given."""
-        held, _ = self.held()
+        held, _ = self.held
         sets, first = [], 0
         for number, obstacle in enumerate(self.obstacles):
             nodes = self.nodes_of(obstacle)
@@ -212,7 +209,7 @@ class ProblemData:
         """Vertices of an obstacle that have a given displacement, their first gaps, and the size of these."""
         obstacle = self.first_obstacles[contact.number]
         nodes = np.setdiff1d(self.nodes_of(obstacle), contact.nodes)
-        where, (held, value) = self.mesh.p[:, nodes], self.held()
+        where, (held, value) = self.mesh.p[:, nodes], self.held
         if nodes.size == 0:
             return nodes, np.zeros(0), 1e-300
         distance = obstacle.distances(where)

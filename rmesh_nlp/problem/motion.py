@@ -75,15 +75,14 @@ class Motion:
     curves: Mapping[str, Curve] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        if isinstance(self.delta, Real):
-            object.__setattr__(self, "delta", (float(self.delta), float(self.delta)))
         if self.delta is not None and not isinstance(self.delta, Relative):
-            pair = self.delta
-            if not isinstance(pair, (tuple, list)) or len(pair) != 2:
-                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {pair!r}")
-            for value in pair:
-                if not (isinstance(value, Real) and np.isfinite(value) and (value > 0 or self.is_fixed)):
-                    raise ValueError(f"delta must be positive and finite, or 0, got {value}")
+            given = as_tuple(self.delta)
+            pair = given * 2 if len(given) == 1 else given
+            if len(pair) != 2 or not all(isinstance(value, Real) for value in pair):
+                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {self.delta!r}")
+            if pair != (0, 0) and not all(0 < value < np.inf for value in pair):
+                raise ValueError(f"delta must be positive and finite, or 0, got {self.delta}")
+            object.__setattr__(self, "delta", (float(pair[0]), float(pair[1])))
         if not 0 < self.min_area_fraction < 1:
             raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
         if not 0 <= self.min_angle < 60:
@@ -106,7 +105,7 @@ class Motion:
     @property
     def is_fixed(self) -> bool:
         """Whether no node is relocated."""
-        return isinstance(self.delta, (tuple, list)) and tuple(self.delta) == (0, 0)
+        return self.delta == (0, 0)
 
     @property
     def numbers(self) -> tuple[int, ...]:

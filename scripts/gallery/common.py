@@ -49,7 +49,7 @@ class Case:
         before, after, problem = self.before, self.after, self.before.problem
         audited = [solution.energy_audited for solution in (before, after)]
         return (
-            f"{problem.name}: {np.sum(~problem.held()[0])} unknowns\n"
+            f"{problem.name}: {np.sum(~problem.held[0])} unknowns\n"
             f"  energy       {before.energy:.8g} -> {after.energy:.8g} (joint), "
             f"{self.nested.energy:.8g} (nested)\n"
             f"  audited      {audited[0]:.8g} -> {audited[1]:.8g}\n"

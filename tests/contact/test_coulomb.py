@@ -254,9 +254,13 @@ class TestFormulations:
 
 class TestInput:
     def test_coefficients_are_finite_and_not_negative(self) -> None:
-        for wrong in (-0.1, float("inf"), float("nan")):
-            with pytest.raises(ValueError, match=f"must be finite and not negative, got {wrong}"):
-                rm.Obstacle("bottom", coulomb=wrong)
+        for wrong, said in (
+            (-0.1, "must not be negative, got -0.1"),
+            (float("inf"), "is inf"),
+            (np.nan, "is nan"),
+        ):
+            with pytest.raises(ProblemError, match=f"Coulomb's coefficient {said}"):
+                slab(wrong)
         with pytest.raises(ProblemError, match="Coulomb's coefficient must not be negative, got -"):
             slab(lambda x, y: 0.5 - x)
         with pytest.raises(ValueError, match="needs a problem with two displacement components"):
