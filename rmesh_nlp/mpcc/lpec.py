@@ -111,35 +111,31 @@ def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) ->
 
 
 def nearest_branch(
-    lifted: Lifted, z: Array, p: Array, radius: float, budget: Budget | None = None, *,
-    only_violation: bool = False,
-) -> tuple[Array, BoolArray] | None:  # fmt: skip
-    """A branch that the linearisation at an inexact point can satisfy: ``(z + step, zero members)``.
+    lifted: Lifted, z: Array, p: Array, radius: float, slope: Array, budget: Budget | None = None
+) -> tuple[Array, BoolArray] | None:
+    """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
-    The rows are elastic: their violation is minimised first, then the objective, over complementary
-    steps of at most ``radius`` (the feasibility phase of MPECopt). ``only_violation`` drops the objective.
+    Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
+    (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds.
     """
-    _, gradient, values, jacobian = lifted.linearise(z, p)
-    gradient = 0.0 * gradient if only_violation else gradient
+    _, _, values, jacobian = lifted.linearise(z, p)
     nlp, m = lifted.nlp, lifted.nlp.n_g
-    members = np.maximum(z, 0.0) / radius
-    lower = np.maximum(-1.0, (nlp.lbx - z) / radius)
-    upper = np.clip((nlp.ubx - z) / radius, lower, 1.0)
-    lower = np.minimum(lower, upper)
+    members = z / radius
+    lower, upper = np.maximum(-1.0, (nlp.lbx - z) / radius), np.minimum(1.0, (nlp.ubx - z) / radius)
     zero, is_open = lifted.smaller(members), np.max(members[lifted.pairs], axis=0) <= 1.0
     at = lifted.pairs[zero & ~is_open]
-    lower[at] = upper[at] = np.maximum(-members[at], -1.0)
-    eye = sp.identity(m, format="csr")
+    lower[at] = upper[at] = 0.0
+    eye, elastic = sp.identity(m, format="csr"), np.zeros(2 * m)
+    weight = 1e3 * max(1.0, float(np.max(np.abs(slope), initial=0.0)))
     rows = LinearConstraint(
         sp.hstack([jacobian, eye, -eye], format="csr"),
         (nlp.lbg - values) / radius,
         (nlp.ubg - values) / radius,
     )
-    weight = 1e3 * max(1.0, float(np.max(np.abs(gradient), initial=0.0)))
-    elastic, pairs = np.zeros(2 * m), np.flatnonzero(is_open).astype(np.int64)
     direction = _milp(
-        np.append(gradient, elastic + weight), rows, np.append(lower, elastic),
-        np.append(upper, elastic + np.inf), lifted, zero[0], pairs, members, budget,
+        np.append(slope, elastic + weight), rows, np.append(lower, elastic),
+        np.append(upper, elastic + np.inf), lifted, zero[0],
+        np.flatnonzero(is_open).astype(np.int64), members, budget,
     )  # fmt: skip
     return None if direction is None else (z + radius * direction.step, direction.zero)
 

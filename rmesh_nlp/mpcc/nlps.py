@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Residuals, excess, residuals
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
@@ -104,17 +104,41 @@ class CompiledNLPs:
 
         ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
         """
-        lifted = self.lifted
-        lower, upper = lifted.nlp.lbx.copy(), lifted.nlp.ubx.copy()
-        if free_signs:
-            lower[lifted.member] = -np.inf
-        fixed = lifted.pairs[zero]
-        lower[fixed] = upper[fixed] = 0.0
-        options = self.options.exact(lifted.nlp.n_x, warm is not None)
-        solver = self._solver(("branch", warm is not None), lifted.nlp, options, watch)
+        lower, upper = self._bounds_on(zero, free_signs)
+        options = self.options.exact(self.lifted.nlp.n_x, warm is not None)
+        solver = self._solver(("branch", warm is not None), self.lifted.nlp, options, watch)
         return solver(
             np.clip(z, lower, upper), watch.monitor, p=p, lbx=lower, ubx=upper, **_multipliers(warm)
         )
+
+    def least_violation(self, z: Array, p: Array, zero: BoolArray, watch: Watch = UNWATCHED) -> NLPResult:
+        """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
+
+        ``f`` is that sum.
+        """
+        nlp, (lower, upper) = self._elastic, self._bounds_on(zero)
+        z = np.clip(z, lower, upper)
+        rows, _ = self.lifted.jacobian(z, p)
+        apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
+        start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
+        solver = self._solver(("elastic",), nlp, self.options.exact(nlp.n_x), watch)
+        others = np.zeros(2 * nlp.n_g)
+        bounds = {"lbx": np.append(lower, others), "ubx": np.append(upper, others + np.inf)}
+        result = solver(start, watch.monitor, p=p, **bounds)
+        return replace(result, x=result.x[: z.size])
+
+    @cached_property
+    def _elastic(self) -> NLP:
+        return elastic_nlp(self.lifted.nlp)
+
+    def _bounds_on(self, zero: BoolArray, free_signs: bool = False) -> tuple[Array, Array]:
+        """Bounds of the lifted unknowns with the given members at zero."""
+        lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
+        if free_signs:
+            lower[self.lifted.member] = -np.inf
+        fixed = self.lifted.pairs[zero]
+        lower[fixed] = upper[fixed] = 0.0
+        return lower, upper
 
     def without_relaxation(self, result: NLPResult, t: float) -> NLPResult:
         """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
@@ -189,6 +213,31 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))
     forces = [ca.densify(ca.gradient(total, member)) for member in (a, b)]
     return nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces))
+
+
+def elastic_nlp(nlp: NLP) -> NLP:
+    """``min sum(up + down)`` subject to ``lbg <= g + up - down <= ubg`` and ``up, down >= 0``."""
+    own, m = nlp.derivatives, nlp.n_g
+    assert own is not None
+    n, unit, none = nlp.n_x, ca.horzcat(ca.DM.eye(m), -ca.DM.eye(m)), np.zeros(2 * m)
+    y = ca.MX.sym("y", n + 2 * m)
+    z, apart = ca.vertsplit(y, [0, n, n + 2 * m])
+    rows, jacobian = own.jac_g(z, nlp.p)
+    f, g = ca.sum1(apart), rows + unit @ apart
+    hess_lag = None
+    if own.hess_lag is not None:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", m)
+        hessian = ca.diagcat(own.hess_lag(z, nlp.p, 0, lam_g), ca.MX(2 * m, 2 * m))
+        hess_lag = ca.Function("nlp_hess_l", [y, nlp.p, lam_f, lam_g], [hessian])
+    slope = ca.vertcat(ca.DM.zeros(n, 1), ca.DM.ones(2 * m, 1))
+    derivatives = Derivatives(
+        grad_f=ca.Function("nlp_grad_f", [y, nlp.p], [f, slope]),
+        jac_g=ca.Function("nlp_jac_g", [y, nlp.p], [g, ca.horzcat(jacobian, unit)]),
+        hess_lag=hess_lag,
+        kernels=own.kernels,
+    )
+    lower, upper = np.append(nlp.lbx, none), np.append(nlp.ubx, none + np.inf)
+    return NLP(y, nlp.p, f, g, lower, upper, nlp.lbg, nlp.ubg, derivatives)
 
 
 class _AnySize:

@@ -174,24 +174,3 @@ def polish(run: Run, z: Array, zero: BoolArray, lam_rows: Array, lam_z: Array) -
 
 def _is_near(z: Array, origin: Array) -> bool:
     return bool(np.all(np.isfinite(z)) and np.all(np.abs(z - origin) <= _REACH * (1 + np.abs(origin))))
-
-
-def project(run: Run, z: Array, zero: BoolArray) -> Array | None:
-    """A point of the branch near ``z`` by Gauss-Newton steps of least norm; None if there is none."""
-    branch = _Branch(run.lifted, zero)
-    origin, none = z, np.zeros(z.size)
-    identity = sp.identity(z.size, format="csc")
-    _, _, rows, jacobian = run.lifted.linearise(z, run.p)
-    no_lam = np.zeros(rows.size + z.size)
-    active = branch.first_active(np.append(rows, z), no_lam, no_lam + 1.0)
-    for _ in range(_STEPS):
-        run.budget.check()
-        active = branch.next_active(active, np.append(rows, z), no_lam, 1.0)
-        step = branch.step(active, np.append(rows, z), none, jacobian, identity, 0.0, run.budget)
-        if step is None or not _is_near(z + step[0], origin):
-            return None
-        z = z + step[0]
-        if run.nlps.excess(z, run.p) <= _SHARE:
-            return z
-        _, _, rows, jacobian = run.lifted.linearise(z, run.p)
-    return z if run.exact(z) else None

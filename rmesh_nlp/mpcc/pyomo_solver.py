@@ -26,7 +26,7 @@ _START = 60.0  # seconds that the process may take besides the solve
 _ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
 
 
-class _Transformation(MPEC4_Transformation):
+class Transformation(MPEC4_Transformation):
     """Pyomo's ``mpec.nl``, with mixed conditions, and again for a model that it was applied to before."""
 
     def _apply_to(self, instance: Any, **keywords: Any) -> None:
@@ -96,7 +96,7 @@ class PyomoSolver(ASL):
             (variable, variable.lower, variable.upper)
             for variable in model.component_data_objects(Var, active=True, descend_into=True)
         ]
-        _Transformation().apply_to(model)
+        Transformation().apply_to(model)
         SystemCallSolver._presolve(self, *models, **keywords)
 
     def _postsolve(self) -> Any:

@@ -3,16 +3,13 @@
 NOSBENCH stores serialised CasADi Functions of ``(w, p)``: ``g_fun, G_fun, H_fun``,
 ``augmented_objective_fun`` (or ``objective_fun``), and numbers ``w0, lbw, ubw, p0, lbg, ubg``.
 https://github.com/nosnoc/nosbench
-
-Pyomo's own writer leaves mixed pairs out: the members of every condition are written as ordinary rows into a
-``.nl`` file of a copy of the model, and paired again when it is read.
 """
 
 from __future__ import annotations
 
 import json
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -27,7 +24,6 @@ from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
 
 _OBJECTIVES = ("augmented_objective_fun", "objective_fun")
-_BLOCK = "rmesh_nlp_mpcc_rows"
 _BOUNDS = {"lbx": ("lbw", -np.inf), "ubx": ("ubw", np.inf), "lbg": ("lbg", 0.0), "ubg": ("ubg", 0.0)}
 """Our bounds by NOSBENCH's names and defaults."""
 
@@ -87,17 +83,6 @@ def read(source: str | PathLike[str] | Any) -> Problem:
     return READERS[path.suffix.lower()](path)
 
 
-def _of_rows(
-    rows: Rows, pairs: list[tuple[Member, Member]], paired: set[int], p: ca.SX | None = None
-) -> MPCC:
-    """The rows of a file as an MPCC: pairs, and the rows that are in none; a maximum changes its sign."""
-    kept = [i for i in range(len(rows.bodies)) if i not in paired]
-    return MPCC.mixed(
-        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
-        lbg=rows.lower[kept], ubg=rows.upper[kept], p=p, **sides(pairs),
-    )  # fmt: skip
-
-
 def _sign(rows: Rows) -> float:
     return -1.0 if rows.maximise else 1.0
 
@@ -128,10 +113,14 @@ def mpcc_of(rows: Rows, p: ca.SX | None = None) -> MPCC:
                 f"row {i} ({rows.row_names[i]}) complements an infinite bound of {named(rows.x, j)}"
             )
         one_sided = np.isfinite(lower) != np.isfinite(upper)
-        sides = (0.0, np.inf) if np.isfinite(lower) else (-np.inf, 0.0)
-        body = (rows.bodies[i], *(sides if one_sided else (-np.inf, np.inf)))
+        sign = (0.0, np.inf) if np.isfinite(lower) else (-np.inf, 0.0)
+        body = (rows.bodies[i], *(sign if one_sided else (-np.inf, np.inf)))
         pairs.append((body, (rows.x[j], lower, upper)))
-    return _of_rows(rows, pairs, set(rows.complements), p)
+    kept = [i for i in range(len(rows.bodies)) if i not in rows.complements]
+    return MPCC.mixed(
+        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
+        lbg=rows.lower[kept], ubg=rows.upper[kept], p=p, **sides(pairs),
+    )  # fmt: skip
 
 
 def read_pyomo(model: Any) -> Problem:
@@ -144,47 +133,15 @@ def read_pyomo(model: Any) -> Problem:
     ValueError
         If a condition is no pair of expressions, or the model has integer variables.
     """
-    import pyomo.environ as pe
-    from pyomo.core.expr import RelationalExpression
-    from pyomo.mpec import Complementarity
+    from rmesh_nlp.mpcc.pyomo_solver import Transformation
 
     copy = model.clone()
-    block = pe.Block(concrete=True)
-    copy.add_component(_BLOCK, block)
-    conditions = list(copy.component_data_objects(Complementarity, active=True, descend_into=True))
-    for k, condition in enumerate(conditions):
-        members = getattr(condition, "_args", None)
-        if members is None or len(members) != 2:
-            raise ValueError(f"the condition {condition.name} is not a pair")
-        for side, member in enumerate(members):
-            name = f"pair{k}_{side}"
-            if isinstance(member, RelationalExpression):
-                block.add_component(name, pe.Constraint(expr=member))
-            else:  # a bare expression: free, and equal to a new variable
-                free = pe.Var(initialize=0.0)
-                block.add_component(f"{name}_value", free)
-                block.add_component(f"{name}_is", pe.Constraint(expr=free == member))
-        condition.deactivate()
+    Transformation().apply_to(copy)
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.nl"
+        path = Path(folder) / f"{model.name}.nl"
         presolve = {"linear_presolve": False, "skip_trivial_constraints": False}
         copy.write(str(path), format="nl", io_options={"symbolic_solver_labels": True, **presolve})
-        rows = read_rows(path)
-        row, column = (
-            {name: i for i, name in enumerate(path.with_suffix(ending).read_text().split("\n"))}
-            for ending in (".row", ".col")
-        )
-
-    def member_of(name: str) -> Member:
-        if name in row:
-            i = row[name]
-            return rows.bodies[i], float(rows.lower[i]), float(rows.upper[i])
-        return rows.x[column[f"{name}_value"]], -np.inf, np.inf
-
-    names = [(f"{_BLOCK}.pair{k}_0", f"{_BLOCK}.pair{k}_1") for k in range(len(conditions))]
-    paired = {row[name] for pair in names for name in pair if name in row}
-    mpcc = _of_rows(rows, [(member_of(a), member_of(b)) for a, b in names], paired)
-    return Problem(str(model.name), mpcc, rows.x0, sign=_sign(rows))
+        return replace(read_nl(path), rows=None)
 
 
 def read_nosbench(path: Path) -> Problem:

@@ -77,6 +77,10 @@ class Run:
             lambda w: self.nlps.branch(*parts, free_signs=free_signs, warm=warm, watch=w),
         )
 
+    def least_violation(self, z: Array, zero: BoolArray) -> NLPResult:
+        """Minimise the violation of the rows on a branch, see :meth:`CompiledNLPs.least_violation`."""
+        return self.solve("feasible", 0.0, lambda w: self.nlps.least_violation(z, self.p, zero, w))
+
     def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded."""
         self.budget.check()

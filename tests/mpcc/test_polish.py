@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from rmesh_nlp.mpcc import MPCC
 from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.polish import polish, project
+from rmesh_nlp.mpcc.polish import polish
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.scripted_run import CORNER, ON_G, XY, XYW, run_of, two_minima, w, x, y
@@ -70,13 +70,10 @@ def test_without_a_hessian_or_with_a_singular_point_there_is_no_newton():
     assert polish(run, np.array([0, 0.1]), ON_G, np.zeros(0), np.zeros(2)) is None  # NaN
 
 
-def test_more_equations_than_unknowns_are_met_by_projection_and_by_newton():
+def test_more_equations_than_unknowns_are_met_by_newton():
     run = run_of(overdetermined())
     near, exact = np.array([1e-4, 0.7501, 0.2498]), [0.0, 0.75, 0.25]
-    assert project(run, near, ON_G) == pytest.approx(exact, abs=1e-9)
     assert polish(run, near, ON_G, np.zeros(3), np.zeros(3))[0] == pytest.approx(exact, abs=1e-9)
-    far = run_of(MPCC(XY, x, y - 100, x, y, lbg=0, ubg=0))
-    assert project(far, np.ones(2), ON_G) is None  # the branch is far away: no projection
 
 
 def towards_x():

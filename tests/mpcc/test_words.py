@@ -62,9 +62,9 @@ def test_large_problems_say_that_curvature_was_not_tested():
 )
 def test_infeasible_is_what_has_a_local_minimum_of_the_violation(rows, bounds, is_infeasible):
     run = run_of(MPCC(z[:2], z[0], rows, z[0], z[1], **bounds))
-    end = phase_one(run, run.lifted.start(np.array([0.3, 0.2]), np.zeros(0)))
-    assert (end.status is Status.INFEASIBLE) == is_infeasible
-    assert np.min(end.z[run.lifted.pairs]) == 0
+    end, status = phase_one(run, run.lifted.start(np.array([0.3, 0.2]), np.zeros(0)))
+    assert (status is Status.INFEASIBLE) == is_infeasible
+    assert np.min(end[run.lifted.pairs]) == 0
 
 
 def test_infeasible_is_never_said_after_an_iteration_limit():
