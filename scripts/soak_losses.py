@@ -26,6 +26,8 @@ from collections.abc import Set
 from contextlib import suppress
 from pathlib import Path
 
+import psutil  # of dask, as studies by several processes are
+
 from rows import command_line
 
 COMPARISON = """
@@ -118,19 +120,6 @@ def comparisons(kills: int, short_writes: int, rng: random.Random) -> Counter[st
     return seen
 
 
-def descendants(pid: int) -> list[int]:
-    """Processes below one, by /proc (Linux)."""
-    parents = {}
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(OSError):  # it has ended
-            parents[int(path.parent.name)] = int(path.read_text().rsplit(")", 1)[1].split()[1])
-    result, front = [], [pid]
-    while front:
-        front = [child for child, parent in parents.items() if parent in front]
-        result += front
-    return result
-
-
 def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random) -> Counter[str]:
     """Disturb a study; returns what was seen."""
     seen: Counter[str] = Counter()
@@ -144,8 +133,9 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
         for _ in range(kills):
             process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             time.sleep(rng.uniform(1.0, longest))
-            below = descendants(process.pid)
-            target = rng.choice([process.pid, *below]) if rng.random() < 0.5 else process.pid
+            below = psutil.Process(process.pid).children(recursive=True)
+            every = [process.pid, *(child.pid for child in below)]
+            target = rng.choice(every) if rng.random() < 0.5 else process.pid
             seen["client" if target == process.pid else "worker or solve"] += process.poll() is None
             with suppress(ProcessLookupError):
                 os.kill(target, signal.SIGKILL)

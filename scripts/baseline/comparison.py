@@ -127,14 +127,7 @@ def _worse_end(olds: Sequence[Row], new: Row) -> list[tuple[str, str]]:
         worse.append(
             ("weaker label", f"{', '.join(sorted({old['label'] for old in olds}))} -> {new['label']}")
         )
-    values = [old["value"] for old in olds if old["success"] and old["value"] is not None]
-    if (
-        values
-        and new["value"] is not None
-        and new["value"] > max(values) + _margin([*olds, new], max(values))
-    ):
-        worse.append(("higher value", f"{_range(values)} -> {new['value']:.8g}"))
-    return worse
+    return [*worse, *(("higher value", line) for line in _beyond(olds, new, 1.0))]
 
 
 def _other_record(olds: Sequence[Row], new: Row) -> list[tuple[str, str]]:
@@ -157,19 +150,23 @@ def _other_record(olds: Sequence[Row], new: Row) -> list[tuple[str, str]]:
 
 def _gains(olds: Sequence[Row], new: Row, name: str) -> list[str]:
     """What is better, or refused with another message."""
-    values = [old["value"] for old in olds if old["success"] and old["value"] is not None]
     better = []
     if new["status"] == "converged" and all(old["status"] != "converged" for old in olds):
         better.append(f"{name}: status {', '.join(sorted({_said(old) for old in olds}))} -> {_said(new)}")
-    if (
-        values
-        and new["value"] is not None
-        and new["value"] < min(values) - _margin([*olds, new], min(values))
-    ):
-        better.append(f"{name}: lower value, {_range(values)} -> {new['value']:.8g}")
+    better += [f"{name}: lower value, {line}" for line in _beyond(olds, new, -1.0)]
     if new["status"] == REFUSED and new["text"] not in {old["text"] for old in olds}:
         better.append(f"{name}: message {olds[0]['text']!r} -> {new['text']!r}")
     return better
+
+
+def _beyond(olds: Sequence[Row], new: Row, sign: float) -> list[str]:
+    """A line if a value is above (``sign`` 1) or below (-1) those of all runs that succeeded."""
+    values = [_end(old) for old in olds if _end(old) < inf]
+    if not values or new["value"] is None:
+        return []
+    bar = sign * max(sign * value for value in values)
+    is_beyond = sign * (new["value"] - bar) > _margin([*olds, new], bar)
+    return [f"{_range(values)} -> {new['value']:.8g}"] * is_beyond
 
 
 def _count_best(
