@@ -1,54 +1,38 @@
 """The admissible displacement of least energy on a mesh.
 
 Nodes that keep off a foundation by the largest height beside them keep off by more than they must. Here the
-gap is imposed at points within contact edges (triangles), which are added until none is violated, and
+gap is imposed at points within contact edges (triangles), which are added until none is violated:
 
-    min 1/2 u K u - F u + sum_i b_i |t_i . u|   with   g_k(u) = a_k . u + c_k >= 0
+    min 1/2 u K u - F u + sum_i b_i s_i   with   g_k(u) = a_k . u + c_k >= 0,   s_i >= |t_i . u|,
 
-is solved by the method of multipliers (M. R. Hestenes, J. Optim. Theory Appl. 4 (1969) 303-320): gaps enter
-by ``max(m_k - r g_k, 0)^2 / 2 r``, slips alike with their forces cut off at the bounds, the sum is minimised
-by Newton's method with a line search, and the multipliers follow. The stiffness is factorised once for every
-set of points that press and nodes that stick.
+a convex quadratic program, which Ipopt solves in units of a length and of a force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from rmesh_nlp.assessment.standoff import Cells
-from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 
 Index = NDArray[np.int64]
 
-ROUNDS = 60
-"""Updates of the multipliers, points added included."""
+TOLERANCE = 1e-12
+"""Of Ipopt: multiplier times gap, so that what is open presses by a billionth of the load."""
 
-STEPS = 40
-"""Newton steps between two of them."""
-
-PENALTY, LARGEST = 1e3, 1e6
-"""r over the mean stiffness of the contact nodes: each update lowers the violation about a thousandfold.
-Points that lie close together exchange their forces slowly, in proportion to r, which then grows tenfold."""
-
-SLOW = 0.3
-"""Least part of the violation that is left by an update, for r to grow."""
-
-BALANCE = 1e-9
-"""Out-of-balance force, in parts of the largest one, at which Newton's method ends."""
-
-MARGIN = 1e-7
-"""What points keep off the foundation in addition, in parts of the largest displacement and distance, so that
-their gaps need be right to this part of them only."""
+ROUNDS = 30
+"""Programs, each with the worst points of the last solution added."""
 
 
 def tightened(
@@ -60,30 +44,27 @@ def tightened(
     displacement as a function of the unknowns. The forces at points are shared among their nodes; a node
     touches where its share is positive.
     """
-    margin = MARGIN * float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0))
-    chosen, slips = _closed(cells, field.values(state.u), state), _slips(system)
-    solver = _Multipliers(system, _points(cells, chosen, field, margin, state.u), slips, PENALTY)
-    u, pressing, friction = state.u.copy(), np.zeros(chosen.shape[1]), state.tangential_force[slips.number]
-    before = np.inf
+    u, chosen, slips = state.u, _closed(cells, field.values(state.u), state), _slips(system)
+    length = float(np.max(np.abs(u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
     for _ in range(ROUNDS):
-        minimiser = solver.minimised(u, pressing, friction)
+        # the points keep off by a little more, so that rounding violates nothing
+        points = _points(cells, chosen, field, ROUNDING * length, u)
+        minimiser = _minimised(system, points, slips, u, length)
         if minimiser is None:
             return None
-        u = minimiser
-        pressing, friction, open_by = solver.updated(u, pressing, friction)
-        violated = _violated(cells, field.values(u), chosen)
-        if violated.size:
-            chosen, pressing = np.hstack([chosen, violated]), np.append(pressing, np.zeros(violated.shape[1]))
-            order = np.argsort(chosen[0], kind="stable")  # part by part
-            chosen, pressing = chosen[:, order], pressing[order]
-            solver = _Multipliers(system, _points(cells, chosen, field, margin, u), slips, solver.penalty)
-            before = np.inf
-            continue
-        if open_by <= margin:
-            return _equilibrium(system, cells, chosen, u, pressing, slips.number, friction)
-        if open_by > SLOW * before and solver.penalty < LARGEST:
-            solver = _Multipliers(system, solver.points, slips, 10 * solver.penalty)
-        before = open_by
+        u = minimiser.u
+        violated = _violated(cells, field.values(u))
+        if not violated.size:
+            force, of_closed = np.zeros((2, system.offset.size))
+            pressing = minimiser.pressing
+            for number, part in enumerate(cells):
+                own = chosen[0] == number
+                _, cell, point = chosen[:, own]
+                part.share(force, cell, point, pressing[own])
+                part.share(of_closed, cell, point, (pressing * minimiser.closed)[own])
+            active = ActiveSet(of_closed > 0, minimiser.sliding)
+            return Equilibrium(u, system.energy(u), force, minimiser.friction, active, Status.CONVERGED, 1)
+        chosen = np.unique(np.hstack([chosen, violated]), axis=1)  # in the order of the parts
     return None
 
 
@@ -102,60 +83,49 @@ class _Slips(NamedTuple):
     bound: Array
 
 
-class _Multipliers:
-    """The augmented energy of one set of points, and its minimiser."""
+class _Minimiser(NamedTuple):
+    """Displacement, forces at the points and which are closed, friction and slip directions at nodes."""
 
-    def __init__(self, system: ContactSystem, points: _Points, slips: _Slips, penalty: float) -> None:
-        self._system, self.points, self._slips, self.penalty = system, points, slips, penalty
-        touched = np.unique(points.rows.indices)
-        self._r = penalty * float(np.mean(system.stiffness.diagonal()[touched])) if touched.size else 1.0
-        self._factor: tuple[bytes, Any] | None = None
+    u: Array
+    pressing: Array
+    closed: NDArray[np.bool_]
+    friction: Array
+    sliding: NDArray[np.int8]
 
-    def updated(self, u: Array, pressing: Array, friction: Array) -> tuple[Array, Array, float]:
-        """Multipliers after a minimisation, and the largest gap or slip of what presses or sticks."""
-        now, stuck = self._forces(u, pressing, friction)
-        changes = np.concatenate([np.abs(now - pressing), np.abs(stuck - friction)])
-        return now, stuck, float(np.max(changes, initial=0.0)) / self._r
 
-    def minimised(self, u: Array, pressing: Array, friction: Array) -> Array | None:
-        """The minimiser of the augmented energy from ``u``; None if Newton's method does not end."""
-        K, F, A, T = self._system.stiffness, self._system.load, self.points.rows, self._slips.rows
-        for _ in range(STEPS):
-            now, stuck = self._forces(u, pressing, friction)
-            residual = K @ u - F - A.T @ now - T.T @ stuck
-            scale = max(self._system.force_scale, float(np.max(now, initial=0.0)))
-            if np.max(np.abs(residual), initial=0.0) <= BALANCE * scale:
-                return u
-            step = -self._solved(now > 0, np.abs(stuck) < self._slips.bound, residual)
-            u = u + self._length(u, step, pressing, friction) * step
+def _minimised(
+    system: ContactSystem, points: _Points, slips: _Slips, start: Array, length: float
+) -> _Minimiser | None:
+    """The solution of the program with some points; None if Ipopt finds none.
+
+    A point is closed, and a node slides, where the multiplier is larger than the distance, and vice versa.
+    """
+    m, n, force = start.size, slips.number.size, system.force_scale
+    x = ca.MX.sym("x", m + n)
+    u, s = x[:m], x[m:]
+    K, A, T = (_constant(rows) for rows in (system.stiffness * (length / force), points.rows, slips.rows))
+    f = ca.bilin(K, u, u) / 2 - ca.dot(system.load / force, u) + ca.dot(slips.bound / force, s)
+    g = ca.vertcat(A @ u + points.gap / length, s - T @ u, s + T @ u)
+    free, size = np.full(m + n, np.inf), points.gap.size + 2 * n
+    program = NLP(x, ca.MX(0, 1), f, g, -free, free, np.zeros(size), np.full(size, np.inf))
+    guess = np.append(start, np.abs(slips.rows @ start)) / length
+    result = Solver(program, options={"tol": TOLERANCE})(guess)
+    if not result.converged:
         return None
+    ends = [points.gap.size, points.gap.size + n]
+    (gap, _, _), (pressing, below, above) = np.split(result.g, ends), np.split(-result.lam_g, ends)
+    friction, sliding = np.zeros(system.slip_bound.size), np.zeros(system.slip_bound.size, dtype=np.int8)
+    friction[slips.number] = force * (above - below)
+    slides = np.minimum(below, above) < result.x[m:]
+    sliding[slips.number] = np.where(slides, np.sign(below - above), 0)
+    return _Minimiser(length * result.x[:m], force * pressing, pressing > gap, friction, sliding)
 
-    def _forces(self, u: Array, pressing: Array, friction: Array) -> tuple[Array, Array]:
-        gap = self.points.rows @ u + self.points.gap
-        stuck = np.clip(friction - self._r * (self._slips.rows @ u), -self._slips.bound, self._slips.bound)
-        return np.maximum(pressing - self._r * gap, 0.0), stuck
 
-    def _solved(self, presses: NDArray[np.bool_], sticks: NDArray[np.bool_], right: Array) -> Array:
-        key = presses.tobytes() + sticks.tobytes()
-        if self._factor is None or self._factor[0] != key:
-            A, T = self.points.rows[presses], self._slips.rows[sticks]
-            K = self._system.stiffness
-            small = 1e-12 * K.diagonal()  # contact may hold the body, and not in every set
-            matrix = K + self._r * (A.T @ A + T.T @ T) + sp.diags_array(small)
-            self._factor = key, factorised(sp.csc_array(matrix))
-        return np.asarray(self._factor[1].solve(right))
-
-    def _length(self, u: Array, step: Array, pressing: Array, friction: Array) -> float:
-        """Part of a step at which the slope of the augmented energy is zero, at most 1."""
-        K, F, A, T = self._system.stiffness, self._system.load, self.points.rows, self._slips.rows
-        constant, linear = float((K @ u - F) @ step), float(step @ (K @ step))
-        along, slipping = A @ step, T @ step
-
-        def slope(t: float) -> float:
-            now, stuck = self._forces(u + t * step, pressing, friction)
-            return constant + t * linear - float(along @ now) - float(slipping @ stuck)
-
-        return 1.0 if slope(1.0) <= 0 else float(brentq(slope, 0.0, 1.0, xtol=1e-14, rtol=1e-6))
+def _constant(matrix: sp.sparray) -> ca.DM:
+    columns = sp.csc_array(matrix)
+    columns.sort_indices()
+    pattern = ca.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
+    return ca.DM(pattern, columns.data)
 
 
 def _slips(system: ContactSystem) -> _Slips:
@@ -179,16 +149,14 @@ def _closed(cells: Sequence[Cells], displacement: Array, state: Equilibrium) -> 
     return np.hstack(closed)
 
 
-def _violated(cells: Sequence[Cells], displacement: Array, chosen: Index) -> Index:
-    """(3, n) the worst points of cells where the gap is violated, those that are chosen already left out."""
-    taken, new = set(zip(*chosen.tolist(), strict=True)), []
+def _violated(cells: Sequence[Cells], displacement: Array) -> Index:
+    """(3, n) the worst points of cells where the gap is violated."""
+    violated = [np.zeros((3, 0), dtype=np.int64)]
     for number, part in enumerate(cells):
         gap = part.gaps(displacement)
-        worst = np.argmin(gap, axis=1)
-        for cell in np.flatnonzero(np.min(gap, axis=1) < 0).tolist():
-            if (number, cell, int(worst[cell])) not in taken:
-                new.append((number, cell, int(worst[cell])))
-    return np.array(new, dtype=np.int64).reshape(-1, 3).T
+        cell = np.flatnonzero(np.min(gap, axis=1) < 0)
+        violated.append(np.stack([np.full(cell.size, number), cell, np.argmin(gap[cell], axis=1)]))
+    return np.hstack(violated)
 
 
 def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float, u: Array) -> _Points:
@@ -205,24 +173,3 @@ def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float, 
         low = part.low - part.dips(displacement)
         gaps.append(given + low[cell, point] - margin)
     return _Points(sp.csr_array(sp.vstack(rows)), np.concatenate(gaps))
-
-
-def _equilibrium(
-    system: ContactSystem,
-    cells: Sequence[Cells],
-    chosen: Index,
-    u: Array,
-    pressing: Array,
-    slips: Index,
-    friction: Array,
-) -> Equilibrium:
-    force, tangential = np.zeros(system.offset.size), np.zeros(system.slip_bound.size)
-    for number, part in enumerate(cells):
-        own = chosen[0] == number
-        cell, point = chosen[1:, own]
-        part.share(force, cell, point, pressing[own])
-    tangential[slips] = friction
-    slides = np.abs(tangential) >= system.slip_bound * (1 - 1e-9)
-    sliding = np.where(slides, -np.sign(tangential), 0).astype(np.int8)
-    active = ActiveSet(force > 0, sliding)
-    return Equilibrium(u, system.energy(u), force, tangential, active, Status.CONVERGED, 1)
