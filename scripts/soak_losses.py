@@ -1,12 +1,12 @@
-"""Kill solves, workers and clients at random moments, and fill the disk: nothing is lost, nothing doubled.
+"""Kill solves and clients at random moments, and fill the disk: nothing is lost, nothing doubled.
 
     python scripts/soak_losses.py                             an hour
     python scripts/soak_losses.py --kills 3 --short-writes 2 --solves 12
 
 Rounds of two kinds. A comparison (``comparison.run`` with ``resume``) is ended by ``kill -9`` after a random
 time, or gets a limit on the size of files (``RLIMIT_FSIZE``), at which the system takes a part of a write and
-then refuses, as a full disk does. A study (``rmesh study``) loses its client, a worker or a process in which
-a solve runs, and is started again. After each round the folder is read by this script's own code.
+then refuses, as a full disk does. A study (``rmesh study``) loses its client or a process in which a solve
+runs, and is started again. After each round the folder is read by this script's own code.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
             below = psutil.Process(process.pid).children(recursive=True)
             every = [process.pid, *(child.pid for child in below)]
             target = rng.choice(every) if rng.random() < 0.5 else process.pid
-            seen["client" if target == process.pid else "worker or solve"] += process.poll() is None
+            seen["client" if target == process.pid else "solve"] += process.poll() is None
             with suppress(ProcessLookupError):
                 os.kill(target, signal.SIGKILL)
             if target != process.pid:

@@ -140,9 +140,7 @@ Set = Annotated[
         help="Any option or setting by its name, such as tol=1e-8 or newton.forcing=0.2; repeat.",
     ),
 ]
-Jobs = Annotated[
-    int, Option("--jobs", min=1, metavar="N", help="Processes that solve; more than 1 needs dask.")
-]
+Jobs = Annotated[int, Option("--jobs", min=1, metavar="N", help="Processes that solve.")]
 Repeats = Annotated[
     int,
     Option(

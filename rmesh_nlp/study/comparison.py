@@ -158,7 +158,7 @@ def run(
 
     The lock of the folder is taken unless the caller holds it (``locked``). One job solves in this process,
     with ``on_start`` called before each solve and ``on_step`` after each of its iterations; several are
-    processes of a local cluster. After the row of an interrupted solve a KeyboardInterrupt is raised.
+    processes of their own. After the row of an interrupted solve a KeyboardInterrupt is raised.
     """
     keys = [solve.key for solve in plan]
     if key := _twice(keys):
@@ -202,8 +202,7 @@ def _here(
 def _side_by_side(plan: Sequence[PlannedSolve], results: Results, jobs: int) -> Iterator[Ended]:
     """In processes of their own, which keep fields aside."""
     with folder_aside(results.folder) as aside:
-        for solve, row in engine.distributed_rows(plan, aside, jobs, whole=True):
-            row = row or engine.lost(solve)
+        for solve, row in engine.rows_here(plan, aside, jobs, whole=True):
             if "asked" not in row:  # of a process that was killed less is known
                 row = {**row, **solve.identity}
             yield solve, row, partial(_move, Results(aside).result(row))

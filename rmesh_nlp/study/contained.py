@@ -21,7 +21,8 @@ from typing import Any
 
 from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import Results
-from rmesh_nlp.optimize.budget import Budget, Limits, processor_seconds
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, processor_seconds
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.runner import failure, perform
 
@@ -40,11 +41,11 @@ ATTEMPTS = 2  # a solve whose process is killed from outside is tried once more,
 class Contained:
     """Runs planned solves one after the other in a process of their own on the given cores.
 
-    It is started anew where need be.
+    It is started anew where need be. Once the ``session`` is stopped a StoppedError ends what is solved.
     """
 
-    def __init__(self, cores: Collection[int] | None = None) -> None:
-        self._cores = cores
+    def __init__(self, cores: Collection[int] | None = None, session: Budget | None = None) -> None:
+        self._cores, self._session = cores, session
         self._process: subprocess.Popen[bytes] | None = None
 
     def solve(self, solve: PlannedSolve, folder: Path) -> Record:
@@ -59,7 +60,7 @@ class Contained:
             except OSError:  # it died while it had nothing to do
                 self.close()
                 continue
-            watch = Budget(Limits(solve.time_s * GRACE + GRACE_S))
+            watch = Budget(Limits(solve.time_s * GRACE + GRACE_S), self._session)
             line, why = self._answer(process, watch, solve.memory_mb)
             seconds = watch.elapsed
             if line is not None:
@@ -100,7 +101,7 @@ class Contained:
         self._process = process
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
-        line, _ = self._answer(process, Budget(Limits(START_S)))
+        line, _ = self._answer(process, Budget(Limits(START_S), self._session))
         if line is None or line.strip() != READY:
             code = self.close()
             raise RuntimeError(f"no process for solves could be started: it ended with code {code}")
@@ -113,6 +114,8 @@ class Contained:
         assert process.stdout is not None
         while not select.select([process.stdout], [], [], POLL_S)[0]:
             if budget.is_over():
+                if budget.stopped is Status.INTERRUPTED:
+                    raise StoppedError
                 return None, "time_limit"
             if megabytes < _megabytes(process.pid):
                 return None, "memory_limit"

@@ -1,4 +1,4 @@
-"""What one worker process does with a planned solve: solve it contained, write its row, tell in short."""
+"""What a worker does with a planned solve: solve it in a process of its own, write its row, tell in short."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.io.records import Record
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.plan import PlannedSolve
@@ -22,16 +23,16 @@ SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "messa
 
 
 class Worker:
-    """Performs planned solves of the study in a folder in this process; as a context it is closed at the end.
+    """Performs planned solves of the study in a folder, one at a time; as a context it is closed at the end.
 
     If there is one, it takes a core for itself, on which its solves are pinned; rows of solves that had
-    no core alone carry ``shared = true``.
+    no core alone carry ``shared = true``. Once the ``session`` is stopped a StoppedError ends its solve.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, session: Budget | None = None) -> None:
         self._folder = folder
         self._core = _own_core()
-        self._contained = Contained(None if self._core is None else {self._core[0]})
+        self._contained = Contained(None if self._core is None else {self._core[0]}, session)
         self._rows, self._keys = RowsFile(folder), Keys(folder)
         self._noted = False
 
@@ -71,18 +72,9 @@ def worker_of(folder: str) -> Worker:
     return Worker(Path(folder))
 
 
-def task(content: dict[str, Any], folder: str, whole: bool) -> Record:
-    """A task of the cluster: :meth:`Worker.row`, which the client writes, or :meth:`Worker.perform`."""
-    worker, solve = worker_of(folder), PlannedSolve(**content)
-    return worker.row(solve) if whole else worker.perform(solve)
-
-
-def dask_setup(server: Any) -> None:
-    """Called by dask.distributed in each scheduler and worker of an own cluster: stop its web server.
-
-    There is one even without a dashboard, and it would tell any user of this machine what is solved.
-    """
-    server.http_server.stop()
+def task(content: dict[str, Any], folder: str) -> Record:
+    """A task of a cluster: :meth:`Worker.perform`."""
+    return worker_of(folder).perform(PlannedSolve(**content))
 
 
 def _own_core() -> tuple[int, socket.socket] | None:

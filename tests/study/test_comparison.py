@@ -17,8 +17,7 @@ from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
 from rmesh_nlp.study.comparison import formulation_options, plan_comparison, run
 from rmesh_nlp.study.contained import Contained
-from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.runner import perform
+from rmesh_nlp.study.runner import failure, perform
 from support.planted import plant, raising
 from support.problem_files import VALID
 from support.solved import with_final
@@ -306,10 +305,10 @@ def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, m
     def rows_of(todo, folder, jobs, *, whole):
         for one in todo:
             got.append(one.key)
-            travelled = PlannedSolve(**json.loads(json.dumps(one.plain())))
-            yield one, contained.solve(travelled, folder) if one.formulation == "auto" else None
+            is_lost = one.formulation != "auto"
+            yield one, failure(one, "died", "killed") if is_lost else contained.solve(one, folder)
 
-    monkeypatch.setattr(engine, "distributed_rows", rows_of)
+    monkeypatch.setattr(engine, "rows_here", rows_of)
     more = [plan_comparison(["6.2"], [name], n=(4, 2))[0] for name in ("auto", "joint")]
     *_, auto, lost = run([*plan, *more], Results(ran), resume=True, jobs=2)
     contained.solve(replace(more[0], fields=False), ran / "bare")

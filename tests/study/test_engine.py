@@ -1,8 +1,5 @@
 """Every planned solve becomes one row, whatever happens to it, its worker or its client."""
 
-import asyncio
-import http.client
-import itertools
 import json
 import os
 import re
@@ -148,8 +145,8 @@ def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, 
 def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
     told = {"key": PLAN[0].key, "status": "converged"}  # its worker has written it
     ended = iter([(PLAN[0], told), (PLAN[1], None)])
-    monkeypatch.setattr(engine, "distributed_rows", lambda *_: ended)
-    first, lost = engine.run(PLAN, tmp_path, jobs=2)
+    monkeypatch.setattr(engine, "_distributed_rows", lambda *_: ended)
+    first, lost = engine.run(PLAN, tmp_path, scheduler="tcp://127.0.0.1:1")
     assert first == told
     assert (lost["key"], lost["status"], lost["shared"]) == (PLAN[1].key, "died", True)
     assert [path.name for path in row_files(tmp_path)] == [f"records-{lost['worker']}.jsonl"]
@@ -165,16 +162,14 @@ def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monk
         list(engine.run([solve_of("fixed")], tmp_path))
 
 
-@pytest.mark.parametrize("package", ["distributed", "cryptography"])
-def test_without_the_extra_more_jobs_are_one_line(tmp_path, monkeypatch, package):
-    monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(BadInputError, match=rf"^--jobs above 1.* needs? .*{package}: pip install"):
-        list(engine.run([solve_of("fixed"), solve_of("joint")], tmp_path, jobs=2))
+def test_without_the_extra_a_scheduler_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(BadInputError, match=r"^--scheduler needs dask.distributed: pip install"):
+        list(engine.run([solve_of("fixed")], tmp_path, scheduler="tcp://127.0.0.1:1"))
 
 
 @pytest.mark.slow
-def test_a_local_cluster_writes_the_same_rows(tmp_path):
-    pytest.importorskip("distributed")
+def test_two_jobs_write_the_same_rows(tmp_path):
     told = list(engine.run(PLAN, tmp_path, jobs=2))
     assert sorted(row["key"] for row in told) == sorted(solve.key for solve in PLAN)
     assert sorted(row["key"] for row in rows_of(tmp_path)) == sorted(solve.key for solve in PLAN)
@@ -210,32 +205,6 @@ def rmesh(*arguments):
     )
 
 
-@pytest.mark.slow
-def test_an_own_cluster_refuses_strangers_and_serves_no_page():
-    distributed, psutil = pytest.importorskip("distributed"), pytest.importorskip("psutil")
-    other = distributed.Security.temporary().get_connection_args("client")
-    with engine._client(distributed, 1, None) as client:
-        address = client.scheduler.address
-        assert client.submit(abs, -1).result() == 1
-        for stranger, certificate in ((address, other), (address.replace("tls:", "tcp:"), {})):
-            with pytest.raises(OSError, match=r"(?i)tls|connection|timed out"):
-                asyncio.run(distributed.comm.connect(stranger, timeout=1, **certificate))
-        me = psutil.Process()
-        sockets = [one.net_connections("tcp") for one in (me, *me.children(recursive=True))]
-        ports = {tuple(one.laddr) for one in itertools.chain(*sockets) if one.status == "LISTEN"}
-        assert distributed.comm.parse_host_port(address.split("//")[1]) in ports
-        assert not any(serves_pages(*port) for port in ports)
-
-
-def serves_pages(host, port):
-    try:
-        page = http.client.HTTPConnection(host, port, timeout=5)
-        page.request("GET", "/sitemap.json")
-        return page.getresponse().status > 0
-    except (OSError, http.client.HTTPException):
-        return False
-
-
 LONG = 'random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n'
 on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
@@ -244,56 +213,20 @@ def two_jobs(folder):
     return rmesh("study", study_file(folder, LONG), "--out", str(folder / "out"), "--jobs", "2")
 
 
-def starting(folder):
-    """A study on two jobs and its two worker processes, which have just been started."""
-    psutil = pytest.importorskip("psutil")
-    process, found = two_jobs(folder), []
-    while len(found) < 2 and process.poll() is None:
-        children = psutil.Process(process.pid).children()
-        found = [one for one in children if "--multiprocessing-fork" in one.cmdline()]
-        time.sleep(0.02)
-    return process, found
-
-
-@pytest.mark.slow
-@on_posix
-@pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_while_workers_start_ends_the_study(tmp_path, presses):
-    """As on a terminal, where all processes get it: nothing is solved, and none is left over."""
-    process, workers = starting(tmp_path)
-    for _ in range(presses):
-        for one in (process, *workers):
-            one.send_signal(signal.SIGINT)
-        time.sleep(0.3)
-    _, said = process.communicate(timeout=60)
-    assert process.returncode in (130, -signal.SIGINT)
-    (line,) = said.splitlines()
-    assert line.startswith("rmesh: interrupted: 0 of 300 solves are kept")
-    assert not any(one.is_running() for one in workers)
-
-
-@pytest.mark.slow
-@on_posix
-def test_workers_killed_while_they_start_are_one_line(tmp_path):
-    process, workers = starting(tmp_path)
-    for one in workers:
-        one.kill()
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 2
-    assert said.endswith("its worker processes ended while they started; run the same command again\n")
-    assert len(said.splitlines()) == 1
-
-
 @pytest.mark.slow
 @on_posix
 def test_ctrl_c_with_two_jobs_keeps_what_is_finished_in_one_line(tmp_path):
-    pytest.importorskip("distributed")
+    psutil = pytest.importorskip("psutil")
     with two_jobs(tmp_path) as process:
         end = time.monotonic() + 100
         while not rows_of(tmp_path / "out") and time.monotonic() < end:
             time.sleep(0.1)
-        process.send_signal(signal.SIGINT)
+        below = psutil.Process(process.pid).children()
+        for one in (process, *below):  # as on a terminal, where all processes get it
+            one.send_signal(signal.SIGINT)
         _, said = process.communicate(timeout=60)
+    assert len(below) == 2
+    assert not any(one.is_running() for one in below)
     assert process.returncode == 130
     (line,) = [line for line in said.splitlines() if "interrupted" in line]
     assert "Traceback" not in said
