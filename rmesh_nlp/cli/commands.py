@@ -11,7 +11,6 @@ from typer import Argument, Option
 from rmesh_nlp import __version__
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli import options as o
-from rmesh_nlp.errors import BadInputError
 
 app = typer.Typer(add_completion=True, rich_markup_mode=None, pretty_exceptions_enable=False)
 
@@ -118,14 +117,8 @@ def solve(
     rmesh solve my.toml --columns 1
     """
     given, voice = o.keywords(context.params), _voice(json, quiet)
-    if not example.endswith(".toml"):
-        return load("cli.solving").solve(example, formulation or "joint", given, out, voice)
-    for name, value in (("--n", n), ("--delta", delta), ("--quadrature", quadrature)):
-        if value is not None:
-            raise BadInputError(f"{name} {value} is for the examples: write it into {example}")
-    work, columns = load("cli.solving").solve_file, columns if figures else 0
-    asked = formulation, given["options"], given.get("order")
-    return work(Path(example), *asked, certify, out, voice, columns)
+    columns = columns if figures else 0
+    return load("cli.solving").solve(example, formulation, given, out, voice, columns)
 
 
 @app.command()

@@ -37,86 +37,68 @@ SERIES_NODES = 200_000  # of all frames of a series: with more, writing them tak
 
 
 def solve(
-    example: str, formulation: str, given: Mapping[str, Any], out: Path | None, voice: str = "text"
-) -> int:
-    """Solve an example; returns the exit code.
-
-    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`. What is printed is "text",
-    "json" (the record) or "quiet".
-    """
-    (plan,) = comparison.plan_comparison([example], [formulation], **given)
-    folder = Path("results") / plan.key if out is None else out
-    with writable(folder, SINGLE) as results, SolvesProgress(1, quiet=voice != "text") as progress:
-        done = _performed(plan, progress)
-        if done.row["status"] == "refused":
-            raise BadInputError(done.row["message"])
-        results.manifest.claim(*SINGLE)
-        write_single(folder, done.row, done.save)
-        progress.finish(done.row)
-    if voice == "json":
-        print(to_json(done.row))
-    elif voice == "text":
-        for what, value in [] if done.solution is None else contact_rows(done.solution):
-            print(f"{what} {value}")
-        _say_certificate(done)
-        print("wrote", ", ".join(str(folder / name) for name in SINGLE if (folder / name).exists()))
-    return _exit_code(done.row, folder)
-
-
-def solve_file(
-    path: Path,
+    name: str,
     formulation: str | None,
-    options: Mapping[str, Any],
-    order: int | None,
-    certify: bool,
+    given: Mapping[str, Any],
     out: Path | None,
     voice: str = "text",
     columns: int = 2,
 ) -> int:
-    """Solve the problem of a file; returns the exit code.
+    """Solve an example, or the problem of a file; returns the exit code.
 
-    Options given on the command line override ``[solve]``, which may ask to ``certify`` as well, and an
-    ``order`` overrides that of the file. Figures are
-    as wide as so many ``columns`` of a page; 0 for none.
+    ``given`` are keywords of :func:`rmesh_nlp.study.comparison.plan_comparison`. They override ``[solve]`` of
+    a file, which may ask to ``certify`` as well. What is printed is "text", "json" (the record) or "quiet".
+    Figures, of a file alone, are as wide as so many ``columns`` of a page; 0 for none.
     """
-    stated = read_table(path)
-    problem = load_problem(path, order, says=voice == "text")
-    name, options = solve_options(path, formulation, options)
-    plan = planned(problem, name, options, certify=certify or stated.solve.certify)
-    series = Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
-    folder = Path("results") / safe_name(problem.name) if out is None else out
-    with writable(folder, (*FILES, SERIES, *([FIGURES] if columns else []))) as results:
-        with SolvesProgress(1, quiet=voice != "text") as progress:
-            # then the iterates are on different meshes
-            several = options.keys() & {"starts", "remesh"}
-            done = _performed(plan, progress, None if several else series)
-        if done.row["status"] == "refused":
-            raise BadInputError(f"{path}: {done.row['message']}")
+    says, stated, series = voice == "text", None, None
+    if name.endswith(comparison.SUFFIX):
+        comparison.refuse_changes(given, name)
+        stated = read_table(name)
+        plan, series = _of_file(stated, formulation, given, says)
+    else:
+        (plan,) = comparison.plan_comparison([name], [formulation or "joint"], **given)
+    folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
+    more = (SERIES, FIGURES) if columns else (SERIES,)
+    with writable(folder, SINGLE if stated is None else (*FILES, *more)) as results:
+        with SolvesProgress(1, quiet=not says) as progress:
+            done = _performed(plan, progress, series)
+            if done.row["status"] == "refused":
+                raise BadInputError(f"{'' if stated is None else f'{name}: '}{done.row['message']}")
+            progress.finish(done.row)
         with deferred() as interrupted:
-            _write(results, done, series, path, stated)
+            _write(results, done, series, stated)
         try:
             if interrupted():
                 raise KeyboardInterrupt
-            if columns and done.solution is not None and done.row["status"] != INTERRUPTED:
+            if stated and columns and done.solution is not None and done.row["status"] != INTERRUPTED:
                 reporting = load("cli.reporting")  # matplotlib and pandas: as long as a small solve
                 reporting.draw_solution(results, done.solution, reporting.Page(columns))
         except KeyboardInterrupt:
             raise InterruptedSolveError(
                 f"all but the figures is kept in {folder}; rmesh figures {folder} draws them"
             ) from None
-        names = [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
     if voice == "json":
         print(to_json(done.row))
-    elif voice == "text":
-        if done.solution is None:
-            print(f"{plan.name} {plan.formulation}: {done.row['status']}: {done.row['message']}")
-        else:
-            Console().print(done.solution)
-            for warning in done.row.get("warnings") or []:
-                print(f"warning: {warning}")
-            _say_certificate(done)
+    elif says:
+        _say(done, in_full=stated is not None)
+        names = [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
         print(f"wrote {folder}: {', '.join(names)}")
-    return _exit_code(done.row, folder)
+    if done.row["status"] == INTERRUPTED:
+        raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
+    return SUCCESS if done.row["success"] else NO_SUCCESS
+
+
+def _of_file(
+    stated: ProblemTable, formulation: str | None, given: Mapping[str, Any], says: bool
+) -> tuple[PlannedSolve, Series | None]:
+    """The solve of a problem file, and what notes its iterates unless they are on different meshes."""
+    path = stated.source.path
+    problem = load_problem(path, given.get("order"), says=says)
+    name, options = solve_options(path, formulation, given["options"])
+    plan = planned(problem, name, options, certify=given.get("certify", stated.solve.certify))
+    if options.keys() & {"starts", "remesh"}:
+        return plan, None
+    return plan, Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
 
 
 def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:
@@ -134,37 +116,43 @@ def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | No
         raise InterruptedSolveError("nothing was written") from None
 
 
-def _write(results: Results, done: Done, series: Series, path: Path, stated: ProblemTable) -> None:
-    """Put the files of a solve in place, the result first; what an earlier solve left goes before."""
+def _write(results: Results, done: Done, series: Series | None, stated: ProblemTable | None) -> None:
+    """Put the files of a solve in place, the result first; what an earlier solve left goes before.
+
+    Of a problem file the relocated mesh and the iterates are written as well.
+    """
     folder, solution, manifest = results.folder, done.solution, results.manifest
     manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
-    manifest.claim(*FILES, *kept_problem.names(stated))
-    kept_problem.keep(path, stated, folder)
+    manifest.claim(*SINGLE)
+    if stated is not None:
+        manifest.claim(*FILES, *kept_problem.names(stated))
+        kept_problem.keep(stated, folder)
     write_single(folder, done.row, done.save)
-    if solution is not None:
+    if solution is not None and stated is not None:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
-        if series.frames:
-            manifest.claim(*(f"iterations/{name}" for name in series.names()))
-            series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
+    if solution is not None and series is not None and series.frames:
+        manifest.claim(*(f"iterations/{name}" for name in series.names()))
+        series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
 
 
-def _say_certificate(done: Done) -> None:
-    """Print what a certificate says of the error, or why there is none."""
-    certificate = None if done.solution is None else done.solution.certificate
-    if certificate is not None:
+def _say(done: Done, *, in_full: bool) -> None:
+    """Print a solution, in full or what contact carries, and what a certificate says of its error."""
+    if (solution := done.solution) is None:
+        return
+    if in_full:
+        Console().print(solution)
+        for warning in done.row.get("warnings") or []:
+            print(f"warning: {warning}")
+    else:
+        for what, value in contact_rows(solution):
+            print(f"{what} {value}")
+    if (certificate := solution.certificate) is not None:
         print(
             f"{certificate.sentence}; least energy between "
             f"{certificate.lower:.7g} and {certificate.upper:.7g}"
         )
     if remark := done.row.get("certificate_remark"):
         print(f"note: {remark}")
-
-
-def _exit_code(row: Record, folder: Path) -> int:
-    """0 if the solve succeeded; InterruptedSolveError if it was interrupted."""
-    if row["status"] == INTERRUPTED:
-        raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
-    return SUCCESS if row["success"] else NO_SUCCESS
 
 
 def compare(

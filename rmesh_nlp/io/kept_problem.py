@@ -59,8 +59,9 @@ def names(table: ProblemTable) -> list[str]:
     return [PROBLEM] if table.mesh.file is None else [PROBLEM, MESH + Path(table.mesh.file).suffix]
 
 
-def keep(path: Path, table: ProblemTable, folder: Path) -> None:
+def keep(table: ProblemTable, folder: Path) -> None:
     """Copy a problem file, and the mesh file that it names, into a folder."""
+    path = table.source.path
     sources = [path, path.parent / (table.mesh.file or "")]
     for source, name in zip(sources, names(table), strict=False):
         write_whole(folder / name, partial(shutil.copyfile, source))

@@ -65,10 +65,10 @@ def plan_comparison(
     """
     options = dict(options or {})
     own = _file_problems(examples, order)  # with their objectives
-    if own and (n is not None or delta is not None or quadrature is not None):
-        raise BadInputError("size, delta and quadrature are for the examples: write them into the files")
     given: dict[str, Any] = {"n": n, "delta": delta, "order": order, "quadrature": quadrature}
     given = {key: value for key, value in given.items() if value is not None}
+    if own:
+        refuse_changes(given, "the files")
     problems: list[tuple[dict[str, Any], ContactProblem, dict[str, Any]]] = [
         ({}, problem, {} if text == "energy" else {"objective": text}) for problem, text in own
     ]
@@ -100,6 +100,13 @@ def plan_comparison(
         solves = list({solve.key: solve for solve in solves}.values())
     finer = (fine for problem, _ in own for fine in _refinements(problem))
     return solves + [planned(fine, "fixed", certify=certify) for fine in finer]
+
+
+def refuse_changes(given: Mapping[str, Any], file: str) -> None:
+    """Raise a BadInputError for what is given of a problem and is for the examples alone."""
+    for name in ("n", "delta", "quadrature"):
+        if name in given:
+            raise BadInputError(f"--{name} {given[name]} is for the examples: write it into {file}")
 
 
 def formulation_options(text: str) -> tuple[str, dict[str, Any]]:

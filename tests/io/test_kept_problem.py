@@ -29,7 +29,7 @@ def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh, orde
     path.write_text(f"order = {order}\n{VALID.replace(SHAPE, mesh)}")
     table = read_table(path)
     assert names(table) == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
-    keep(path, table, folder)
+    keep(table, folder)
     solution = joint.solve(load_problem(path), limits={"iterations": 5})
     write_solution(solution, folder / "solution.vtu")
     path.unlink()
@@ -58,7 +58,7 @@ def test_an_order_of_the_command_line_is_that_of_the_record(tmp_path, order):
     path = tmp_path / "my.toml"
     path.write_text(f"order = {3 - order}\n{VALID}")
     solution = fixed.solve(load_problem(path, order))
-    keep(path, read_table(path), tmp_path / "out")
+    keep(read_table(path), tmp_path / "out")
     write_solution(solution, tmp_path / "out" / "solution.vtu")
     kept = read_kept(tmp_path / "out", solution.record())
     assert kept.problem.order == order
@@ -67,7 +67,7 @@ def test_an_order_of_the_command_line_is_that_of_the_record(tmp_path, order):
     np.testing.assert_array_equal(pictured[0].stress, pictured[1].stress)
     assert read_kept(tmp_path / "out", {}) is None  # of another space
     path.write_text(path.read_text().replace("ny = 3", "ny = 2"))
-    keep(path, read_table(path), tmp_path / "out")
+    keep(read_table(path), tmp_path / "out")
     assert read_kept(tmp_path / "out", solution.record()) is None  # on another mesh
 
 
@@ -78,7 +78,7 @@ def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path, order):
     problem = load_problem(path)
     new = refined(problem)
     solution = joint.solve(new, limits={"iterations": 5})
-    keep(path, read_table(path), folder)
+    keep(read_table(path), folder)
     write_solution(solution, folder / "solution.vtu")
     assert read_kept(folder, {}) is None  # without the mesh
     write_mesh(solution.mesh, folder / "mesh.msh")

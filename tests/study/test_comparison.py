@@ -75,8 +75,8 @@ def test_keys_are_file_names_and_settings_reach_the_example():
 @pytest.mark.parametrize(
     ("names", "settings", "said"),
     [
-        (["own.toml"], {"delta": 0.01}, "for the examples: write them into the files"),
-        (["own.toml"], {"quadrature": 4}, "for the examples: write them into the files"),
+        (["own.toml"], {"delta": 0.01}, "for the examples: write it into the files"),
+        (["own.toml"], {"quadrature": 4}, "for the examples: write it into the files"),
         (["own.toml", "other.toml"], {}, "two problem files are both called 'block'"),
         (["6.1"], {"n": -1}, "-1"),
         (["6.1"], {"options": {"objective": ["energy", "nonsense"]}}, "nonsense"),
