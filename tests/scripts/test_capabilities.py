@@ -1,52 +1,52 @@
 """Every row of docs/notes/capabilities.md can be run as it is written."""
 
-import os
 import re
 import shlex
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from support.nl_files import NL
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "notes" / "capabilities.md").read_text(encoding="utf-8")
-FIRST = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)[0]
-ROWS = re.findall(r"^\| (.+?) \| (`.+`.*) \|$", PAGE, re.MULTILINE)
+FIRST, *SECTIONS = (ROOT / "docs" / "notes" / "capabilities.md").read_text(encoding="utf-8").split("\n## ")
+SETUP = FIRST.split("```python\n")[1].split("```")[0]
 ENTRIES = {"rmesh": "main", "rmesh-mpcc": "mpcc"}
 REFUSED = "refused with a reason, in one line"
 
 
-@pytest.fixture(scope="module")
-def names(tmp_path_factory: pytest.TempPathFactory):
-    """What rows have defined so far, in a folder that has a problem in AMPL's format."""
-    before, known = Path.cwd(), {}
-    os.chdir(tmp_path_factory.mktemp("capabilities"))
-    Path("problem.nl").write_text(NL)
-    exec(FIRST, known)
-    yield known
-    os.chdir(before)
-
-
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("row", ROWS, ids=lambda row: row[0])
-def test_every_capability_is_shown_as_the_page_says(row, names) -> None:
-    capability, cell = row
-    for code in re.findall(r"`([^`]+)`", cell):
-        if code.startswith("--"):
-            continue
-        if not code.startswith(("rmesh ", "rmesh-mpcc ", "python ")):
-            exec(code, names)
-            continue
-        program, *words = shlex.split(code)
-        start = (
-            ["-c", f"from rmesh_nlp.cli.entry import {ENTRIES[program]} as main; main()"]
-            if program in ENTRIES
-            else []
-        )
-        words = [str(ROOT / word) if word.startswith("scripts/") else word for word in words]
-        said = subprocess.run([sys.executable, *start, *words], capture_output=True, text=True)
-        assert said.returncode == (2 if capability == REFUSED else 0), said.stderr
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.split("\n")[0])
+def test_every_capability_is_shown_as_the_page_says(section, tmp_path, monkeypatch) -> None:
+    """Rows of a section use what former ones defined."""
+    monkeypatch.chdir(tmp_path)
+    Path("problem.nl").write_text(NL)
+    names: dict[str, Any] = {}
+    exec(SETUP, names)
+    failed = {}
+    for capability, cell in re.findall(r"^\| (.+?) \| (`.+`.*) \|$", section, re.MULTILINE):
+        for code in re.findall(r"`([^`]+)`", cell):
+            try:
+                run(code, names, 2 if capability == REFUSED else 0)
+            except Exception as error:
+                failed[code] = f"{type(error).__name__}: {error}"
+    assert not failed
+
+
+def run(code: str, names: dict[str, Any], expected: int) -> None:
+    """A command, or Python; an option alone stands beside the command that it belongs to."""
+    if code.startswith("--"):
+        return
+    if not code.startswith(("rmesh", "python ")):
+        exec(code, names)
+        return
+    program, *words = shlex.split(code)
+    if program in ENTRIES:
+        words = ["-c", f"from rmesh_nlp.cli.entry import {ENTRIES[program]} as main; main()", *words]
+    words = [str(ROOT / word) if word.startswith("scripts/") else word for word in words]
+    said = subprocess.run([sys.executable, *words], capture_output=True, text=True)
+    assert said.returncode == expected, said.stderr
