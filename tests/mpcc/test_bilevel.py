@@ -260,7 +260,7 @@ def levels(name):
     return {"x": x, **upper}, lower, y, problem
 
 
-@pytest.mark.parametrize("name", ["mitsos-barton-3.13", "mitsos-barton-3.15", "mitsos-barton-3.17"])
+@pytest.mark.parametrize("name", ["mitsos-barton-3.13", "mitsos-barton-3.15"])
 def test_cuts_lead_to_the_optimum_of_a_lower_level_that_is_not_convex(name):
     upper, lower, y, problem = levels(name)
     end = solve_bilevel(upper, lower, problem.x0, variables=y)
@@ -273,7 +273,7 @@ def test_cuts_lead_to_the_optimum_of_a_lower_level_that_is_not_convex(name):
 def test_cut_holds_only_where_its_point_is_feasible():
     """y >= x: at x = -2 the lower level has the minima y = x and 1; above it y = 1 alone, where F = 4."""
     upper, lower, y, problem = levels("vogel-2012")
-    end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=10)
+    end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=3)
     assert (end.success, end.cuts >= 1) == (True, True)
     assert (end.x[0], end.y[0], end.f) == pytest.approx((-2, -2, 1), abs=1e-3)
 

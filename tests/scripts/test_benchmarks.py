@@ -4,6 +4,7 @@ import importlib
 import json
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -103,22 +104,25 @@ def test_table_of_the_ablation_has_gains_failures_and_cost():
 
 def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was(capsys):
     before = cascade.descend, ContactSolver.__init__
-    assert benchmark_cost.main(["6.1:3"]) == 0
+    assert benchmark_cost.main(["6.1:2"]) == 0
     assert (cascade.descend, ContactSolver.__init__) == before
     lines = capsys.readouterr().out.splitlines()
     header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines if line)
     parts = [*benchmark_cost.PARTS, "rest"]
     assert header[-len(parts) :] == parts
     found = dict(zip(header, row, strict=True))
-    assert (found["problem"], found["nodes"]) == ("6.1:3", "16")
+    assert (found["problem"], found["nodes"]) == ("6.1:2", "9")
     # rounded to three digits
     assert sum(float(found[part]) for part in parts) == pytest.approx(float(found["whole"]), rel=0.05)
     assert min(float(found[part]) for part in ("models", "descents", "assess", "reduction", "unit")) > 0
 
 
-@pytest.mark.parametrize("seed", [0, 5, 6, 7, 8, 19])
+made = cache(random_design)
+
+
+@pytest.mark.parametrize("seed", [0, 5, 19])
 def test_stated_design_obeys_all_constraints(seed):
-    found = random_design(seed)
+    found = made(seed)
     outer = Outer.of(found.problem, found.objective)
     amplitudes = [found.feasible[shape.name] for shape in found.problem.shapes]
     nodes = found.problem.mesh.p + np.tensordot(amplitudes, found.problem.shape_motions, 1)
@@ -129,11 +133,11 @@ def test_stated_design_obeys_all_constraints(seed):
 
 
 def test_seed_determines_the_design_problem():
-    one, two = random_design(5), random_design(5)
+    one, two = made(5), random_design(5)
     assert (one.objective, one.feasible) == (two.objective, two.feasible)
     np.testing.assert_array_equal(one.problem.mesh.p, two.problem.mesh.p)
     assert [str(c) for c in one.problem.constraints] == [str(c) for c in two.problem.constraints]
-    assert random_design(6).feasible != one.feasible
+    assert made(19).feasible != one.feasible
 
 
 def test_times_are_medians_and_a_run_without_a_result_is_a_row():
