@@ -142,12 +142,6 @@ RULES = (
         {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
     ),
     Rule(
-        "Newton: a first radius of half the gradient step",
-        (NESTED,),
-        LIMITED,
-        settings={"newton": {"first_radius": 1.0}},
-    ),
-    Rule(
         "Newton: all products at once up to 200 variables",
         (NESTED, AUTO),
         ENERGY,

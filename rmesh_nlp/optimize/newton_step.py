@@ -15,9 +15,6 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 
-MAX_PRODUCTS = 40
-"""Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step."""
-
 WORTHWHILE = 0.06
 """Least part of a step's decrease that the last round of conjugate gradients must give."""
 
@@ -27,9 +24,8 @@ OVERSHOOT = 2.0
 DECREASE = 0.01
 """Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré."""
 
-SHORTEN_CAUCHY, SHORTEN, SEARCHES = 0.25, 0.5, 30
-"""Factors of the steps that are tried for a Cauchy point and in a projected search, and most tries of
-that."""
+SHORTEN, SEARCHES = 0.25, 30
+"""Factor of the steps that are tried for a Cauchy point and in a projected search, and most tries of that."""
 
 
 class Model(Protocol):
@@ -69,7 +65,7 @@ class BoxStep:
     The conjugate gradients are preconditioned by the inverse diagonal of the model.
     """
 
-    def __init__(self, model: Model, g: Array, max_products: int = MAX_PRODUCTS) -> None:
+    def __init__(self, model: Model, g: Array, max_products: int) -> None:
         self._model, self._g = model, g
         self.scale, self.products, self.max_products = model.diagonal(), 0, max_products
 
@@ -113,7 +109,7 @@ class BoxStep:
             Hs = self._product(s)
             if self._g @ s + 0.5 * s @ Hs <= DECREASE * (self._g @ s):
                 return s, Hs
-            alpha *= SHORTEN_CAUCHY
+            alpha *= SHORTEN
             s = self._clip(alpha * direction)
         return s, np.zeros_like(s)
 

@@ -21,24 +21,12 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton_step import (
-    MAX_PRODUCTS,
-    BoxStep,
-    Model,
-    scaled,
-)
+from rmesh_nlp.optimize.newton_step import BoxStep, Model, scaled
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
 
-NOTHING, NOTHING_LOCAL = 1e-16, 1e-20
-"""Predicted decrease, relative to the value, below which no step follows; with local radii the second one."""
-
-LEAST_RADIUS = 1e-6
-"""Local radius, in widths, at which a descent gives up."""
-
-FUNCTION_ERROR = 1e-14
-"""Error of a function with local radii, relative to its value: near the end both decreases are rounding, and
-then count as alike (A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, 17.4.2)."""
+NOTHING = 1e-16
+"""Predicted decrease, relative to the value, below which no step follows."""
 
 
 @dataclass(frozen=True)
@@ -62,17 +50,17 @@ class NewtonSettings(Settings):
         First half-width of the trust region, as a part of the longest component of the scaled gradient step;
         of local radii, in widths.
     max_products : int
-        Hessian products of one step.
+        Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step.
     """
 
     sufficient: Positive = 1e-4
     poor: Positive = 0.25
     good: Part = 0.75
     shrink: Part = 0.25
-    grow: Factor = 4.0
+    grow: Factor = 2.0
     forcing: Part = 0.1
-    first_radius: Positive = 0.5
-    max_products: Count = MAX_PRODUCTS
+    first_radius: Positive = 1.0
+    max_products: Count = 40
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -81,10 +69,6 @@ class NewtonSettings(Settings):
                 "a trust region needs sufficient <= poor < good, got "
                 f"{self.sufficient!r}, {self.poor!r} and {self.good!r}"
             )
-
-
-LOCAL = NewtonSettings(grow=2.0, first_radius=1.0)
-"""Settings of descents with local radii."""
 
 
 @dataclass(frozen=True)
@@ -152,8 +136,7 @@ def minimise(
     on_step : callable, optional
         Called with the iteration, the point and its evaluation; the descent stops if it returns True.
     """
-    use = settings or (NewtonSettings() if local is None else LOCAL)
-    domain = _Box(lower, upper, use) if local is None else _LocalBox(lower, upper, use, local)
+    use = settings or NewtonSettings()
     x = np.clip(start, lower, upper)
     current = evaluate(x)
     if current is None:
@@ -166,98 +149,38 @@ def minimise(
         if iteration == max_iterations:
             break
         size = max(abs(current.value), 1e-300)
-        domain.arrive(x, current)
-        downhill = np.clip(x - current.gradient / (unit or size), lower, upper)
-        residual = float(np.max(np.abs(x - downhill), initial=0.0))
-        stationary = residual <= tolerance
+        g, model = current.gradient, current.model()
+        downhill = np.clip(x - g / (unit or size), lower, upper)
+        stationary = np.max(np.abs(x - downhill), initial=0.0) <= tolerance
+        # in units in which the trust region is a cube
+        width = np.ones_like(x) if local is None else local.widths(x)
+        low, high = (lower - x) / width, (upper - x) / width
         while True:
-            step = domain.step()
-            radius = radius or domain.first_radius(step)
-            y, predicted = step.within(*domain.trusted(radius), use.forcing)
+            step = BoxStep(scaled(model, width), width * g, use.max_products)
+            if not radius:
+                gradient_step = np.clip(-g / step.scale, low, high) if local is None else 1.0
+                radius = use.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
+            y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius), use.forcing)
             products += step.products
-            gained, nothing = reference - current.value, predicted <= domain.nothing * size
-            enough = predicted <= gain_tolerance * gained
-            if stationary and (enough or nothing):
-                return NewtonResult(x, current.value, Status.CONVERGED, iteration, products)
-            if nothing or radius < domain.least_radius:
-                return NewtonResult(x, current.value, Status.STALLED, iteration, products)
-            part, predicted = domain.cut(y, predicted)
-            products += part < 1
-            landed = domain.land(part, y)
+            enough = stationary and predicted <= gain_tolerance * (reference - current.value)
+            if enough or predicted <= NOTHING * size:
+                status = Status.CONVERGED if stationary else Status.STALLED
+                return NewtonResult(x, current.value, status, iteration, products)
+            part = 1.0 if local is None else local.longest(x, width * y)
+            if part < 1:
+                cut = part * width * y
+                predicted = -float(g @ cut + 0.5 * cut @ model(cut))
+                products += 1
+            landed = np.clip(x + part * (width * y), lower, upper)
             trial = evaluate(landed)
-            ratio, rounding = -np.inf, domain.rounding * size
-            if trial is not None:
-                ratio = (current.value - trial.value + rounding) / (max(predicted, 0.0) + rounding)
+            ratio = -np.inf if trial is None else (current.value - trial.value) / max(predicted, 1e-300)
             if not ratio >= use.poor:
                 radius = use.shrink * part * float(np.max(np.abs(y)))
             elif part < 1:
-                radius = max(part * radius, domain.least_radius)
+                radius = part * radius
             elif ratio > use.good:
                 radius = use.grow * radius
             if trial is not None and ratio > use.sufficient:
                 x, current = landed, trial
                 break
     return NewtonResult(x, current.value, Status.ITERATION_LIMIT, max_iterations, products)
-
-
-class _Box:
-    """Where the method may go, seen from its last point, in units in which the trust region is a cube."""
-
-    nothing, rounding, least_radius = NOTHING, 0.0, 0.0
-
-    def __init__(self, lower: Array, upper: Array, settings: NewtonSettings) -> None:
-        self._lower, self._upper, self.settings = lower, upper, settings
-        self._width: Array | float = 1.0
-
-    def arrive(self, x: Array, evaluation: Evaluation) -> None:
-        """Take note of a new point."""
-        self._x, self._g, self._model = x, evaluation.gradient, evaluation.model()
-
-    def first_radius(self, step: BoxStep) -> float:
-        gradient_step = np.clip(self._x - self._g / step.scale, self._lower, self._upper) - self._x
-        return self.settings.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
-
-    def trusted(self, radius: float) -> tuple[Array, Array]:
-        """Bounds of a step."""
-        low, high = (self._lower - self._x) / self._width, (self._upper - self._x) / self._width
-        return np.maximum(low, -radius), np.minimum(high, radius)
-
-    def step(self) -> BoxStep:
-        """The minimiser of the model."""
-        return BoxStep(self._model, self._g, self.settings.max_products)
-
-    def cut(self, y: Array, predicted: float) -> tuple[float, float]:
-        """Part of a step that stays in the domain, and the decrease that the model predicts of it."""
-        return 1.0, predicted
-
-    def land(self, part: float, y: Array) -> Array:
-        """The point that a step leads to."""
-        return np.clip(self._x + part * (self._width * y), self._lower, self._upper)
-
-
-class _LocalBox(_Box):
-    """The same with a radius for each variable."""
-
-    nothing, rounding, least_radius = NOTHING_LOCAL, FUNCTION_ERROR, LEAST_RADIUS
-
-    def __init__(self, lower: Array, upper: Array, settings: NewtonSettings, local: LocalRadii) -> None:
-        super().__init__(lower, upper, settings)
-        self._local = local
-
-    def arrive(self, x: Array, evaluation: Evaluation) -> None:
-        super().arrive(x, evaluation)
-        self._width = self._local.widths(x)
-
-    def first_radius(self, step: BoxStep) -> float:
-        return self.settings.first_radius
-
-    def step(self) -> BoxStep:
-        model, slope = scaled(self._model, np.asarray(self._width)), self._width * self._g
-        return BoxStep(model, slope, self.settings.max_products)
-
-    def cut(self, y: Array, predicted: float) -> tuple[float, float]:
-        part = self._local.longest(self._x, self._width * y)
-        if part < 1:
-            s = part * (self._width * y)
-            predicted = -float(self._g @ s + 0.5 * s @ self._model(s))
-        return part, predicted

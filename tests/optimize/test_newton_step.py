@@ -24,7 +24,7 @@ def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(
 def test_a_limit_of_products_is_kept() -> None:
     rng = np.random.default_rng(0)
     A, g, wide = convex(rng, 30), rng.standard_normal(30), np.full(30, 1e3)
-    free, short = BoxStep(Matrix(A), g), BoxStep(Matrix(A), g, max_products=5)
+    free, short = BoxStep(Matrix(A), g, max_products=40), BoxStep(Matrix(A), g, max_products=5)
     for step in (free, short):
         step.within(-wide, wide, 1e-8)
     assert short.products <= 6 < free.products  # one more for the search that ends a round

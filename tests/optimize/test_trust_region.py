@@ -119,7 +119,7 @@ class TestRadius:
 
     def test_first_steps_are_a_part_of_the_scaled_gradient_step_or_of_the_widths_and_grow(self) -> None:
         lengths = np.max(np.abs(np.diff(self.points(NewtonSettings(first_radius=0.01)), axis=0)), axis=1)
-        np.testing.assert_allclose(lengths[:2], np.array([1, 4]) * 0.01 * 4 / 1.001, rtol=1e-9)
+        np.testing.assert_allclose(lengths[:2], np.array([1, 2]) * 0.01 * 4 / 1.001, rtol=1e-9)
         widths = np.array([1.0, 1.0, 1.0, 0.1])
         local = LocalRadii(lambda x: widths, lambda x, step: 1.0)
         points = self.points(NewtonSettings(first_radius=0.02, grow=2.0), local=local)
