@@ -26,9 +26,9 @@ from formulations.schedule import Regularisation, Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.models.descent import descend
 from rmesh_nlp.models.levels import hierarchy, prolonged
 from rmesh_nlp.models.regularisation import regularised, weights
-from rmesh_nlp.models.regularised_descent import descend
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Count, Positive
 from rmesh_nlp.solving.formulation import Formulation
@@ -60,11 +60,13 @@ class Descent(Formulation):
         descent = descend(
             energy,
             q,
+            outer.is_valid,
+            lambda iteration, x, _: track.exact(iteration, x, energy(x)),
+            tolerance=np.inf,
             gain_tolerance=self.end,
             # relative to all there is to gain, so that a good start ends soon
             reference=energy(q).value + monitor.estimate(outer),
             max_iterations=self.iterations,
-            on_step=lambda iteration, x, _: track.exact(iteration, x, energy(x)),
         )
         monitor.budget.check()
         return Outcome(outer, descent.x, descent.status)

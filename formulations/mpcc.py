@@ -15,14 +15,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from formulations.joint import ACCEPTABLE, is_above, pull
-from formulations.kinks import is_stationary
+from formulations.finish import is_above, is_stationary
+from formulations.units import pull
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS, Bilevel, bilevel, in_units_of
+from rmesh_nlp.models.kkt_model import COMMON, TIGHT, Bilevel, bilevel, in_units_of
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -35,7 +35,7 @@ from rmesh_nlp.solving.parts import Part, Work
 
 OPTIONS: Mapping[str, Any] = {
     "t0": 1e-2,
-    "factor": 0.1,
+    "factor": 1e-2,
     "t_final": 1e-9,
     "crossover": 1e-2,
     "warm_duals": True,
@@ -55,71 +55,15 @@ PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 
 CENTRED: Mapping[str, Any] = {
     "mu_init": 2.0,
+    "bound_mult_init_method": "mu-based",
     "mu_linear_decrease_factor": 0.5,
     "mu_superlinear_decrease_power": 1.2,
 }
-"""Ipopt's barrier in the first relaxation of the energy where nodes have move limits: it begins where that of
-``joint`` does, and falls slowly, so that the path keeps near the central one, on which the nodes choose their
-corners, and ends in the minima of ``joint``. With Ipopt's own barrier fresh random problems lose nothing and
-take 0.69 of the iterations, 6.1 with 8 squares a side ends 0.33 % of the gain higher."""
+"""Ipopt's barrier in the relaxations of the energy where nodes have move limits.
 
-LOOSE, BETWEEN, TIGHT = 1e-4, 1e-8, 1e-10
-"""Ipopt's tolerance in the first relaxation, in the later ones, in the exact finish."""
-
-FACTOR_OTHERS = 0.01
-"""By how much t falls from stage to stage for objectives other than the energy.
-
-There the relaxed solution moves with t, so an exact finish after 1e-2 and 1e-3 starts far from its end.
-With 0.1 seven solves took 392 iterations, with 0.01 310, to the same ends (error-l2 on 6.1 with 5, 6, 10
-and 12 squares, error-h1 with 6 and 10, energy+0.1*quality on 6.2 with 8 x 4)."""
-
-AFTER: Mapping[str, Any] = {"t0": 1e-9, "t_final": 1e-9}
-"""Options from a start near a minimiser: only the relaxation at the final t, and the exact finish."""
-
-BARRIER_AFTER = 1e-10
-"""Ipopt's barrier at the end of the energy NLP: its tolerance there."""
-
-
-def homotopy_options(scaling: float, tight: float, first: Mapping[str, Any]) -> dict[str, Any]:
-    """Ipopt's options by stage: the first relaxation, those after it, the exact finish.
-
-    Each stage begins with the multipliers and about the barrier that the one before ended with, so that Ipopt
-    goes on and does not centre anew. ``scaling`` is the factor of the objective: for the energy it brings the
-    mean gradient in the outer variables to a third (:func:`formulations.joint.pull`), since Ipopt's barrier
-    and tolerances are absolute. ``first`` are further options of the first stage.
-    """
-    common = {**COMMON, "obj_scaling_factor": scaling}
-    return {
-        "ipopt_relaxed": {**common, "bound_mult_init_method": "mu-based", "tol": LOOSE, **first},
-        "ipopt_warm": {"mu_strategy": "monotone", "mu_init": LOOSE / 100, "tol": BETWEEN},
-        "ipopt_exact": {
-            **common,
-            "mu_init": tight,
-            "tol": tight,
-            # with 1e-7 objectives other than the energy were left with rates of descent of 3e-4
-            "acceptable_tol": ACCEPTABLE * (tight / TIGHT),
-        },
-    }
-
-
-def after_energy(scaling: float) -> dict[str, Any]:
-    """Options from the minimiser of the energy NLP, or another formulation's, on.
-
-    With the objective scaled and the barrier left about where that NLP left them, each slack times its
-    multiplier is still the barrier: Ipopt goes on as if it had been given the multipliers.
-    """
-    ipopt = {
-        "tol": 1e-8,
-        "obj_scaling_factor": scaling,
-        "bound_mult_init_method": "mu-based",
-        "mu_strategy": "monotone",
-        "mu_init": BARRIER_AFTER,
-        **dict.fromkeys(PUSHES, 1e-13),
-    }
-    # many move limits are weakly active: an interior point meets those only to the root of its tolerance
-    exact = {**ipopt, "tol": 1e-11, "acceptable_tol": ACCEPTABLE}
-    return {**AFTER, "ipopt_relaxed": ipopt, "ipopt_exact": exact}
-
+It begins with the nodes in the middle of their limits and falls slowly, so that the path keeps near the
+central one, on which they choose their corners. Fresh random problems lose nothing without it; 6.1 with 8
+squares a side then ends 0.33 % of the gain higher, and without its last entry 6.2 ends above ``joint``."""
 
 SECOND = 3
 """Most iterations of the second path, in units of the first's.
@@ -212,8 +156,8 @@ class AllAtOnce(Formulation):
         track = monitor.track(outer, program.value)
         if is_energy:
             track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
-        x, near = program.point(point), outer.is_near
-        own = _options(outer, program.value / pull(point.gradient), near)
+        x = program.point(point)
+        own = _options(outer, program.value / pull(outer.function(q).gradient))
         with monitor.budget.during("build"):
             options = {"relaxation": self.relaxation, **OPTIONS, **own, **self.options}
             solver = MPCCSolver(program.mpcc, **options)
@@ -224,7 +168,7 @@ class AllAtOnce(Formulation):
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
         end = _equilibrium(outer, program, result)
-        if is_energy and not near and is_above(end.energy, point.value):
+        if is_energy and not outer.is_near and is_above(end.energy, point.value):
             return self._path(outer.near(), q, monitor)
         return Outcome(
             outer,
@@ -245,16 +189,26 @@ def _rank(end: Outcome) -> tuple[float, bool, float]:
     return violation, not is_stationary(end.outer, point), value
 
 
-def _options(outer: Outer, scaling: float, near: bool) -> Mapping[str, Any]:
-    """Options on top of ``OPTIONS``; ``scaling`` is that of the energy, ``near`` a start near a minimiser."""
-    if not outer.objective.is_energy:
-        stages = homotopy_options(1.0, TIGHT_OTHERS, {})
-        return (
-            {**AFTER, "ipopt_exact": stages["ipopt_exact"]} if near else {**stages, "factor": FACTOR_OTHERS}
-        )
-    if near:
-        return after_energy(scaling)
-    return homotopy_options(scaling, TIGHT, CENTRED if outer.has_limits else {})
+def _options(outer: Outer, scaling: float) -> dict[str, Any]:
+    """Options on top of ``OPTIONS``; ``scaling`` is the factor of the objective.
+
+    It brings the mean gradient in the outer variables to a third (:func:`formulations.units.pull`), since
+    Ipopt's barrier and tolerances are absolute. From a start near a minimiser only the relaxation at the
+    final t comes before the exact finish.
+    """
+    common = {**COMMON, "obj_scaling_factor": scaling}
+    exact = {**common, "mu_init": TIGHT, "tol": TIGHT, "acceptable_tol": 1e3 * TIGHT}
+    last = {"t0": OPTIONS["t_final"], "ipopt_exact": exact}
+    if outer.is_near and outer.objective.is_energy:
+        # with the barrier left about where the energy NLP left it, each slack times its multiplier is still
+        # the barrier: Ipopt goes on as if it had been given the multipliers
+        warm = {**exact, "bound_mult_init_method": "mu-based", **dict.fromkeys(PUSHES, 1e-13)}
+        return {**last, "ipopt_relaxed": warm, "ipopt_exact": warm}
+    if outer.is_near:
+        return last
+    centred = CENTRED if outer.objective.is_energy and outer.has_limits else {}
+    # a relaxed solution is only on the way: to 1e-8, as by default, it takes 1.3 times the iterations in all
+    return {"ipopt_relaxed": {**common, "tol": 1e-4, **centred}, "ipopt_exact": exact}
 
 
 def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:

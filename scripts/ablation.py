@@ -24,7 +24,6 @@ import rmesh_nlp as rm
 from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT_OTHERS
 from rmesh_nlp.problem import Relative
 from rows import Row, Store, command_line, markdown
 
@@ -88,52 +87,20 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
 LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
 ENERGY, ALL = (*LIMITED, *FREE), (*LIMITED, *OTHERS)
 JOINT, MPCC, NESTED, AUTO, CONTACT = "joint", "mpcc", "nested", "auto", ("fixed", "nested")
-UNSCALED = {"nlp_scaling_method": "none"}
-SMALL_SHIFTS = {**UNSCALED, "mu_init": 2.0, "bound_mult_init_method": "mu-based"}
-PLAIN_FINISH = {**COMMON, "tol": TIGHT_OTHERS, "acceptable_tol": 1e3 * TIGHT_OTHERS}
 WARM = {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}
 ABOVE = {"formulations.joint:is_above": lambda *_: False}
 ACTIVE_SET = "rmesh_nlp.contact.active_set"
 
 RULES = (
     Rule(
-        "joint: barrier 2 in units of the pull", (JOINT,), LIMITED, {"formulations.joint:_BARRIER": UNSCALED}
-    ),
-    Rule(
-        "joint: shifts of the Hessian by small factors",
-        (JOINT,),
-        LIMITED,
-        {"formulations.joint:_BARRIER": SMALL_SHIFTS},
-    ),
-    Rule("joint: Newton steps from near an end", (JOINT,), ENERGY, {"formulations.joint:NEAR": 0.0}),
-    Rule(
         "joint: units of displacements far from one",
         (JOINT,),
         ENERGY,
-        {"formulations.joint:ORDINARY": (0.0, np.inf)},
+        {"formulations.units:ORDINARY": (0.0, np.inf)},
     ),
     Rule("joint, mpcc: again where the end is above the start", (JOINT, MPCC), ENERGY, ABOVE),
-    Rule("mpcc: barrier of the energy as in joint", (MPCC,), LIMITED, {"formulations.mpcc:CENTRED": {}}),
-    Rule(
-        "mpcc: t falls by 0.01 for other objectives",
-        (MPCC,),
-        OTHERS,
-        {"formulations.mpcc:FACTOR_OTHERS": 0.1},
-    ),
-    Rule(
-        "mpcc: tolerance 1e-12 for other objectives",
-        (MPCC,),
-        OTHERS,
-        {"rmesh_nlp.models.kkt_model:TIGHT_OTHERS": 1e-10},
-    ),
+    Rule("mpcc: barrier that falls slowly", (MPCC,), LIMITED, {"formulations.mpcc:CENTRED": {}}),
     Rule("mpcc: second path of designs", (MPCC,), ("design",), settings={"twice": False}),
-    Rule("nested: exact finish at kinks", (NESTED,), OTHERS, {"formulations.nested:ROUNDS": 1}),
-    Rule(
-        "nested: barrier of the finish at kinks",
-        (NESTED,),
-        OTHERS,
-        {"formulations.kinks:FINISH": PLAIN_FINISH},
-    ),
     Rule("nested: warm barrier", (NESTED,), ALL, WARM),
     Rule(
         "Newton: last round worthwhile",

@@ -39,7 +39,7 @@ PARTS = {
     "models": "contact.solver:ContactSolver models.reduced_model:ReducedEnergy "
     "models.second_derivatives:Curvature",
     "coarser": "models.levels:hierarchy models.levels:prolonged",
-    "descents": "models.regularised_descent:descend",
+    "descents": "models.descent:descend",
     "metric": "models.remeshing:metric_start",
     "estimate": "models.regularisation:gain_estimate",
     "unit": "optimize.budget:timed",

@@ -49,18 +49,11 @@ COMMON: Mapping[str, Any] = {
     # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
     # less than with the ordering that MUMPS takes of itself
     "mumps_pivot_order": 5,
-    # the least shift of an indefinite Hessian within a factor 1.5, as in joint
-    "perturb_dec_fact": 0.2,
-    "perturb_inc_fact": 1.5,
 }
 """Ipopt options for the KKT model."""
 
-TIGHT_OTHERS = 1e-12
-"""Ipopt's tolerance in an exact finish for objectives other than the energy, whose gradient is small in their
-own unit.
-
-1e-10 left first-order residuals of 2e-6 to 7e-6 on 6.1 with 6 and 10 squares (error-l2, error-h1), 1e-12
-less than 1e-7, for one or two iterations more."""
+TIGHT = 1e-10
+"""Ipopt's tolerance in an exact finish, the objective in units of its mean gradient by outer variables."""
 
 
 @dataclass(frozen=True)

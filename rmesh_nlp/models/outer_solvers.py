@@ -6,44 +6,27 @@ Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.models.descent import descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
 from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
-from rmesh_nlp.models.regularised_descent import descend
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import Evaluation, NewtonResult, NewtonSettings, minimise
+from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Count, Positive, Settings
 
 NEWTON, INTERIOR = "newton", "interior point"  # as records name them
-
-RISE = 1e-12
-"""Part of its value by which an objective may be above that at the start: the error of a contact solve."""
 
 LARGEST_DENSE = 1500
 """Number of outer variables up to which an interior point has the Hessian of an objective other than the
 energy, a dense matrix; above it Newton-CG goes as far as the areas let it. That of the energy is sparse in
 outer variables and displacements, for any number."""
-
-NEAR = 3e-3
-"""First-order residual at which Newton-CG hands over to the interior point where a distortion keeps the
-elements valid (chosen on Example 6.1)."""
-
-TIGHT = 1e-4
-"""newton ends where the point is stationary to the tolerance of the solve, and the model predicts less than
-this part of the gain so far."""
-
-LEAST_TOL, LEAST_ACCEPTABLE_TOL = 1e-12, 1e-9
-"""Ipopt's least tolerances with exact Hessians, in units of the gradient on the given mesh. Many constraints
-are weakly active, and an interior point meets those only to the square root of its tolerance: it is the
-square of the tolerance of the solve where that is larger. Where rounding stops it before, the second one."""
 
 WARM_BARRIER, WARM_PUSH = 1e-8, 1e-6
 """Ipopt's first barrier and least distance to bounds where the start is given. Of 1e-4, 1e-6 and 1e-8, with
@@ -79,8 +62,8 @@ class NestedSettings(Settings):
         names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         return {
             **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if problem.warm else {}),
-            "tol": max(LEAST_TOL, problem.tolerance**2),
-            "acceptable_tol": max(LEAST_ACCEPTABLE_TOL, problem.tolerance**2),
+            # many constraints are weakly active: an interior point meets those only to its square root
+            "tol": problem.tolerance**2,
             "max_iter": self.iterations or 500,
             "nlp_scaling_method": "none",
             "obj_scaling_factor": problem.scale / problem.residual.unit,
@@ -111,7 +94,7 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
     nlp = lifted(problem) if isinstance(function, ReducedEnergy) else with_hessian(problem)
     n, stationary = start.size, False
     first = function(start)
-    most = first.value + RISE * abs(first.value)
+    most = first.value + ROUNDING * abs(first.value)
     bounds = problem.constraints
     feasible_first = bounds is None or bounds.violation(first) <= problem.tolerance
 
@@ -144,73 +127,21 @@ def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nest
 
 def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
     """Projected Newton-CG where move limits alone keep the elements valid, else an interior point."""
-    function = problem.function
-    is_energy = isinstance(function, ReducedEnergy)
-    if isinstance(function, ReducedEnergy) and function.objective.has_barrier and problem.nlp.n_g == 0:
-        return _distorted(problem, function, start, monitor, settings)
-    if settings.enough is not None and problem.constraints is None:
-        result = _descend(problem, start, monitor, settings, gain=settings.enough, tolerance=np.inf)
-    elif problem.nlp.n_g and (is_energy or start.size <= LARGEST_DENSE or problem.constraints is not None):
+    function, constraints = problem.function, problem.constraints
+    is_part = settings.enough is not None and constraints is None
+    has_rows = problem.nlp.n_g > 0 or function.objective.has_barrier
+    is_small = isinstance(function, ReducedEnergy) or start.size <= LARGEST_DENSE or constraints is not None
+    if has_rows and is_small and not is_part:
         return interior(problem, start, monitor, settings)
-    else:
-        result = _descend(problem, start, monitor, settings)
-    return OuterResult(result.x, result.status, result.iterations, NEWTON)
-
-
-def _distorted(
-    problem: ReducedNLP, function: ReducedEnergy, start: Array, monitor: Monitor, settings: NestedSettings
-) -> OuterResult:
-    """Newton-CG to near a stationary point, with a distortion, and an interior point from there."""
-    over, norm = False, np.inf
-
-    def watch(iteration: int, q: Array, value: float) -> bool:
-        nonlocal over, norm
-        over, norm = bool(monitor(iteration, q, value)), problem.residual(function(q))
-        return over or norm <= max(NEAR, problem.tolerance)
-
-    most = settings.iterations or 200
-    result = descend(function, start, gain_tolerance=0.0, max_iterations=most, on_step=watch)
-    if norm <= problem.tolerance:
-        return OuterResult(result.x, Status.CONVERGED, result.iterations, NEWTON)
-    if over or result.iterations == most:
-        return OuterResult(result.x, result.status, result.iterations, NEWTON)
-    first = result.iterations
-    end = interior(
-        replace(problem, warm=True),
-        result.x,
-        lambda iteration, q, value: monitor(first + iteration, q, value),
-        settings if settings.iterations is None else replace(settings, iterations=most - first),
-    )
-    return replace(end, iterations=first + end.iterations, method=f"{NEWTON}, then {INTERIOR}")
-
-
-def _descend(
-    problem: ReducedNLP,
-    start: Array,
-    monitor: Monitor,
-    settings: NestedSettings,
-    gain: float = TIGHT,
-    tolerance: float | None = None,
-) -> NewtonResult:
-    """Newton-CG on the reduced objective."""
-    function, nlp, curvature = problem.function, problem.nlp, curvature_of(problem.function)
-    guarded = nlp.n_g > 0 or function.objective.has_barrier
-
-    def evaluate(q: Array) -> Evaluation | None:
-        if guarded and not problem.is_valid(q):
-            return None
-        point = function(q)
-        return Evaluation(point.value, point.gradient, lambda: curvature(point))
-
-    return minimise(
-        evaluate,
+    result = descend(
+        function,
         start,
-        nlp.lbx,
-        nlp.ubx,
-        tolerance=problem.tolerance if tolerance is None else tolerance,
+        problem.is_valid,
+        monitor,
+        tolerance=np.inf if is_part else problem.tolerance,
         unit=problem.residual.unit,
-        gain_tolerance=gain,
+        gain_tolerance=settings.enough if is_part else np.inf,
         max_iterations=settings.iterations or 200,
         settings=settings.newton,
-        on_step=lambda iteration, q, evaluation: monitor(iteration, q, evaluation.value),
     )
+    return OuterResult(result.x, result.status, result.iterations, NEWTON)

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from formulations import kinks
 from formulations import nested as module
-from formulations.kinks import CREEPING, EXACT_FINISH, LONG, STILL, WINDOW, Zigzag
-from formulations.nested import Nested
+from formulations.finish import EXACT_FINISH, Finish
+from formulations.nested import CREEPING, WINDOW, Creeping, Nested
 from gallery.coulomb_kink import problem as slab
 from gallery.seal import problem as seal
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.branch_search import steepest
@@ -74,9 +70,9 @@ def test_a_finish_that_raises_the_objective_or_fails_is_not_taken_and_the_descen
 ) -> None:
     begun = []
 
-    def refused(_: Outer, point: Any, monitor: Monitor) -> tuple[None, int]:
-        begun.append((point.value, min(step.objective for step in monitor.steps)))
-        return None, 7
+    def refused(outer: Outer, q: Array, monitor: Monitor) -> Finish:
+        begun.append((outer.function(q).value, min(step.objective for step in monitor.steps)))
+        return Finish(q, False)
 
     monkeypatch.setattr(module, "finished", refused)
     solution = rm.solve(SEAL, "nested", objective=LEAK)
@@ -87,13 +83,6 @@ def test_a_finish_that_raises_the_objective_or_fails_is_not_taken_and_the_descen
     assert (EXACT_FINISH in row["outer"], row["b_stationary"]) == (False, False)
     if row["biactive"]:
         assert row["descent_rate"] < -1e-6
-
-
-def test_a_finish_that_leaves_a_descent_is_followed_by_a_sharper_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kinks, "FINISH", {**kinks.FINISH, "max_iter": 1})
-    solution = rm.solve(SEAL, "nested", objective=LEAK)
-    assert solution.status is Status.CONVERGED
-    assert solution.record()["outer"] == f"newton, then {EXACT_FINISH}"
 
 
 @pytest.mark.parametrize("formulation", [Nested(iterations=3), Nested(enough=0.1)])
@@ -128,26 +117,15 @@ def _point(contact: int) -> SimpleNamespace:
     return SimpleNamespace(equilibrium=SimpleNamespace(active=active))
 
 
-@pytest.mark.parametrize("at_kinks", [True, False])
 @pytest.mark.parametrize(("changes", "part"), [(True, 0.5), (True, 2.0), (False, 0.5)])
-def test_a_descent_gets_nowhere_if_hardly_anything_is_gained_at_kinks_if_contact_changes(
-    at_kinks: bool, changes: bool, part: float
+def test_a_descent_creeps_if_hardly_anything_is_gained_and_contact_changes(
+    changes: bool, part: float
 ) -> None:
-    window, least = (WINDOW, CREEPING) if at_kinks else (LONG, STILL)
-    tell, gain = Zigzag(at_kinks=at_kinks), part * least / window
+    tell, gain = Creeping(), part * CREEPING / WINDOW
     said = [tell(_point(0), 0.0, 1.0)]
-    said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * window)]
-    assert not any(said[: window + 1])
-    assert any(said) == ((changes or not at_kinks) and part < 1)
-
-
-def test_a_descent_that_gets_nowhere_is_called_stalled(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("formulations.kinks.LONG", 2)
-    monkeypatch.setattr("formulations.kinks.STILL", 1.0)
-    outer = Outer.of(replace(EXAMPLES["6.1"](4), motion=Motion(None)))
-    end = Nested().run(outer, np.zeros(outer.n), Monitor())
-    assert end.status is Status.STALLED
-    assert outer.energy(end.q).value < outer.energy(np.zeros(outer.n)).value
+    said += [tell(_point(k % 2 if changes else 0), 0.0, -gain * k) for k in range(1, 2 * WINDOW)]
+    assert not any(said[: WINDOW + 1])
+    assert any(said) == (changes and part < 1)
 
 
 def labelled(outer: Outer, q: Array) -> BranchLabel:

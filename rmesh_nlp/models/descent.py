@@ -1,69 +1,64 @@
-"""Descents of an energy with a distortion: relocation without move limits, as far as the elements allow.
+"""Descents of an outer objective by Newton-CG, where move limits or a distortion keep the elements valid.
 
-Far from a stationary point conjugate gradients with the diagonal are the cheapest per iteration. Near it the
-second derivatives are nearly singular in many directions, along which elements slide past each other at
-hardly any cost: there an interior point goes on (:mod:`rmesh_nlp.models.outer_solvers`).
+With a distortion each outer variable has a trust region of its own: a uniform radius is held back everywhere
+by the smallest element.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT
-from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
-from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.second_derivatives import Curvature
+from rmesh_nlp.models.reduced_model import Reduced
+from rmesh_nlp.models.second_derivatives import curvature_of
+from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
 
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
 
-OnPoint = Callable[[int, Array, float], bool | None]
-
 
 def descend(
-    energy: ReducedEnergy,
+    function: Reduced,
     q: Array,
-    *,
-    gain_tolerance: float,
-    reference: float | None = None,
-    max_iterations: int = 100,
-    on_step: OnPoint | None = None,
+    is_valid: Callable[[Array], bool],
+    monitor: Monitor,
+    **options: Any,
 ) -> NewtonResult:
-    """Descend from outer variables ``q``; see :func:`rmesh_nlp.optimize.trust_region.minimise`.
+    """Descend from outer variables ``q``.
 
-    The objective must have a distortion, which keeps the elements valid.
+    ``options`` are those of :func:`rmesh_nlp.optimize.trust_region.minimise`. Points at which elements are
+    not valid are not taken.
     """
-    relocation, free = energy.relocation, energy.relocation.mesh_map
-    if not relocation.objective.has_barrier:
-        raise ValueError("without a distortion in the objective elements would be inverted")
-    curvature = Curvature(energy)
+    relocation, curvature = function.energy.relocation, curvature_of(function)
+    has_barrier = function.objective.has_barrier
+    is_guarded = has_barrier or relocation.n_valid > 0
 
     def evaluate(x: Array) -> Evaluation | None:
-        point = energy(x) if is_upright(relocation.problem, relocation.nodes(x)) else None
-        if point is None or not np.isfinite(point.value):
+        if is_guarded and not is_valid(x):
             return None
-        return Evaluation(point.value, point.gradient, lambda: curvature.at(point))
+        point = function(x)
+        if not np.isfinite(point.value):
+            return None
+        return Evaluation(point.value, point.gradient, lambda: curvature(point))
 
+    local = LocalRadii(
+        lambda x: node_widths(relocation, x), lambda x, step: longest_valid(relocation, x, step)
+    )
     return minimise(
         evaluate,
         q,
-        free.lower,
-        free.upper,
-        tolerance=np.inf,
-        gain_tolerance=gain_tolerance,
-        reference=reference,
-        max_iterations=max_iterations,
-        local=LocalRadii(
-            lambda x: node_widths(relocation, x),
-            lambda x, step: longest_valid(relocation, x, step),
-        ),
-        on_step=None if on_step is None else lambda i, x, evaluation: on_step(i, x, evaluation.value),
+        relocation.mesh_map.lower,
+        relocation.mesh_map.upper,
+        local=local if has_barrier else None,
+        on_step=lambda iteration, x, evaluation: monitor(iteration, x, evaluation.value),
+        **options,
     )
 
 

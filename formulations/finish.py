@@ -1,0 +1,96 @@
+"""The finish of a formulation: from any valid end on to a stationary point, or back what it got.
+
+An interior point meets weakly active move limits to the square root of its tolerance only, and rounding can
+hold the multipliers of many least areas off it. For the energy Newton steps on the reduced energy go on from
+there.
+
+q -> F(X(q), u(q)), any other objective, has kinks where contact changes. Minima lie on them as often as not,
+and there the gradient that an outer solver follows is that of one side. In the KKT model gaps and forces are
+unknowns of their own, and a pair that stays on the kink is an equation: the exact finish of
+:mod:`rmesh_nlp.mpcc.finish` minimises on the branch of the point, kinks being its bounds, and goes on over
+neighbouring branches that descend.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from formulations.units import pull
+from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.models.kkt_model import COMMON, TIGHT
+from rmesh_nlp.models.outer_solvers import NestedSettings, solved
+from rmesh_nlp.models.reduced_model import ReducedPoint
+from rmesh_nlp.mpcc import MPCCSolver
+from rmesh_nlp.solving.monitor import Monitor
+from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Work
+
+EXACT_FINISH = "exact finish of the KKT model"
+
+
+@dataclass(frozen=True)
+class Finish:
+    """Outer variables, whether they are stationary, and what ran for it; empty if nothing better is known."""
+
+    q: Array
+    is_stationary: bool
+    method: str = ""
+
+
+def finished(outer: Outer, q: Array, monitor: Monitor) -> Finish:
+    """A stationary point from a valid end ``q``, or ``q`` itself where none is reached that is not above."""
+    if not outer.is_valid(q):
+        return Finish(q, False)
+    point = outer.function(q)
+    if q.size == 0 or is_stationary(outer, point):
+        return Finish(q, True)
+    last, method = (_newton if outer.objective.collapses else _exact)(outer, point, monitor)
+    if not (np.all(np.isfinite(last)) and outer.is_valid(last) and outer.function.is_defined(last)):
+        return Finish(q, False)
+    end = outer.function(last)
+    violation, value = outer.merit(point)
+    if outer.merit(end) > (violation, value + ROUNDING * abs(value)):
+        return Finish(q, False)
+    return Finish(last, is_stationary(outer, end), method)
+
+
+def is_stationary(outer: Outer, point: ReducedPoint) -> bool:
+    """To the tolerance of the solve, over the branches of the contact where there are several."""
+    if outer.residual(point) <= outer.tolerance and (point.is_energy or not np.any(point.weak)):
+        return True
+    return not point.is_energy and bool(outer.branches(point).b_stationary)
+
+
+def is_above(energy: float, start: float) -> bool:
+    """Whether an end is above the start, whose valley a barrier may leave."""
+    return energy > start + ROUNDING * abs(start)
+
+
+def _newton(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, str]:
+    """Newton steps on the reduced energy."""
+    track = monitor.track(outer)
+    with monitor.budget.during("build"):
+        program = replace(outer.reduced, warm=True)
+    result = solved(program, point.q, lambda i, q, _: track.exact(i, q), NestedSettings())
+    monitor.work += Work(kkt_factorisations=result.factorised)
+    monitor.budget.check()
+    return result.q, result.method
+
+
+def _exact(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, str]:
+    """The exact finish of the KKT model, and a contact solve."""
+    track, program = monitor.track(outer), outer.kkt
+    unit = pull(outer.at_start.gradient) / program.value
+    ipopt = {**COMMON, "obj_scaling_factor": 1 / unit, "tol": TIGHT, "acceptable_tol": 1e3 * TIGHT}
+    with monitor.budget.during("build"):
+        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
+    result = solver.finish(program.point(point), budget=monitor.budget.share())
+    iterations = result.counts["ipopt_iterations"]
+    monitor.work += Work(kkt_factorisations=iterations)
+    q = outer.clipped(program.split(result.x)[0])
+    if np.all(np.isfinite(q)) and outer.is_valid(q):
+        track.exact(iterations, q)
+    monitor.budget.check()
+    return q, EXACT_FINISH
