@@ -15,13 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
+from rmesh_nlp.assessment.parts import ZERO
 from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
@@ -30,9 +31,6 @@ from rmesh_nlp.problem.contact_problem import locally_refined
 
 REPEATS = 12
 """Contact solves with larger stand-offs, where normals vary along an edge."""
-
-SLACK = 1e-9
-"""Penetration, in parts of the largest gap or displacement, that is rounding."""
 
 REFINEMENTS = 4
 """Times that triangles all of whose nodes are held are cut, where the foundation rises through them."""
@@ -160,7 +158,7 @@ class Continuous:
             raised = self._raised([cells.missing(displacement) for cells in self.cells])
             violation = float(np.max(raised, initial=0.0))
             size = np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0)
-            if violation <= SLACK * size:
+            if violation <= ROUNDING * size:
                 return state, standoff, 0.0
             standoff = standoff + 1.1 * raised
             system = replace(system, offset=system.offset - 1.1 * raised)
@@ -177,7 +175,7 @@ class Continuous:
         heights = []
         for cells in self.cells:
             off, size = cells.off(self.given_along(cells)), np.max(np.abs(cells.distance), initial=0.0)
-            heights.append(np.where(off > SLACK * 1e-3 * size, off, 0.0))
+            heights.append(np.where(off > ZERO * size, off, 0.0))
         return self._raised(heights)
 
     def _raised(self, off: Sequence[Array]) -> Array:

@@ -12,9 +12,6 @@ from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 
-PRESSING = 1e-9
-"""Part of the largest force below which a nodal force is none."""
-
 CLEAR = 0.01
 """Part of a result below which it got no worse."""
 
@@ -53,7 +50,7 @@ def contact_results(
     if not force.size:
         return results
     weights = space.weights(nodes)
-    least = PRESSING * max(system.force_scale, float(np.max(force)))
+    least = ROUNDING * max(system.force_scale, float(np.max(force)))
     for part in space.contact_sets:
         boundary, rows = part.obstacle.boundary, part.rows
         name = boundary.value if isinstance(boundary, Place) else str(boundary)

@@ -15,15 +15,12 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import over_edges
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Index
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
-
-PRESSING = 1e-9
-"""Part of the largest contact force below which a force is rounding."""
 
 NOTICED = 1e-3
 """Residual below which growth is not warned of. With edges of a tenth of the contact's length, solutions that
@@ -57,7 +54,7 @@ def coulomb_residual(
     total = float(np.sum(force[rows]))
     if total == 0 or size == 0:
         return 0.0
-    length = float(np.sum(weights[rows][force[rows] > PRESSING * np.max(force[rows])]))
+    length = float(np.sum(weights[rows][force[rows] > ROUNDING * np.max(force[rows])]))
     body, integral = Body(space.problem, nodes), 0.0
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))

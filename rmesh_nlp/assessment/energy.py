@@ -18,9 +18,6 @@ from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, p
 from rmesh_nlp.problem.laws import Laplace, Law
 from rmesh_nlp.problem.obstacle import Obstacle
 
-STIFFNESS_POINTS = 6
-"""Gauss points per direction of a blended triangle."""
-
 
 def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
     """The matrix K of ``1/2 u K u``, the strain energy."""
@@ -29,7 +26,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
     matrix = sp.csc_array((n, n))
     for law, region in problem.regions:
         curved = body.is_curved[region]
-        for elements, points in ((region[~curved], space.order), (region[curved], STIFFNESS_POINTS)):
+        for elements, points in ((region[~curved], space.order), (region[curved], None)):
 
             def integrand(which: Index, barycentric: Array, _: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])[0]

@@ -39,11 +39,6 @@ FASTEST = {1: 8.0, 2: np.inf}
 """The largest one by the order: on coarse meshes more than ``4^k`` occurs, up to 240 at order 2 (seeds 200 to
 239). No bound there costs a fifteenth of ``d`` at most."""
 
-UNRESOLVED = 1.0
-"""Ratio of successive falls from which on nothing is claimed: the mesh is too coarse to tell. A
-relocated mesh suits its own nodes: on Example 6.1 with 81 nodes the ratio is 0.88, and the third is 0.44."""
-
-
 SOURCES = {
     "exact": "by the exact energy",
     "refinement": "by refining the last mesh",
@@ -129,7 +124,7 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
             return None, None
         falls.append(finest.energy - finer.energy)
         finest = finer
-    if not min(falls) > 0 or any(b >= UNRESOLVED * a for a, b in pairwise(falls)):
+    if not min(falls) > 0 or any(b >= a for a, b in pairwise(falls)):
         return None, finest
     earlier, rest, fastest = sum(falls[:-1]), falls[-1], FASTEST[last.problem.order]
     return (earlier + rest / (1 - 1 / fastest), earlier + rest / (1 - 1 / SLOWEST)), finest

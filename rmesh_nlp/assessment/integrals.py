@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.assessment.parts import AlongEdges, EdgePoints, Geometry, Index, edge_parts, triangle_parts
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.problem.coefficients import Coefficient
 
 Integrand = Callable[[Index, Array, Array], Array]
@@ -29,9 +29,6 @@ FIRST, SECOND, CUT = (4, 6), (6, 10), (4, 6)
 of the parts of those where these differ too, beside kinks. (k, l) is of degrees 2 k - 2 and 2 l - 2 on a
 triangle. (6, 10) for all takes twice as long on Example 6.1 (n = 64) and agrees to 3e-10. Of 60 bumps a
 fiftieth of an edge wide it misses one, these two, and (3, 5) in the first place nine."""
-
-AGREEMENT = 1e-9
-"""Largest difference of two rules on a cell, in parts of the sum of the sizes of all cells."""
 
 DEPTH = 9
 """Last stage: times that a cell may be halved in each direction, and one."""
@@ -127,7 +124,7 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
         if depth == 0:
             scale = np.sum(np.abs(fine), axis=1, keepdims=True)
         wrong = np.broadcast_to(wrong, fine.shape)
-        split = np.any(wrong > AGREEMENT * scale, axis=0) & (depth < DEPTH)
+        split = np.any(wrong > ROUNDING * scale, axis=0) & (depth < DEPTH)
         total, doubt = (
             sums + np.array([np.bincount(owner[~split], row[~split], size) for row in parts])
             for sums, parts in ((total, fine), (doubt, wrong))

@@ -38,7 +38,7 @@ BISECTIONS, HALVINGS = 50, 30
 REFINEMENTS = 5
 """Times that a triangle is refined around the zeros of a switch that is not affine on it."""
 
-ZERO = 1e-13
+ZERO = 1e-12
 """Part of the largest value of a switch below which it is zero: a side on a jump is no part of its own."""
 
 

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
@@ -34,9 +34,6 @@ BETWEEN = 1 / 2
 A kink of size s at the part r of the way between two samples rises s r (1 - r) above their line and has
 second differences s r and s (1 - r): at most a half, halfway. In a triangle of samples the height over a
 ridge is largest on a side. Smooth foundations need an eighth on edges and a sixth in triangles."""
-
-NO_SHARE = 1e-9
-"""A node with less than this share of a point does not reach it."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Cells:
         if held.size == 0:
             return held
         gap = self.shares.T @ given[self.nodes[:, held]] + self.distance[held].T
-        size = 1e-9 * (np.max(np.abs(self.distance)) + np.max(np.abs(given), initial=0.0))
+        size = ROUNDING * (np.max(np.abs(self.distance)) + np.max(np.abs(given), initial=0.0))
         return held[np.min(gap, axis=0) < -size]
 
     @cached_property
@@ -108,7 +105,7 @@ class Cells:
         share = self.shares.T @ free
         short = height - self.shares.T @ held
         with np.errstate(divide="ignore", invalid="ignore"):
-            ratio = np.where(share > NO_SHARE, short / share, -np.inf)
+            ratio = np.where(share > ROUNDING, short / share, -np.inf)
         return np.asarray(np.max(ratio, axis=0, initial=-np.inf))
 
 

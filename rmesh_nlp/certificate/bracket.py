@@ -34,15 +34,12 @@ from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Gues
 from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
-from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
+from rmesh_nlp.certificate.skeleton import TOLERANCE, Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.rigid import rigid_motions
-
-TOLERANCE = 1e-10
-"""Largest violation of equilibrium, relative to the largest force, of a field that bounds."""
 
 DOUBT = 1e-2
 """Largest part of the gap between the bounds that may rest on doubtful quadrature."""

@@ -16,13 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.assessment.parts import edge_parts, straight_edges
+from rmesh_nlp.assessment.parts import ZERO, edge_parts, straight_edges
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, tractions, values_at, values_on
 from rmesh_nlp.certificate.polynomials import Index, lowered
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.coefficients import Coefficient
 
@@ -30,12 +30,6 @@ Mask = NDArray[np.bool_]
 
 SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 """Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
-
-ONE_SIDED = 1e-9
-"""Part of a piece of an edge at which the limit of a coefficient at its end is looked at."""
-
-DEVIATION = 1e-12
-"""Deviations relative to the values themselves that count as none."""
 
 
 class ContactPart(NamedTuple):
@@ -177,11 +171,11 @@ def _linear_below(friction: Coefficient, corners: Array) -> tuple[Array, bool]:
     samples = values_at(friction, corners, SAMPLE_POINTS)
     ends = samples[[0, -1]]
     excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
-    scale = DEVIATION * np.max(np.abs(samples), axis=0)
+    scale = ZERO * np.max(np.abs(samples), axis=0)
     ends = np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0)
     at = straight_edges(corners)
     parts = edge_parts(at, corners.shape[2], (friction,))
-    inner = ONE_SIDED * (parts.end - parts.begin)
+    inner = ROUNDING * (parts.end - parts.begin)
     s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
     values = values_on(friction, at(parts.owner, s)[0])
     least = np.min(samples, axis=0)

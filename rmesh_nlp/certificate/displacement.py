@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
-from rmesh_nlp.certificate.conditions import DEVIATION, SAMPLE_POINTS, Conditions
+from rmesh_nlp.assessment.parts import ZERO
+from rmesh_nlp.certificate.conditions import SAMPLE_POINTS, Conditions
 from rmesh_nlp.certificate.integrals import interpolated, values_at
 from rmesh_nlp.certificate.polynomials import degree_of, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
@@ -42,7 +43,7 @@ def displacement_faults(
 ) -> tuple[str, ...]:
     """Reasons why the displacement is not known to be admissible; none if it is."""
     faults = []
-    if conditions.given_error > DEVIATION:
+    if conditions.given_error > ZERO:
         faults.append(f"upper: {GIVEN} {KINDS[problem.order]} on every edge, and held at nodes only")
     depth = penetration(problem, skeleton, conditions, displacement)
     if depth > 0:
@@ -83,7 +84,7 @@ def _depth(obstacle: Obstacle, corners: Array, u: Array, points: Array, size: fl
     samples, vertices = values_at(obstacle.offset, corners, points), len(points)
     along = np.einsum("c,cve->ve", obstacle.normal, u)
     order = degree_of(along, vertices)
-    small = DEVIATION * max(size, float(np.max(np.abs(samples))))
+    small = ZERO * max(size, float(np.max(np.abs(samples))))
     of_offset, error = interpolated(order, samples, points)
     gap = samples + functions(order, points).T @ along
     bends, steepest = _bends(samples if order == 1 else gap)

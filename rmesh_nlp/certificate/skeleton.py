@@ -18,8 +18,9 @@ AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
 
-SAME = 1e-10
-"""Relative difference of areas, lengths and first moments up to which they are the same."""
+TOLERANCE = 1e-10
+"""Violations that a guarantee bears: of equilibrium, in parts of the largest force, and of the domain, in
+parts of areas, lengths and first moments."""
 
 
 def edge_normals(corners: Array) -> Array:
@@ -140,7 +141,7 @@ def same_domain(problem: ContactProblem, nodes: Array) -> bool:
     """
     given, moved = (_moments(problem, skeleton_of(problem, x)) for x in (problem.mesh.p, nodes))
     return all(
-        np.max(np.abs(a - b)) <= SAME * max(float(np.max(np.abs(a))), 1e-300)
+        np.max(np.abs(a - b)) <= TOLERANCE * max(float(np.max(np.abs(a))), 1e-300)
         for a, b in zip(given, moved, strict=True)
     )
 

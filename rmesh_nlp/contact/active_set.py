@@ -42,9 +42,6 @@ MAX_ITERATIONS = 100
 PATIENCE = 3
 """Block changes of the active set without fewer violations before single changes begin."""
 
-LEAST_PART = 1 / 16
-"""Least part of a change of the bounds of friction that is taken."""
-
 
 def solve(
     system: ContactSystem, start: ActiveSet | None = None, max_iterations: int = MAX_ITERATIONS
@@ -76,7 +73,7 @@ def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) ->
             return replace(last, iterations=spent)
         change = system.bound(state.normal_force) - bound
         size = float(np.max(np.abs(change)))
-        part = part if size < before else max(part / 2, LEAST_PART)
+        part = part if size < before else part / 2
         bound, before = bound + part * change, size
     return replace(last, status=Status.CYCLED, iterations=spent)
 

@@ -6,10 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array
-
-RANK = 1e-9
-"""Singular values below this part of the largest are zero."""
+from rmesh_nlp.evaluation import ROUNDING, Array
 
 
 def next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
@@ -67,4 +64,4 @@ def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, propos
 
 def rank(gaps: Array, rows: NDArray[np.bool_]) -> int:
     """Rank of the chosen rows of the gaps of rigid motions (gaps, motions)."""
-    return int(np.linalg.matrix_rank(gaps[rows], tol=RANK)) if np.any(rows) else 0
+    return int(np.linalg.matrix_rank(gaps[rows], tol=ROUNDING)) if np.any(rows) else 0

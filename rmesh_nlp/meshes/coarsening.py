@@ -15,23 +15,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
 
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-FAR = 0.7
-"""Distance from where the next node that stays is looked for, in edges, at which none is found."""
-
-DIGITS = 6
-"""Decimals of that distance that count: what is equal up to rounding is equal."""
-
 LEAST_QUALITY = 0.2
 """Shape in the metric (1 for an equilateral triangle, 0 for a flat one) that a merger must leave."""
-
-PASSES = 3
-"""Draws of independent nodes between flips."""
 
 
 @dataclass(frozen=True)
@@ -66,19 +57,15 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     measured = Measured.by(nodes, triangles)
     t, element, into = np.array(triangles), np.arange(triangles.shape[1]), np.arange(n)
     on_line, removable = lines.nodes(n), ~staying(measured, triangles, lines, rng.permutation(n))
-    merged = True
-    while merged and np.any(removable):
-        merged = False
-        for _ in range(PASSES):
-            merges = _merges(measured, t, into[lines.edges], on_line, rng.permutation(n) * removable)
-            if merges.shape[1] == 0:
-                break
-            step, merged = np.arange(n), True
-            step[merges[0]] = merges[1]
-            into, t, removable[merges[0]] = step[into], step[t], False
-            real = (t[0] != t[1]) & (t[1] != t[2]) & (t[2] != t[0])
-            t, element = t[:, real], element[real]
-        edges = into[lines.edges]
+    while np.any(removable):
+        merges = _merges(measured, t, into[lines.edges], on_line, rng.permutation(n) * removable)
+        if merges.shape[1] == 0:
+            break
+        step = np.arange(n)
+        step[merges[0]] = merges[1]
+        into, t, removable[merges[0]] = step[into], step[t], False
+        real = (t[0] != t[1]) & (t[1] != t[2]) & (t[2] != t[0])
+        t, element, edges = t[:, real], element[real], into[lines.edges]
         # in their places: flips never cross a line, so each triangle stays within its subdomain
         t = delaunay(measured, t, edges[:, edges[0] != edges[1]])
     return Decimated(t, element, into)
@@ -115,9 +102,9 @@ def _grown(measured: Measured, graph: sp.csr_array, seeds: Mask, allowed: Mask, 
     free[_beside(graph, front)[1]] = False
     while np.any(free):
         nodes, off = _beyond(measured, graph, front)
-        near = free[nodes] & (off < FAR)
+        near = free[nodes]
         cost = np.full(free.size, np.inf)
-        np.minimum.at(cost, nodes[near], np.round(off[near], DIGITS))
+        np.minimum.at(cost, nodes[near], np.round(off[near] / ROUNDING))  # equal ones are equal
         if not np.any(near):
             cost[free] = 0.0
         front = _independent(cost, draw, graph)

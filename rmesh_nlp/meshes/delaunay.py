@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.geometry import signed_areas
 
 Index = NDArray[np.int64]
@@ -16,9 +16,6 @@ MAX_ROUNDS = 50
 
 LEAST_AREA = 1e-3
 """Area of a new triangle, in parts of the two, below which an edge is not flipped."""
-
-WORTHWHILE = 1e-9
-"""Gain of a flip that is no rounding: equal diagonals stay as they are."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +106,7 @@ def _independent(gain: Array, left: Index, right: Index, n: int) -> Index:
     best, rank = np.full(n, -np.inf), np.full(n, gain.size)
     for side in (left, right):
         np.maximum.at(best, side, gain)
-    number = np.flatnonzero((gain >= best[left]) & (gain >= best[right]) & (gain > WORTHWHILE))
+    number = np.flatnonzero((gain >= best[left]) & (gain >= best[right]) & (gain > ROUNDING))
     for side in (left, right):
         np.minimum.at(rank, side[number], number)
     return number[(rank[left[number]] == number) & (rank[right[number]] == number)]

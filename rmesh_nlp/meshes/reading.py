@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.meshes.arrays import SAME_NODE, from_arrays
+from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise
 
 LARGEST_FILE = 500_000_000
@@ -195,7 +196,7 @@ def _mesh(file: meshio.Mesh) -> MeshTri:
     points = np.asarray(file.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise ValueError(f"its points have shape {points.shape}: expected two or three coordinates each")
-    if points.shape[1] == 3 and np.ptp(points[:, 2]) > SAME_NODE * np.max(np.ptp(points, axis=0)):
+    if points.shape[1] == 3 and np.ptp(points[:, 2]) > ROUNDING * np.max(np.ptp(points, axis=0)):
         raise ValueError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
     groups = _groups(file)
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])

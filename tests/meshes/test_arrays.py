@@ -51,7 +51,7 @@ def test_only_rounding_of_the_size_is_no_area() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::rmesh_nlp.meshes.MeshRepairWarning")
-@pytest.mark.parametrize(("gap", "left"), [(0.9e-10, 4), (1.1e-10, 5)])
+@pytest.mark.parametrize(("gap", "left"), [(0.9e-9, 4), (1.1e-9, 5)])
 def test_nodes_closer_than_rounding_of_the_size_are_one(gap: float, left: int) -> None:
     nodes = 1e3 * np.array([*SQUARE, [1.0, 1.0 + gap]])
     assert from_arrays(nodes, [[0, 1, 2], [0, 4, 3]]).p.shape[1] == left
