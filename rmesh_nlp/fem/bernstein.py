@@ -53,22 +53,3 @@ def to_coefficients(order: int, vertices: int) -> Array:
         for row, (a, b) in enumerate(SIDES[vertices], vertices):
             matrix[row, [a, b, row]] = -0.5, -0.5, 2.0
     return matrix
-
-
-def corner_fields(order: int) -> Array:
-    """Linear displacements whose energies add up to that of a displacement: (fields, 3 corners, functions).
-
-    A quadratic energy of a gradient that is linear on a triangle is the mean of its values at the middles of
-    the three edges. There, between the vertices i and k, the gradient is that of the linear displacement with
-    ``c_ij + c_kj`` at the corner j.
-    """
-    if order == 1:
-        return np.eye(3)[None]
-    number = {(a, b): row for row, (a, b) in enumerate(SIDES[3], 3)}
-    number |= {(b, a): row for (a, b), row in number.items()} | {(i, i): i for i in range(3)}
-    result = np.zeros((3, 3, 6))
-    for field, ends in enumerate(SIDES[3]):
-        for corner in range(3):
-            for end in ends:
-                result[field, corner, number[end, corner]] += 1.0
-    return result

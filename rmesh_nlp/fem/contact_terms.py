@@ -13,17 +13,14 @@ has ``F_i lambda_i`` in addition.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem import arcs
-from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.cells import Arc, Cell, Straight
 from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
-from rmesh_nlp.fem.element import NO_ROWS, corners, line_rule, local_symbols
+from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import (
     CONSTANT,
     ElementGroup,
@@ -42,28 +39,21 @@ FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
 
-def friction_energy(friction: Coefficient, order: int = 1) -> tuple[ca.Function, PointValues | None]:
-    """``(X_e, s_e[, mean of g times shape functions]) -> (energy, empty)`` on one contact edge.
+def friction_energy(bound: Coefficient, edge: Cell) -> ca.Function:
+    """``(*place, s_e) -> (energy, empty)`` on one contact edge.
 
     The integral of g times the sum of s_i and shape functions, with the slip magnitudes s_i = |u_t,i|: by
     convexity at least that of g |u_t|. With a constant bound and order 1 it is |e| g (s_1 + s_2) / 2, the
     trapezoidal rule of (5.9).
     """
-    X, s = corners(2, 1, order=order)
-    columns, length = [ca.vec(X), ca.vec(s)], ca.norm_2(X[:, 1] - X[:, 0])
-    if not callable(friction):
-        energy = length * friction * ca.sum2(s) / s.numel()
-        return ca.Function("friction_energy", columns, [energy, NO_ROWS], OPEN), None
-    shares, weights = line_rule(FRICTION_DEGREE)
-    bound = ca.SX.sym("g", s.numel())
-    energy = length * ca.dot(bound, ca.vec(s))
-    at_points = PointValues.of(partial(at, friction), shares, functions(order, shares) * weights)
-    return ca.Function("friction_energy", [*columns, bound], [energy, NO_ROWS], OPEN), at_points
+    exact = isinstance(edge, Straight) and not callable(bound)
+    rule = edge.rule(edge.order if exact else FRICTION_DEGREE)
+    return edge.function("friction_energy", edge.integral(lambda x, y, s, _: at(bound, x, y) * s, rule))
 
 
 def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Positions of the vertices of a contact node, as a column, and where it is: ``x, y = X_i @ shares``."""
-    X = corners(shares.size, 1)[0]
+    X = ca.SX.sym("X", 2, shares.size)
     return ca.vec(X), *ca.vertsplit(X @ shares)
 
 
@@ -141,13 +131,11 @@ def bound_terms(space: DisplacementSpace, part: ContactSet, bound: Coefficient) 
     for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
         nodes = space.nodes_of(edges)
         if number < 0:
-            function, at_points = friction_energy(bound, space.order)
-            term = ElementTerm(function, (edges, nodes), component=part.number, at_points=at_points)
+            function = friction_energy(bound, Straight(2, 1, space.order))
+            terms.append(ElementTerm(function, (edges, nodes), component=part.number))
         else:
-            curve = space.problem.curves[number]
-            function = arcs.friction_energy(bound, curve, FRICTION_DEGREE, space.order)
-            term = ElementTerm(function, (None, nodes), component=part.number, arc=(number, edges))
-        terms.append(term)
+            function = friction_energy(bound, Arc(space.problem.curves[number], 1, space.order))
+            terms.append(ElementTerm(function, (None, nodes), component=part.number, arc=(number, edges)))
     return terms
 
 

@@ -25,7 +25,8 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Expression
-from rmesh_nlp.fem.element import NO_ROWS, affine, corners
+from rmesh_nlp.fem.cells import affine
+from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
 from rmesh_nlp.problem import ContactProblem
 
@@ -66,7 +67,7 @@ def reference_shapes(problem: ContactProblem) -> Array:
 def distortion_group(problem: ContactProblem, positions: Field, name: str) -> ElementGroup:
     """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
     shapes = reference_shapes(problem)
-    (X, X0), total = corners(3, 2), ca.SX.sym("total")
+    X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
     det0, scaled = affine(X0, X)
     A = scaled / det0  # the gradient of the map
     det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]

@@ -27,9 +27,9 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.arcs import Arc, kind_of
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
+from rmesh_nlp.fem.cells import ArcPoints, kind_of
 from rmesh_nlp.fem.fields import ElementTerm
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
@@ -238,7 +238,7 @@ class _Beside:
             of_cells.append(np.zeros((vertices, shares.shape[1])))
             of_cells[-1][list(cell)] = shares
             if self.curve is not None and arc:
-                edge = Arc(self.curve, ca.vertcat(*(t[i] for i in cell)), kind)
+                edge = ArcPoints(self.curve, ca.vertcat(*(t[i] for i in cell)), kind)
                 points += [edge.point(s) for s in shares[1]]
             else:
                 points += ca.horzsplit(X @ ca.DM(of_cells[-1]))

@@ -7,12 +7,9 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
-from skfem.quadrature import get_quadrature_line
 
-from rmesh_nlp.evaluation import Array, Expression, Kind
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.at_points import Chain, PointValues
-from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
 
 NO_ROWS = ca.SX(0, 1)
@@ -50,33 +47,9 @@ def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
     return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.values(columns))), OPEN)
 
 
-def corners(n: int, components: int, kind: Kind = ca.SX, order: int = 1) -> tuple[Expression, Expression]:
-    """Symbols for the positions (2, n) of vertices and the displacements (components, nodes) of a cell."""
-    X, u = kind.sym("X", 2 * n), kind.sym("u", components * size(order, n))
-    return ca.reshape(X, 2, n), ca.reshape(u, components, size(order, n))
-
-
-def affine(X: Expression, u: Expression) -> tuple[Expression, Expression]:
-    """``(det, det * grad u)`` on the triangle X (2, 3): twice its area, and u (components, 3) linear there.
-
-    At a point the gradient of a u of any order is that of the linear one ``u @ bernstein.slopes``. A
-    quadratic density of the gradient is so divided by ``det`` once, at the end.
-    """
-    edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-    adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
-    return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate
-
-
-def vector(components: tuple[Coefficient, ...], point: Expression) -> Expression:
-    """Values of coefficients at a point (2,), one below the other."""
-    return ca.vertcat(*[at(component, *ca.vertsplit(point)) for component in components])
-
-
-def line_rule(degree: int) -> tuple[Array, Array]:
-    """Gauss rule on an edge: barycentric coordinates (2, points) and weights (points,), summing to 1."""
-    points, weights = get_quadrature_line(degree)
-    return np.vstack([1 - points.ravel(), points.ravel()]), weights
+def vector(components: tuple[Coefficient, ...], x: Expression, y: Expression) -> Expression:
+    """Values of coefficients at a point, one below the other."""
+    return ca.vertcat(*[at(component, x, y) for component in components])
 
 
 class Local(NamedTuple):

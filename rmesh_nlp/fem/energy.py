@@ -11,18 +11,16 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
-from scipy.special import roots_jacobi
-from skfem.quadrature import get_quadrature_tri
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem import arcs
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.bernstein import corner_fields, functions
-from rmesh_nlp.fem.element import NO_ROWS, affine, corners, line_rule, vector
+from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.cells import Arc, Blended, Cell, Rule, Straight, line_rule, triangle_rule
+from rmesh_nlp.fem.element import NO_ROWS, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem import ContactProblem, PointLoad, Traction
+from rmesh_nlp.problem import ContactProblem, PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
@@ -37,67 +35,39 @@ MOST_BREAKS = 4
 """Pieces of an edge are as many and one."""
 
 
-def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
-    """Barycentric coordinates (3, points) and weights (points,), summing to 1.
-
-    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree.
-    """
-    if quadrature == "midpoint":
-        return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
-    assert isinstance(quadrature, int)
-    if quadrature <= 19:  # the highest degree of scikit-fem's
-        points, weights = get_quadrature_tri(quadrature)
-    else:
-        points, weights = _conical_product_rule(quadrature)
-    return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
+def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
+    """``(*place, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15)."""
+    energy = cell.kind(0)
+    for shares, weight in cell.energy_rule:
+        at = cell.at(shares)
+        energy += weight * at.part * energy_density(law, at.scaled) / at.det  # a quadratic one: one division
+    return cell.function("strain_energy", energy)
 
 
-def _conical_product_rule(degree: int) -> tuple[Array, Array]:
-    """Gauss-Jacobi times Gauss-Legendre on the reference triangle, for any degree (Stroud 1971)."""
-    n = degree // 2 + 1
-    r, weight_r = roots_jacobi(n, 1, 0)
-    s, weight_s = roots_jacobi(n, 0, 0)
-    x, z = (1 + r) / 2, (1 + s) / 2
-    points = np.vstack([np.repeat(x, n), np.outer(1 - x, z).ravel()])
-    return points, np.outer(weight_r / 4, weight_s / 2).ravel()
-
-
-def strain_energy(law: Law, order: int = 1) -> ca.Function:
-    """``(X_e, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15)."""
-    X, u = corners(3, law.components, order=order)
-    fields, energy = corner_fields(order), ca.SX(0)
-    for field in fields:
-        det, scaled = affine(X, u @ ca.DM(field.T))
-        energy += energy_density(law, scaled) / (2 * det * len(fields))
-    return ca.Function("strain_energy", [ca.vec(X), ca.vec(u)], [energy, NO_ROWS], OPEN)
-
-
-def load_energy(law: Law, quadrature: str | int, order: int = 1) -> tuple[ca.Function, PointValues]:
+def load_energy(law: Law, quadrature: str | int, order: int) -> tuple[ca.Function, PointValues]:
     """``(X_e, u_e, means of load times shape functions) -> (-work of the load, empty)`` of one triangle."""
     shares, weights = triangle_rule(quadrature)
-    X, u = corners(3, law.components, order=order)
-    load = ca.SX.sym("f", *u.shape)
-    work = affine(X, u)[0] / 2 * ca.dot(load, u)
-    energy = ca.Function("load_energy", [ca.vec(X), ca.vec(u), ca.vec(load)], [-work, NO_ROWS])
+    cell = Straight(3, law.components, order)
+    load = ca.SX.sym("f", *cell.u.shape)
+    work = cell.at(shares[:, 0]).det / 2 * ca.dot(load, cell.u)
+    energy = ca.Function("load_energy", [*cell.columns, ca.vec(load)], [-work, NO_ROWS])
     weights = functions(order, shares) * weights
-    return energy, PointValues.of(lambda x, y: vector(law.load, ca.vertcat(x, y)), shares, weights)
+    return energy, PointValues.of(lambda x, y: vector(law.load, x, y), shares, weights)
 
 
-def traction_energy(traction: Traction, degree: int, order: int = 1) -> ca.Function:
-    """``(X_e, u_e) -> (-integral of traction . u, empty)`` on one boundary edge, piece by piece."""
-    X, u = corners(2, len(traction.value), order=order)
-    work = ca.SX(0)
+def force_energy(force: tuple[Coefficient, ...], cell: Cell, rule: Rule) -> ca.Function:
+    """``(*place, u_e) -> (-integral of force . u, empty)``: a load on a triangle, a traction on an edge."""
+    work = cell.integral(lambda x, y, u, _: ca.dot(vector(force, x, y), u), rule)
+    return cell.function("force_energy", -work)
+
+
+def piecewise_rule(degree: int, places: Sequence[Expression]) -> Rule:
+    """A rule for each piece of an edge between ``places``, in ascending order from 0 to 1."""
     points, weights = line_rule(degree)
-    ends = [ca.SX(0), *breaks(traction.value, X), ca.SX(1)]
-    for first, last in pairwise(ends):
+    for first, last in pairwise((0.0, *places, 1.0)):
         for share, weight in zip(points[1], weights, strict=True):
             s = first + share * (last - first)
-            at = ca.vertcat(1 - s, s)
-            shapes = at if order == 1 else ca.vertcat(at**2, 2 * s * (1 - s))
-            value = vector(traction.value, X @ at)
-            work += weight * (last - first) * ca.dot(value, u @ shapes)
-    length = ca.norm_2(X[:, 1] - X[:, 0])
-    return ca.Function("traction_energy", [ca.vec(X), ca.vec(u)], [-length * work, NO_ROWS], OPEN)
+            yield ca.vertcat(1 - s, s), weight * (last - first)
 
 
 def breaks(coefficients: Sequence[Coefficient], X: ca.SX) -> list[ca.SX]:
@@ -131,10 +101,11 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
     terms = []
     for law, straight, beside in _elements(space.problem):
         vertices = space.problem.triangles[:, straight]
-        nodes = vertices, space.nodes_of(vertices)
-        terms.append(ElementTerm(strain_energy(law, space.order), nodes))
-        curved = [(arcs.strain_energy(law, curve, space.order), place) for curve, place in beside]
-        terms += [_beside(space, function, *place) for function, place in curved]
+        function = strain_energy(law, Straight(3, law.components, space.order))
+        terms.append(ElementTerm(function, (vertices, space.nodes_of(vertices))))
+        for curve, place in beside:
+            function = strain_energy(law, Blended(curve, law.components, space.order))
+            terms.append(_beside(space, function, *place))
     return terms
 
 
@@ -145,16 +116,19 @@ def load_terms(space: DisplacementSpace, rule: str | int) -> list[ElementTerm]:
     for law, straight, beside in _elements(problem):
         if any(is_nonzero(component) for component in law.load):
             terms.append(_load_term(space, law, rule, problem.triangles[:, straight]))
-            curved = [(arcs.load_energy(law, curve, degree, space.order), place) for curve, place in beside]
-            terms += [_beside(space, function, *place) for function, place in curved]
+            for curve, place in beside:
+                triangle = Blended(curve, law.components, space.order)
+                terms.append(_beside(space, force_energy(law.load, triangle, triangle.rule(degree)), *place))
     for traction in problem.tractions:
         for number, edges in problem.edges_by_curve(traction.boundary):
             nodes = space.nodes_of(edges)
             if number < 0:
-                terms.append(ElementTerm(traction_energy(traction, degree, space.order), (edges, nodes)))
+                edge = Straight(2, problem.components, space.order)
+                pieces = piecewise_rule(degree, breaks(traction.value, edge.X))
+                terms.append(ElementTerm(force_energy(traction.value, edge, pieces), (edges, nodes)))
             else:
-                curve = problem.curves[number]
-                function = arcs.traction_energy(traction.value, curve, degree, space.order)
+                arc = Arc(problem.curves[number], problem.components, space.order)
+                function = force_energy(traction.value, arc, arc.rule(degree))
                 terms.append(ElementTerm(function, (None, nodes), arc=(number, edges)))
     for load in problem.point_loads:
         terms.append(ElementTerm(point_energy(load), (None, space.nodes_of(np.array([[load.node]])))))

@@ -22,8 +22,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import SIDES
-from rmesh_nlp.fem.element import NO_ROWS, affine, corners
+from rmesh_nlp.fem.cells import Straight, affine, shape_functions
+from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, Field, constant_field, element_group
 from rmesh_nlp.fem.objective import Fields, Objective, Term
 from rmesh_nlp.fem.space import Index
@@ -142,16 +142,13 @@ def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
 
 def _misfit(components: int, order: int) -> ca.Function:
     """``(X_e, u_e, (x, y, values, weights)) ->`` the weighted square at one point."""
-    X, u = corners(3, components, order=order)
+    cell = Straight(3, components, order)
     point, value, weight = ca.SX.sym("x", 2), ca.SX.sym("m", components), ca.SX.sym("w", components)
     # the coordinates 1 and 2 are those of the linear functions with the values (0, 1, 0) and (0, 0, 1)
-    det, slopes = affine(X, ca.DM([[0, 1, 0], [0, 0, 1]]))
-    second = slopes @ (point - X[:, 0]) / det
-    shares = [1 - ca.sum1(second), *ca.vertsplit(second)]
-    if order == 2:
-        shares = [*(share**2 for share in shares), *(2 * shares[a] * shares[b] for a, b in SIDES[3])]
-    error = u @ ca.vertcat(*shares) - value
-    columns = [ca.vec(X), ca.vec(u), ca.vertcat(point, value, weight)]
+    det, slopes = affine(cell.X, ca.DM([[0, 1, 0], [0, 0, 1]]))
+    second = slopes @ (point - cell.X[:, 0]) / det
+    error = cell.u @ shape_functions(order, ca.vertcat(1 - ca.sum1(second), second)) - value
+    columns = [*cell.columns, ca.vertcat(point, value, weight)]
     return ca.Function("misfit", columns, [ca.dot(weight, error**2), NO_ROWS])
 
 

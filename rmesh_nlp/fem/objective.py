@@ -9,19 +9,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression, Kind
-from rmesh_nlp.fem.bernstein import functions, slopes
-from rmesh_nlp.fem.element import affine, corners, line_rule
-from rmesh_nlp.fem.energy import triangle_rule
+from rmesh_nlp.evaluation import Kind
+from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.fields import ElementGroup, Field, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.coefficients import OPEN
-
-Density = Callable[[Expression, Expression, Expression, Expression], Expression]
-"""``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
-edges the outward unit normal (2,)."""
 
 
 class Forces(NamedTuple):
@@ -54,14 +47,11 @@ class Fields(NamedTuple):
         """That of the displacement."""
         return self.displacement.space or DisplacementSpace.of(self.problem)
 
-    def group(
-        self, name: str, X: Expression, u: Expression, value: Expression, vertices: Index, nodes: Index
-    ) -> ElementGroup:
-        """The sum over cells of a value of X (2, k) and u (components, m), by their vertices and nodes.
+    def group(self, function: ca.Function, vertices: Index, nodes: Index) -> ElementGroup:
+        """The sum over cells of a function of X_e and u_e.
 
-        ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u the coefficients there.
+        ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u_e the coefficients there.
         """
-        function = ca.Function(name, [ca.vec(X), ca.vec(u)], [value, type(value)(0, 1)], OPEN)
         local = self.positions.at(vertices), self.displacement.at(nodes)
         return element_group(function, self.positions, local)
 
@@ -76,19 +66,9 @@ class Fields(NamedTuple):
         factor: float = 1.0,
     ) -> ElementGroup:
         """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
-        order = self.space.order
-        X, u = corners(len(cells), self.problem.components, kind, order)
-        tangent, total = X[:, 1] - X[:, 0], kind(0)
-        size = ca.norm_2(tangent)
-        extra = ca.vertcat(tangent[1], -tangent[0]) / size
-        points, weights = triangle_rule(degree) if len(cells) == 3 else line_rule(degree)
-        for point, weight in zip(points.T, weights, strict=True):
-            if len(cells) == 3:
-                det, scaled = affine(X, u @ ca.DM(slopes(order, point)))
-                size, extra = det / 2, scaled / det
-            x, y = ca.vertsplit(X @ point)
-            total += weight * density(x, y, u @ functions(order, point), extra)
-        return self.group(name, X, u, total * size * factor, cells, self.space.nodes_of(cells))
+        cell = Straight(len(cells), self.problem.components, self.space.order, kind)
+        value = factor * cell.integral(density, cell.rule(degree))
+        return self.group(cell.function(name, value), cells, self.space.nodes_of(cells))
 
 
 Groups = Callable[[Fields], list[ElementGroup] | Functional]

@@ -19,11 +19,12 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Expression
-from rmesh_nlp.fem.element import NO_ROWS, corners
+from rmesh_nlp.fem.cells import Density, Straight
+from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group
 from rmesh_nlp.fem.fit import fit, fit_file
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Density, Fields, Groups, Objective, Term
+from rmesh_nlp.fem.objective import Fields, Groups, Objective, Term
 from rmesh_nlp.fem.pressure import (
     contact_length,
     largest_pressure,
@@ -159,8 +160,9 @@ def nodal(
         n = on.problem.mesh.p.shape[1]
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
-        X, u = corners(chosen.size, on.problem.components)
-        return [on.group("quantity", X, u, _scalar(function(X, u), name), chosen, on.space.number[chosen])]
+        at_nodes = Straight(chosen.size, on.problem.components, 1)
+        value = at_nodes.function("quantity", _scalar(function(at_nodes.X, at_nodes.u), name))
+        return [on.group(value, chosen, on.space.number[chosen])]
 
     return quantity
 

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.contact_terms import friction_energy
+from rmesh_nlp.fem.cells import Straight, triangle_rule
 from rmesh_nlp.fem.element import differentiated, plain
-from rmesh_nlp.fem.energy import load_energy, strain_energy, triangle_rule
+from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import (
     CONSTANT,
     STRAIGHT,
@@ -106,10 +106,10 @@ def test_quadrature_rules_integrate_their_degree_exactly() -> None:
 
 def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     laws = PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 3.0)
-    one, same, other = (differentiated(strain_energy(law), None, [0, 1]) for law in laws)
+    one, same, other = (differentiated(strain_energy(law, Straight(3, 2, 1)), None, [0, 1]) for law in laws)
     assert one is same
     assert one is not other
-    assert differentiated(strain_energy(laws[0]), None, [1]) is not one
+    assert differentiated(strain_energy(laws[0], Straight(3, 2, 1)), None, [1]) is not one
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
@@ -239,15 +239,9 @@ def test_energy_of_triangles_has_the_derivatives_of_its_parts(name, rule, order,
     law = LAWS[name]
     X, u = triangles(seed, 3, law.components, order)
     sizes, (work, at_points) = [6, len(u)], load_energy(law, rule, order)
-    parts = [group(strain_energy(law, order), None, sizes, 3), group(work, at_points, sizes, 3)]
+    strain = strain_energy(law, Straight(3, law.components, order))
+    parts = [group(strain, None, sizes, 3), group(work, at_points, sizes, 3)]
     agree([*parts, scaled_group(parts[1], -2.5)], packed(X, u))
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_friction_on_edges_has_the_derivatives_of_its_function(order) -> None:
-    function, at_points = friction_energy(wave, order)
-    X, s = np.random.default_rng(3).uniform(0, 1, (4, 5)), np.ones((order + 1, 5))
-    agree([group(function, at_points, [4, order + 1], 5)], packed(X, s))
 
 
 def test_values_that_enter_one_by_one_have_the_derivatives_of_their_function() -> None:
@@ -261,11 +255,11 @@ def test_values_that_enter_one_by_one_have_the_derivatives_of_their_function() -
 def test_many_triangles_are_summed_as_few_are() -> None:
     law, n = LAWS["two components"], 2 * MANY + 5  # more than one chunk of points
     X, u = triangles(3, n, 2)
-    work, at_points = load_energy(law, 8)
+    work, at_points = load_energy(law, 8, 1)
 
     def parts(count: int) -> list[ElementGroup]:
-        sizes = [6, 6]
-        return [group(strain_energy(law), None, sizes, count), group(work, at_points, sizes, count)]
+        sizes, strain = [6, 6], strain_energy(law, Straight(3, 2, 1))
+        return [group(strain, None, sizes, count), group(work, at_points, sizes, count)]
 
     def gradient(count: int, x: np.ndarray) -> np.ndarray:
         return Assembled(parts(count), ca.MX.sym("x", x.size), ca.MX(0, 1), 0).first(x, None)[1]
@@ -278,7 +272,7 @@ def test_many_triangles_are_summed_as_few_are() -> None:
 
 
 def test_what_is_kept_follows_the_positions() -> None:
-    work, at_points = load_energy(LAWS["varying"], 3)
+    work, at_points = load_energy(LAWS["varying"], 3, 1)
     numeric = Assembled([group(work, at_points, [6, 3], 4)], ca.MX.sym("x", 36), ca.MX(0, 1), 0).first
     first, second, again = (packed(*triangles(seed, 4, 1)) for seed in (1, 2, 1))
     before, _, after = numeric(first, None)[1].copy(), numeric(second, None), numeric(again, None)[1]
@@ -293,8 +287,10 @@ def test_what_is_fixed_has_no_derivatives(fixed) -> None:
     fields = [unknown_field((6, n)), constant_field(u)]
     if fixed == "positions":
         fields = [constant_field(X), unknown_field((6, n))]
-    work, at_points = load_energy(law, 3)
-    strain, load = (element_group(one, fields[0], tuple(fields)) for one in (strain_energy(law), work))
+    work, at_points = load_energy(law, 3, 1)
+    strain, load = (
+        element_group(one, fields[0], tuple(fields)) for one in (strain_energy(law, Straight(3, 2, 1)), work)
+    )
     agree([strain, replace(load, at_points=at_points)], (u if fixed == "positions" else X).ravel(order="F"))
 
 
