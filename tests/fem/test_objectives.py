@@ -159,7 +159,15 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
     "no boundary 'tip'": ("mean(tip, uy)",),
     "the nearest is node": ("node(3.9, 1, uy)",),
     "mean": ("mean(top, __import__('os'))",),
-    "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)",),
+    "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)", "resultant(top)"),
+    r"shear\(contact\): contact on 'contact' is without friction": ("shear(contact)",),
+    "reference pressure must be positive, got 0": ("contact-length(contact, 0)",),
+    r"expected contact-length\(NAME, P\)": ("contact-length(contact)",),
+    r"expected level-pressure\(NAME\)": ("level-pressure()", "level-pressure(a, b)"),
+    "unknown objective 'x' in 'area - x'": ("square(area - x)",),
+    "unknown objective ''": ("square()",),
+    "needs a finite value, got inf": ("square(area - inf)",),
+    "must be positive": ("-2*square(area - 1)",),
     "needs an exact or reference solution": ("error-l2", "friction"),
 }
 

@@ -10,6 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from formulations import joint as joint_module
+from formulations import mpcc as mpcc_module
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import from_arrays
@@ -105,7 +107,7 @@ def test_a_mesh_of_one_triangle_is_solved(formulation: str) -> None:
 
 
 def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> None:
-    nlp = joint.build(EXAMPLES["6.1"](4))
+    nlp = joint_module.build(EXAMPLES["6.1"](4))
     start = np.zeros(nlp.n_x)
     ours, quiet = Solver(nlp)(start), {"ipopt.print_level": 0, "print_time": 0}
     plain = ca.nlpsol("plain", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, quiet)
@@ -116,7 +118,7 @@ def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> 
     result = Solver(held)(start)
     assert abs(np.sum(result.x[:18])) < 1e-8
     assert result.f > ours.f
-    program = mpcc.build(EXAMPLES["6.3"]((4, 2)))
+    program = mpcc_module.build(EXAMPLES["6.3"]((4, 2)))
     assert program.G.shape == program.H.shape == (3 * 4, 1)  # contact and two slip pairs per node
 
 

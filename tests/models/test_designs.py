@@ -45,8 +45,13 @@ def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
     np.testing.assert_allclose(there.nodes(same), outer.nodes(q), atol=1e-12)
 
 
-def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
-    outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
+@pytest.fixture(scope="module")
+def limited() -> tuple[Outer, np.ndarray]:
+    return at_random(block(E, F, BOW, constraints=LIMITED))
+
+
+def test_rows_of_constraints_are_those_of_the_kkt_model(limited: tuple[Outer, np.ndarray]) -> None:
+    outer, q = limited
     constraints, point = ReducedConstraints(outer.conditions), outer.function(q)
     program = bilevel(outer.discretisation, outer.objective, length=1e-2, force=10.0)
     x = program.point(point)
@@ -57,8 +62,8 @@ def test_rows_of_constraints_are_those_of_the_kkt_model() -> None:
     np.testing.assert_allclose(rows[n : n + size], constraints.at(point).value, rtol=1e-9, atol=1e-12)
 
 
-def test_derivatives_of_constraints() -> None:
-    outer, q = at_random(block(E, F, BOW, constraints=LIMITED))
+def test_derivatives_of_constraints(limited: tuple[Outer, np.ndarray]) -> None:
+    outer, q = limited
     constraints = ReducedConstraints(outer.conditions)
     rng = np.random.default_rng(6)
     d, multiples = rng.uniform(-1, 1, q.size), rng.uniform(-1, 1, constraints.rows.size)

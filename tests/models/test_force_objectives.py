@@ -245,27 +245,6 @@ def test_the_length_of_contact_of_the_record_is_the_limit() -> None:
     assert record["objective_value"] == pytest.approx(record["contact_length"], rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("level-pressure(top)", "'top' is not a contact boundary: choose from contact"),
-        ("resultant(tip)", "'tip' is not a contact boundary"),
-        ("shear(contact)", r"shear\(contact\): contact on 'contact' is without friction"),
-        ("contact-length(contact, 0)", "reference pressure must be positive, got 0"),
-        ("contact-length(contact)", r"expected contact-length\(NAME, P\)"),
-        ("resultant()", r"expected resultant\(NAME\)"),
-        ("level-pressure(a, b)", r"expected level-pressure\(NAME\)"),
-        ("square(area - x)", "unknown objective 'x' in 'area - x'"),
-        ("square()", "unknown objective ''"),
-        ("square(area - inf)", "needs a finite value, got inf"),
-        ("-2*square(area - 1)", "must be positive"),
-    ],
-)
-def test_what_does_not_suit_is_said(text: str, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
-        value(example("6.2", (6, 3)), text)
-
-
 def test_quantities_that_a_problem_does_not_have() -> None:
     block = sliding_block()
     with pytest.raises(ValueError, match="'compliance' needs a load"):

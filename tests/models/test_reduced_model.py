@@ -22,7 +22,7 @@ from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, HOLE, plate, spline_of_the_hole
 from support.orders import QUICK as QUICK_2
 from support.orders import slow_but
-from support.reduced import CONTACTS, FREE, QUADRATIC, reduced
+from support.reduced import CONTACTS, FREE, OTHERS, QUADRATIC, reduced
 from support.taylor import difference_order, taylor_order
 
 BENT_LOAD = (lambda x, y: x * y, lambda x, y: ca.sin(x))
@@ -121,9 +121,11 @@ def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inve
     ]
 
 
+GEOMETRIES = ("gaps along edges", "two foundations", "graph, no normal varies", "two obstacles at a node")
 PROBLEMS = {
     **CONTACTS,
     "along a curve": lambda: plate({"hole": HOLE}, delta=0.4, load=(lambda x, y: x * y, lambda x, y: x)),
+    **{name: OTHERS[name] for name in GEOMETRIES},
     **QUADRATIC,
 }
 

@@ -6,11 +6,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, Options, multistart, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.optimize.nlp import Derivatives
-from support.formulations import joint, mpcc
 from support.scripted_run import XY, x, y
 
 stray = ca.SX.sym("stray")

@@ -7,6 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from formulations.mpcc import build
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle, Parametrised
@@ -28,7 +29,7 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.problem.motion import BY_BARRIER
-from support.formulations import fixed, mpcc
+from support.formulations import fixed
 
 
 def test_problem_is_frozen_and_one_condition_may_stand_alone() -> None:
@@ -224,10 +225,10 @@ def test_summary_describes_the_motion(motion: Motion, text: str) -> None:
 
 def test_what_is_printed_fits_a_screen() -> None:
     problem = EXAMPLES["6.3"]((4, 2))
-    for thing in (problem, fixed.solve(problem), mpcc.build(problem)):
+    for thing in (problem, fixed.solve(problem), build(problem)):
         lines = repr(thing).splitlines()
         assert len(lines) <= 40
         assert max(map(len, lines)) <= 120
     assert "16 triangles" in repr(problem)
     assert dict(problem.summary())["contact"] == "4 nodes on contact, normal (0, 1), friction bound 10"
-    assert f"{problem.contact_nodes.size * 3} complementarity pairs" in repr(mpcc.build(problem))
+    assert f"{problem.contact_nodes.size * 3} complementarity pairs" in repr(build(problem))

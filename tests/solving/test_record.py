@@ -219,7 +219,6 @@ def test_an_energy_below_a_proven_bound_is_not_admissible(upper, proved, disprov
 ROOT = Path(__file__).parents[2]
 SOLVES: dict[str, dict[str, Any]] = {
     "fixed": {"certify": True},
-    "joint": {},
     "mpcc": {"objective": "error-l2", "limits": rm.Limits(iterations=30)},
     "nested": {"starts": 1},
     "auto": {},

@@ -80,13 +80,3 @@ def punch_held_by_symmetry(n: int = 4) -> ContactProblem:
         tractions=(Traction("top", (0.0, -200.0)),),
         point_loads=(PointLoad(mesh.p.shape[1] - 1, (5.0, -3.0)),),
     )
-
-
-GEOMETRIES = (
-    block_on_a_circle,
-    block_sliding_on_a_circle,
-    block_between_two_foundations,
-    block_in_a_corner,
-    block_along_a_circle,
-    punch_held_by_symmetry,
-)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,22 +24,13 @@ def alternating() -> type[Formulation]:
 
 @dataclass(frozen=True)
 class Named:
-    """A formulation of this package; other names are those of its module."""
+    """A formulation of this package."""
 
     name: str
 
-    def solve(
-        self, problem: ContactProblem, *, on_step: Any = None, certify: bool = False, **options: Any
-    ) -> Solution:
+    def solve(self, problem: ContactProblem, **options: Any) -> Solution:
         """Solve with options by name."""
-        return solve_once(problem, self.name, **options, on_step=on_step, certify=certify)
-
-    @property
-    def __name__(self) -> str:
-        return self.name
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(importlib.import_module(f"formulations.{self.name}"), name)
+        return solve_once(problem, self.name, **options)
 
 
 auto, fixed, joint, mpcc, nested = (Named(name) for name in ("auto", "fixed", "joint", "mpcc", "nested"))
