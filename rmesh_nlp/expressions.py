@@ -107,9 +107,8 @@ def value_of(text: str, names: Mapping[str, Any]) -> Any:
     try:
         return _walk(_parsed(text), {**names, "pi": ca.SX(np.pi)})
     except (SyntaxError, RecursionError, MemoryError) as error:
-        *first, last = names
-        symbols = f"{', '.join(first)} and {last}" if first else last
-        raise ValueError(f"{text[:60]!r} is not an expression of {symbols}") from error
+        symbols = f" of {' and '.join(', '.join(names).rsplit(', ', 1))}" if names else ""
+        raise ValueError(f"{text[:60]!r} is not an expression{symbols}") from error
 
 
 def _parsed(text: str) -> ast.expr:

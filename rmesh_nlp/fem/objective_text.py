@@ -24,7 +24,6 @@ derivatives (``u_x``, ``u_y``, or ``ux_x``, ``ux_y``, ``uy_x``, ``uy_y``) in the
 
 from __future__ import annotations
 
-import ast
 import re
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -33,7 +32,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.expressions import FUNCTIONS, value_of
 from rmesh_nlp.fem.objective import Objective
@@ -109,10 +108,8 @@ def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) ->
     """
 
     def read(names: dict[str, Expression]) -> Expression:
-        try:
+        with located(text):
             return value_of(expression, names)
-        except ValueError as error:
-            raise ValueError(f"{text}: {error}") from error
 
     def density(x: Expression, y: Expression, u: Expression, extra: Expression = None) -> Expression:
         n = int(u.shape[0])
@@ -177,15 +174,9 @@ def _square(text: str, arguments: list[str]) -> Objective:
 
 def _design(text: str, arguments: list[str]) -> Objective:
     (expression,) = _take(text, arguments, "design(EXPR)")
-    try:
-        tree = ast.walk(ast.parse(expression, mode="eval"))
-    except (SyntaxError, ValueError):
-        tree = iter(())
-    used = {node.id for node in tree if isinstance(node, ast.Name)} - {*FUNCTIONS, "pi"}
-    try:
-        value = ca.SX(value_of(expression, {name: symbol(name) for name in used}))
-    except ValueError as error:
-        raise ValueError(f"{text}: {error}") from error
+    used = set(re.findall(r"\b[A-Za-z_]\w*", expression)) - {*FUNCTIONS, "pi"}
+    with located(text):
+        value = ca.SX(value_of(expression, {name: symbol(name) for name in sorted(used)}))
     return of_design(value, name=text)
 
 
@@ -227,7 +218,7 @@ def _number(text: str, value: str) -> float:
     try:
         number = float(value)
     except ValueError:
-        raise ValueError(f"{text}: {value!r} is not a number") from None
+        number = np.nan
     if not np.isfinite(number):
         raise ValueError(f"{text}: {value!r} is not a finite number")
     return number
