@@ -373,7 +373,8 @@ def figures(
     rmesh figures results --format pdf
     rmesh figures results/my --columns 1
     """
-    load("cli.reporting").figures(folder, columns, format)
+    reporting = load("cli.reporting")
+    reporting.figures(folder, reporting.Page(columns, format))
 
 
 def _voice(json: bool, quiet: bool) -> str:

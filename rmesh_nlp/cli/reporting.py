@@ -9,15 +9,15 @@ import numpy as np
 
 from rmesh_nlp.cli.folders import read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.folder import Manifest, remove_leftovers, write_whole
 from rmesh_nlp.io.results import RECORD, Results
-from rmesh_nlp.report.figures import write_figures
+from rmesh_nlp.report.figures import figures as drawn
 from rmesh_nlp.report.histories import with_common_costs
 from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
-from rmesh_nlp.report.pictures import PICTURES, Drawable, write_pictures
-from rmesh_nlp.report.style import FORMATS, Page
+from rmesh_nlp.report.pictures import Drawable, pictures
+from rmesh_nlp.report.style import Page, write
 from rmesh_nlp.report.tables import frame, markdown, short_markdown, write_tables
 from rmesh_nlp.study.reproduction import reproduce as derive
 from rmesh_nlp.study.study_file import read_study
@@ -35,26 +35,24 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
             print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 
 
-def figures(folder: Path, columns: int, kind: str) -> None:
+def figures(folder: Path, page: Page) -> None:
     """Draw what is in a folder again; of a problem file before and after."""
-    if kind not in FORMATS:
-        raise unknown("format", kind, FORMATS)
     if (folder / kept_problem.PROBLEM).exists() and (folder / RECORD).exists():
         (result,) = read_quietly(folder)
         kept = kept_problem.read_kept(folder, result.record)
         if kept is not None:
             with writable(folder) as results:
-                paths = draw_solution(results, kept, Page(columns, kind))
+                paths = draw_solution(results, kept, page)
             print(f"{len(paths)} files in {folder / 'figures'}")
             return
-    draw_study(folder, kind=kind)
+    draw_study(folder, page)
 
 
-def draw_study(folder: Path, voice: str = "text", kind: str = "png") -> None:
+def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
     """Write the figures of a folder and print where they are."""
     results = read_quietly(folder)
     remove_leftovers(folder)
-    paths = write_figures(results, folder / "figures", Manifest(folder), kind)
+    paths = write(drawn(results, page), Manifest(folder), page)
     if voice == "text":
         print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
@@ -63,10 +61,7 @@ def draw_solution(results: Results, solution: Drawable, page: Page) -> list[Path
     """Draw a solution before and after, if it is one."""
     if not np.all(np.isfinite(solution.displacement)):
         return []
-    results.manifest.claim(*(f"figures/{name}.{page.kind}" for name in PICTURES))
-    place = results.folder / "figures"
-    place.mkdir(exist_ok=True)
-    return write_pictures(solution, place, page)
+    return write(pictures(solution, page), results.manifest, page)
 
 
 def report(folder: Path) -> None:

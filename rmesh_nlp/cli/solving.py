@@ -194,7 +194,7 @@ def compare(
         reporting = load("cli.reporting")
         reporting.table(out, voice, verbose)
         if figures:
-            reporting.draw_study(out, voice)
+            reporting.draw_study(out, reporting.Page(), voice)
     if voice == "json":
         print(f"[{', '.join(to_json(row) for row in rows)}]")
     asked = [row for row in rows if not does_not_apply(row)]

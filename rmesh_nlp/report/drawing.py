@@ -1,32 +1,38 @@
-"""Bodies over rigid foundations: how far displacements are magnified, and where the foundation then is."""
+"""Bodies over rigid foundations: as files and solutions have them, side by side, and what contact carries.
+
+All pictures of meshes draw what a :class:`Body` holds by :func:`side_by_side` and :func:`contact_figure`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import along
+from rmesh_nlp.fem.sampling import along, edges_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.vtu import Fields
-from rmesh_nlp.report.style import FOUNDATION
-from rmesh_nlp.solving.plotting import draw_mesh
+from rmesh_nlp.problem.units import Units, bracketed
+from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
+from rmesh_nlp.solving import plotting
+
+Index = NDArray[np.int64]
+Painter = Callable[[Axes, "Body"], Any]
+"""Draws a body; returns what a colour bar is made of, or None."""
 
 PARTS = 8  # of a foundation below one contact edge
 
 # parts of the extent of the body
-FAR = 1.0  # a foundation farther away than this is not drawn
+REACH = 0.3  # foundations are drawn up to this far outside the body, and not at all where they are farther
 LARGEST_DEFORMATION = 0.08  # displacements are magnified up to this
 SEEN = 0.003  # about the width of a line
-ROOM = 0.15  # a foundation is drawn up to this far outside the body
 MARGIN = 0.02  # stays free around everything
 
 
@@ -57,16 +63,33 @@ class Foundation:
 
 
 @dataclass(frozen=True)
-class Body:
-    """A body on one mesh; scalar problems have no foundations.
+class Contact:
+    """A contact boundary: its name, its nodes, and the nodes (2 or 3, edges) of its edges."""
 
-    Nodes (2, nodes), triangles (nodes per element, elements), displacement (components, nodes).
+    name: str
+    nodes: Index
+    edges: Index
+
+
+@dataclass(frozen=True)
+class Body:
+    """A body on one mesh with the title of its pictures; scalar problems have no foundations.
+
+    Nodes (2, nodes), triangles (nodes per element, elements), displacement (components, nodes); pressure,
+    tangential stress and its bound (nodes,). ``closed`` are the numbers of elements in
+    contact with an obstacle in the interior.
     """
 
+    title: str
     nodes: Array
-    triangles: NDArray[np.int64]
+    triangles: Index
     displacement: Array
-    foundations: tuple[Foundation, ...]
+    foundations: tuple[Foundation, ...] = ()
+    contacts: tuple[Contact, ...] = ()
+    pressure: Array = field(default_factory=lambda: np.zeros(0))
+    tangential_stress: Array = field(default_factory=lambda: np.zeros(0))
+    friction_bound: Array = field(default_factory=lambda: np.zeros(0))
+    closed: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property
     def elastic(self) -> bool:
@@ -96,21 +119,22 @@ def foundations(space: DisplacementSpace, nodes: Array) -> tuple[Foundation, ...
     return tuple(parts)
 
 
-def body_of(fields: Fields) -> Body:
-    """The body that a file holds: its foundations are joined in one, known at the contact nodes."""
-    nodes, feet = (points[:, fields.contact] for points in (fields.nodes, fields.foundation))
-    parts: tuple[Foundation, ...] = ()
-    if fields.displacement.shape[0] == 2 and nodes.size:
+def body_of(fields: Fields, title: str) -> Body:
+    """The body that a file holds: its contact boundaries are joined in one, foundations known at nodes."""
+    which, edges = np.flatnonzero(fields.contact), fields.boundary
+    contact = Contact("the contact boundary", which, edges[:, np.all(fields.contact[edges], axis=0)])
+    below: tuple[Foundation, ...] = ()
+    if fields.displacement.shape[0] == 2 and which.size:
+        nodes, feet = fields.nodes[:, which], fields.foundation[:, which]
         gaps = np.linalg.norm(feet - nodes, axis=0)
-        edges = fields.boundary
-        edges = edges[:, np.all(fields.contact[edges], axis=0)]
-        starts, lines = along(edges, fields.nodes), along(edges, fields.foundation)
-        parts = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
-    return Body(fields.nodes, fields.triangles, fields.displacement, parts)
+        starts, lines = (along(contact.edges, points) for points in (fields.nodes, fields.foundation))
+        below = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
+    stresses = fields.pressure, fields.tangential_stress, fields.friction_bound
+    return Body(title, fields.nodes, fields.triangles, fields.displacement, below, (contact,), *stresses)
 
 
 def _is_far(gaps: Array, nodes: Array) -> bool:
-    return bool(np.min(np.abs(gaps)) > FAR * np.max(np.ptp(nodes, axis=1)))
+    return bool(np.min(np.abs(gaps)) > REACH * np.max(np.ptp(nodes, axis=1)))
 
 
 def magnification(bodies: Sequence[Body]) -> float:
@@ -131,6 +155,19 @@ def magnification(bodies: Sequence[Body]) -> float:
     return max((f for f in shown if (f - 1) * varies <= SEEN * extent), default=1.0)
 
 
+def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
+    """Limits (2, 2) around the bodies; of ``factor`` times the displacement, and around near foundations."""
+    points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
+    low, high = points.min(axis=1), points.max(axis=1)
+    reach = REACH * float(np.max(high - low))
+    for one in (one for body in bodies for one in body.near if factor):
+        lines = one.displaced(factor).reshape(2, -1)
+        low = np.minimum(low, np.maximum(lines.min(axis=1), low - reach))
+        high = np.maximum(high, np.minimum(lines.max(axis=1), high + reach))
+    extra = MARGIN * float(np.max(high - low))
+    return np.stack([low - extra, high + extra], axis=1)
+
+
 def draw_lines(axis: Axes, points: Array, **options: Any) -> None:
     """Lines through points (2, lines, points)."""
     axis.add_collection(LineCollection(list(points.transpose(1, 2, 0)), **options))
@@ -143,28 +180,105 @@ def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any
         draw_lines(axis, one.displaced(factor), **look)
 
 
-def draw_deformed(axis: Axes, body: Body, factor: float) -> None:
-    """The mesh moved by its magnified displacement, over its foundations."""
-    draw_mesh(axis, body.moved(factor), body.triangles)
-    draw_foundations(axis, body, factor, linewidth=2.2)
-    axis.set_title(f"deformed, u and gap × {factor:g}" if factor > 1 else "deformed, true scale")
+def draw_contact_set(axis: Axes, body: Body, **fill: Any) -> None:
+    """Of an obstacle in the interior: the edge of the set that it touches, and with a colour the set."""
+    closed = body.triangles[:, body.closed]
+    if closed.size:
+        if fill:
+            corners = list(body.nodes[:, closed[:3]].transpose(2, 1, 0))
+            axis.add_collection(PolyCollection(corners, edgecolor="none", label="in contact", **fill))
+        draw_lines(axis, along(edges_of(closed, outer=True), body.nodes), color=IN_CONTACT, linewidth=1.2)
 
 
-def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
-    """Limits (2, 2) around the bodies; of ``factor`` times the displacement, and around near foundations."""
-    points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
-    low, high = points.min(axis=1), points.max(axis=1)
-    room = ROOM * float(np.max(high - low))
-    for one in (one for body in bodies for one in body.near if factor):
-        lines = one.displaced(factor).reshape(2, -1)
-        low = np.minimum(low, np.maximum(lines.min(axis=1), low - room))
-        high = np.maximum(high, np.minimum(lines.max(axis=1), high + room))
-    extra = MARGIN * float(np.max(high - low))
-    return np.stack([low - extra, high + extra], axis=1)
+def coloured(draw: Callable[..., Any], values: Callable[[Body], Array], **options: Any) -> Painter:
+    """A painter of values as colours below the lines of the mesh; ``draw`` knows where they belong."""
+
+    def paint(axis: Axes, body: Body) -> Any:
+        painted = draw(axis, body.nodes, body.triangles, values(body), **options)
+        if not plotting.is_fine(body.triangles):  # the lines would hide the colours
+            plotting.draw_mesh(axis, body.nodes, body.triangles, color="white")
+        draw_contact_set(axis, body)
+        return painted
+
+    return paint
 
 
-def colour_bar(figure: Figure, painted: Any, axes: list[Axes], ticks: int, **options: Any) -> None:
-    """A colour bar for all axes with about so many ticks."""
-    bar = figure.colorbar(painted, ax=axes, **options)
-    bar.locator = MaxNLocator(ticks)
-    bar.update_ticks()
+def side_by_side(
+    bodies: Sequence[Body],
+    paint: Painter,
+    page: Page,
+    unit: str,
+    *,
+    deformed: bool = False,
+    label: str = "",
+    title: str = "",
+) -> Figure:
+    """What ``paint`` draws of each body, and if asked for the ``deformed`` meshes below, over foundations.
+
+    Colours have one scale, and a bar with the ``label``. Lengths are in the ``unit``. A ``title`` takes the
+    place of those of the bodies.
+    """
+    factor = magnification(bodies) if deformed else 0.0
+    windows = [window(bodies, 1.0), window(bodies, factor)] if deformed else [window(bodies)]
+    figure, axes = page.panels(len(bodies), windows, unit, below=0.85 if title else 0.75 if label else 0.45)
+    painted: list[Any] = []
+    for column, body in zip(axes.T, bodies, strict=True):
+        painted.append(paint(column[0], body))
+        column[0].set_title(title or body.title)
+        if deformed:
+            draw_foundations(column[0], body, linewidth=4.0)  # a boundary may lie on it
+            plotting.draw_mesh(column[1], body.moved(factor), body.triangles)
+            draw_foundations(column[1], body, factor, linewidth=2.2)
+            scale = f", u and gap × {factor:g}" if factor > 1 else ", true scale"
+            column[1].set_title(f"deformed{scale}")
+    if label:
+        limits = np.array([one.get_clim() for one in painted])
+        for one in painted:
+            one.set_clim(limits[:, 0].min(), limits[:, 1].max())
+        bar: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
+        figure.colorbar(painted[-1], ax=axes[-1].tolist(), label=label, **bar)
+    add_legend(figure, list(axes[:, 0]), "outside lower center")
+    return figure
+
+
+def displacement_figure(bodies: Sequence[Body], page: Page, units: Units, *, deformed: bool) -> Figure:
+    """The displacement of each body, if asked for over the deformed meshes."""
+    label = f"|u|{bracketed(units.length)}" if bodies[0].elastic else "u"
+    paint = coloured(plotting.draw_nodal, lambda body: body.displacement)
+    return side_by_side(bodies, paint, page, units.length, deformed=deformed, label=label)
+
+
+def contact_figure(bodies: Sequence[Body], page: Page, units: Units) -> Figure | None:
+    """Pressure along each contact boundary, with friction also the tangential stress and its bound.
+
+    One panel for each; None if nothing is touched.
+    """
+    unit = bracketed(units.stress) if bodies[0].elastic else ""
+    kinds = {"pressure": f"contact {'pressure' if bodies[0].elastic else 'stress'}{unit}"}
+    if any(np.any(body.friction_bound > 0) for body in bodies):
+        kinds["tangential_stress"] = f"tangential stress{unit}"
+    panels = [
+        (place, name)
+        for place in range(len(bodies[0].contacts))
+        if any(np.any(body.pressure[body.contacts[place].nodes]) for body in bodies)
+        for name in kinds
+    ]
+    if not panels:
+        return None
+    figure = new_figure(page.width, 0.3 + (1.7 if page.columns == 1 else 2.3) * len(panels))
+    axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    first = bodies[0]
+    for axis, (place, name) in zip(axes, panels, strict=True):
+        curves = [(body, getattr(body, name), pen_of(i), body.title) for i, body in enumerate(bodies)]
+        if name == "tangential_stress":
+            bound: Any = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}
+            ends = first.friction_bound, -first.friction_bound
+            curves += [(first, values, bound, "friction bound ±g") for values in ends]
+        coordinate = plotting.direction(first.nodes[:, first.contacts[place].nodes])
+        for body, values, look, title in curves:
+            where = body.contacts[place].nodes, body.contacts[place].edges
+            plotting.draw_along(axis, body.nodes, where, values, coordinate, **look, label=title)
+        along_name = f"$x_{coordinate + 1}${bracketed(units.length)} on {first.contacts[place].name}"
+        axis.set(xlabel=along_name, ylabel=kinds[name])
+    add_legend(figure, list(axes))
+    return figure

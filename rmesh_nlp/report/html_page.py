@@ -41,19 +41,20 @@ from rmesh_nlp.report.blocks import (
     with_order,
 )
 from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, GAIN, MAIN, RESIDUALS, Column, of
+from rmesh_nlp.report.curves import convergence_figure, profile_figure
 from rmesh_nlp.report.designs import FEW, OUTCOME
-from rmesh_nlp.report.figures import convergence_figure, figure_of_designs, profile_figure
+from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
-from rmesh_nlp.report.style import SETTINGS, lay_out
+from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, Table
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
 
 REPORT = "report.html"
-CHART = 4.4  # inches of the width of a chart: legible on a phone, where it is three wide
+CHART = Page(1)  # legible on a phone, where charts are three inches wide
 CONVERGENCE, MESHES, STARTS = 12, 60, 8  # most problems, solves with meshes, and names of starts on the page
 
 # what tells solves apart, and columns of their second table; those that no row has are left out
@@ -113,8 +114,8 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         [variant(records[i]), *(str(records[i].get(name) or "") for name in ("example", "n", *head[3:]))]
         for i in sorted(failed)
     ]
-    with rc_context(SETTINGS):
-        profiles = [(one.title, svg(profile_figure(one, CHART, heading=False))) for one in charts(results)]
+    with rc_context(CHART.settings):
+        profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results)]
         convergence, not_drawn = _convergence(results)
     meshes, meshes_left = _meshes(results)
     comparable = [_without_energies(record) for record in records]
@@ -190,7 +191,7 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
     """Titles and charts of the first problems, and a note about the others."""
     by_record = {id(result.record): result for result in results}
     records = [result.record for result in results]
-    looks = {name: position for position, name in enumerate(variants_of(records), 1)}
+    positions = {name: position for position, name in enumerate(variants_of(records), 1)}
     charts_of, every = [], blocks(records)
     for block in every[:CONVERGENCE]:
         for objective, own in block.objectives.items():
@@ -198,7 +199,7 @@ def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]
             curves, best = [one for one in drawn if one is not None], Block(tuple(own)).best
             if best is not None and any(one.feasible[-1] for one in curves):
                 caption = block.title if objective == "energy" else f"{block.title}, {objective}"
-                charts_of.append((caption, svg(convergence_figure(curves, best, looks, CHART))))
+                charts_of.append((caption, svg(convergence_figure(curves, best, CHART, positions))))
             designs = figure_of_designs([by_record[id(record)] for record in own], CHART)
             if designs is not None:
                 charts_of.append((f"{block.title}: designs", svg(designs)))

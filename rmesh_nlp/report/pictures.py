@@ -1,17 +1,13 @@
-"""Pictures of a relocation before and after: meshes, fields, pressure, motion, limits."""
+"""Which pictures a solution has, by name: before and after, meshes, fields, pressure, motion, limits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
 from enum import Enum
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -24,69 +20,50 @@ from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.units import bracketed
-from rmesh_nlp.report import style
 from rmesh_nlp.report.design_figure import design_figure
 from rmesh_nlp.report.drawing import (
     Body,
-    colour_bar,
-    draw_deformed,
-    draw_foundations,
+    Contact,
+    coloured,
+    contact_figure,
+    displacement_figure,
+    draw_contact_set,
     draw_lines,
     foundations,
-    magnification,
-    window,
+    side_by_side,
 )
-from rmesh_nlp.report.style import Page
+from rmesh_nlp.report.style import CONTACT, IN_CONTACT, NEUTRAL, Page
 from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.parts import DESIGN, Step
 from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
-PICTURES = ("mesh", "displacement", "stress", "flux", "pressure", "motion", "limits", "design")
 GIVEN = "given mesh"
 CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
 SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
 
 
-@dataclass(frozen=True)
-class DrawnState(Body):
-    """A solution on one mesh: nodes and triangles of its displacement space, vertices ``X`` (2, vertices).
+def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> Body:
+    """The body of a problem with its vertices at X (2, vertices).
 
-    Pressure is (nodes,); stress, von Mises' or the length of the flux, is (elements, pieces).
+    Displacement ``u`` (components, nodes) and pressure (nodes,) are at the nodes of the displacement.
     """
-
-    title: str
-    problem: ContactProblem
-    X: Array
-    pressure: Array
-    stress: Array
-
-    @staticmethod
-    def of(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> DrawnState:
-        """The state of displacement ``u`` (components, nodes), the vertices at X (2, vertices)."""
-        space, stress = DisplacementSpace.of(problem), plotting.size_of_stress(problem, X, u)
-        nodes = points_of(space, X)
-        parts = foundations(space, nodes)
-        return DrawnState(nodes, space.elements, u, parts, title, problem, X, pressure, stress)
-
-    @property
-    def space(self) -> DisplacementSpace:
-        """Its displacement space."""
-        return DisplacementSpace.of(self.problem)
-
-    @property
-    def closed(self) -> NDArray[np.bool_]:
-        """(elements,) those of an interior contact set whose nodes all touch the obstacle."""
-        closed = np.zeros(self.triangles.shape[1], dtype=bool)
-        for part in self.problem.obstacles:
-            if part.boundary is Place.INTERIOR:
-                gap = self.displacement[0] + part.distances(self.nodes)
-                touching = gap <= CLOSED * np.max(np.abs(self.displacement), initial=0.0)
-                closed |= np.all(touching[self.triangles], axis=0)
-        return closed
+    space = DisplacementSpace.of(problem)
+    nodes, contacts = points_of(space, X), []
+    closed = np.zeros(space.elements.shape[1], dtype=bool)
+    for part in space.contact_sets:
+        obstacle = part.obstacle
+        if obstacle.boundary is Place.INTERIOR:  # closed are elements whose nodes all touch
+            touching = u[0] + obstacle.distances(nodes) <= CLOSED * np.max(np.abs(u), initial=0.0)
+            closed |= np.all(touching[space.elements], axis=0)
+        else:
+            edges = space.nodes_of(contact_edges(problem, obstacle))
+            contacts.append(Contact(str(obstacle.boundary), part.nodes, edges))
+    shown: dict[str, Any] = {"foundations": foundations(space, nodes), "contacts": tuple(contacts)}
+    return Body(title, nodes, space.elements, u, **shown, pressure=pressure, closed=np.flatnonzero(closed))
 
 
-def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> DrawnState:
+def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> Body:
     """The contact solution before relocation; ``pressure`` (nodes,) of a similar mesh says who touches."""
     model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
     system, space = model.system(X), DisplacementSpace.of(problem)
@@ -94,16 +71,16 @@ def before(problem: ContactProblem, pressure: Array | None = None, title: str = 
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
     np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
-    return DrawnState.of(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
+    return body_at(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
 
 
-def after(solution: Drawable) -> DrawnState:
+def after(solution: Drawable) -> Body:
     """The solution itself."""
-    X, pressure = np.asarray(solution.mesh.p), np.asarray(solution.pressure)
+    X = np.asarray(solution.mesh.p)
     moved = np.any(solution.problem.mesh.p != X)
     title = "relocated mesh" if moved else f"{_title(solution)}, nothing moved"
     title = title if solution.designed is None else "last design"
-    return DrawnState.of(title, solution.problem, X, solution.displacement, pressure)
+    return body_at(title, solution.problem, X, solution.displacement, np.asarray(solution.pressure))
 
 
 def _start(solution: Drawable) -> ContactProblem:
@@ -120,42 +97,44 @@ def _title(solution: Drawable) -> str:
     return "new mesh" if solution.is_remeshed else GIVEN
 
 
-def write_pictures(solution: Drawable, folder: Path, page: Page = Page()) -> list[Path]:  # noqa: B008
-    """Draw all there is to see about a solution, nothing that would be all zero."""
-    paths: list[Path] = []
-    with rc_context(page.settings):
-        for name, figure in pictures(solution, page):
-            paths.append(style.save(figure, folder / name, page.kind, page.settings))
-    return paths
-
-
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
-    """Names and figures, made one by one."""
-    states = [after(solution)]
-    start = _start(solution)
-    moved = bool(np.any(start.mesh.p != states[0].X))
+    """Names and figures of all there is to see, made one by one; nothing that would be all zero."""
+    last, start = after(solution), _start(solution)
+    bodies, problems = [last], [(solution.problem, np.asarray(solution.mesh.p))]
+    begin, end = np.asarray(start.mesh.p), np.asarray(solution.mesh.p)
+    moved = bool(np.any(begin != end))
     if moved or solution.designed is not None:
-        states.insert(0, before(start, states[0].pressure, _title(solution)))
-    yield "mesh", _meshes(states, page)
-    units, elastic = solution.problem.units, states[0].elastic
-    if any(np.any(state.displacement) for state in states):
-        label = f"|u|{bracketed(units.length)}" if elastic else "u"
-        fields = [state.displacement for state in states]
-        yield "displacement", _coloured(states, fields, plotting.draw_nodal, label, page)
+        bodies.insert(0, before(start, last.pressure, _title(solution)))
+        problems.insert(0, (start, begin))
+    units, elastic = solution.problem.units, last.elastic
+    is_loaded = any(np.any(body.displacement) for body in bodies)
+    yield "mesh", side_by_side(bodies, _paint_mesh, page, units.length, deformed=elastic and is_loaded)
+    if is_loaded:
+        yield "displacement", displacement_figure(bodies, page, units, deformed=False)
+        stresses = {
+            body.title: plotting.size_of_stress(problem, X, body.displacement)
+            for body, (problem, X) in zip(bodies, problems, strict=True)
+        }
+        paint = coloured(plotting.draw_elements, lambda body: stresses[body.title])
         label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
-        stresses = [state.stress for state in states]
-        coloured = _coloured(states, stresses, plotting.draw_elements, label, page)
-        yield "stress" if elastic else "flux", coloured
-    if any(np.any(state.pressure) for state in states) and not np.any(states[-1].closed):
-        yield "pressure", _pressures(states, page)
+        yield "stress" if elastic else "flux", side_by_side(bodies, paint, page, units.length, label=label)
+    if not last.closed.size and (contact := contact_figure(bodies, page, units)) is not None:
+        yield "pressure", contact
     if moved:
-        relocates = not solution.problem.motion.is_fixed
-        for name, draw in (("motion", _draw_motion), *((("limits", _draw_limits),) if relocates else ())):
-            figure, axes = page.panels(1, [window(states[1:])], units.length, below=0.85)
-            draw(figure, axes[0, 0], solution)
-            yield name, figure
-    if solution.designed is not None and (drawn := _design(solution, page)) is not None:
-        yield "design", drawn
+        yield "motion", motion_figure(solution, last, begin, end, page)
+        if not solution.problem.motion.is_fixed:
+            yield "limits", limits_figure(solution, last, page)
+    if solution.designed is not None and (design := _design(solution, page)) is not None:
+        yield "design", design
+
+
+def _paint_mesh(axis: Axes, body: Body) -> None:
+    """The mesh with the boundaries, or the interior set, of contact."""
+    plotting.draw_mesh(axis, body.nodes, body.triangles)
+    draw_contact_set(axis, body, facecolor=IN_CONTACT, alpha=0.25)
+    for contact in body.contacts:
+        look: dict[str, Any] = {"color": CONTACT, "linewidth": 1.5, "label": "may come in contact"}
+        draw_lines(axis, along(contact.edges, body.nodes), zorder=3, **look)  # over the foundation
 
 
 def _design(solution: Drawable, page: Page) -> Figure | None:
@@ -164,92 +143,15 @@ def _design(solution: Drawable, page: Page) -> Figure | None:
     steps = [step.row() if isinstance(step, Step) else step for step in solution.history]
     shown = {name for step in steps[:1] for name in step}
     bounds = {one.name: one.bounds for one in solution.designed.design if DESIGN + one.name in shown}
-    return design_figure({"": steps}, bounds, solution.objective, width=page.width) if bounds else None
-
-
-def _meshes(states: Sequence[DrawnState], page: Page) -> Figure:
-    """Undeformed meshes; for an elastic body also deformed ones over the one foundation."""
-    deforms = states[0].elastic and any(np.any(state.displacement) for state in states)
-    factor = magnification(states) if deforms else 0.0
-    windows = [window(states, 1.0), window(states, factor)] if deforms else [window(states)]
-    figure, axes = page.panels(len(states), windows, states[0].problem.units.length, below=0.3)
-    for column, state in zip(axes.T, states, strict=True):
-        plotting.draw_mesh(column[0], state.nodes, state.triangles)
-        _contact_set(column[0], state)
-        for part in state.problem.contact_sets:
-            if isinstance(part.obstacle.boundary, str):
-                edges = state.space.nodes_of(contact_edges(state.problem, part.obstacle))
-                pen = {"color": style.CONTACT, "linewidth": 1.5, "label": "may come in contact"}
-                draw_lines(column[0], along(edges, state.nodes), zorder=3, **pen)  # over the foundation
-        column[0].set_title(state.title)
-        if deforms:
-            draw_foundations(column[0], state, linewidth=4.0)  # a boundary may lie on it
-            draw_deformed(column[1], state, factor)
-    style.add_legend(figure, list(axes[:, 0]), "outside lower center")
-    return figure
-
-
-def _coloured(states: Sequence[DrawnState], values: list[Array], draw: Any, label: str, page: Page) -> Figure:
-    """Fields as colours of one scale, by the function that draws nodal fields or those of elements."""
-    length = states[0].problem.units.length
-    figure, axes = page.panels(len(states), [window(states)], length, below=0.75)
-    painted: list[Any] = []
-    for axis, state, value in zip(axes[0], states, values, strict=True):
-        painted.append(draw(axis, state.nodes, state.triangles, value))
-        if not plotting.is_fine(state.triangles):  # the lines would hide the colours
-            plotting.draw_mesh(axis, state.nodes, state.triangles, thin=0.4, color="white")
-        _contact_set(axis, state, filled=False)
-        axis.set_title(state.title)
-    drawn = np.concatenate([np.ravel(one.get_array()) for one in painted])
-    for one in painted:
-        one.set_clim(drawn.min(), drawn.max())
-    below: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
-    colour_bar(figure, painted[-1], axes.ravel().tolist(), 5, label=label, **below)
-    return figure
-
-
-def _pressures(states: Sequence[DrawnState], page: Page) -> Figure:
-    """Contact pressure along each contact boundary, one panel per boundary that is touched."""
-    problem, units = states[0].problem, states[0].problem.units
-    space = states[0].space
-    sets = [
-        part for part in space.contact_sets if any(np.any(state.pressure[part.nodes]) for state in states)
-    ]
-    figure = style.new_figure(page.width, 0.3 + page.line_height * len(sets))
-    axes = figure.subplots(len(sets), 1, squeeze=False)[:, 0]
-    name = f"contact pressure{bracketed(units.stress)}" if states[0].elastic else "contact stress"
-    for axis, part in zip(axes, sets, strict=True):
-        coordinate = plotting.direction(states[0].nodes[:, part.nodes])
-        where = part.nodes, space.nodes_of(contact_edges(problem, part.obstacle))
-        for position, state in enumerate(states):
-            pen = {**style.look(position).line(scale=0.6), "markeredgewidth": 0.6, "label": state.title}
-            plotting.draw_along(axis, state.nodes, where, state.pressure, coordinate, **pen)
-        place = f"$x_{coordinate + 1}${bracketed(units.length)} on {part.obstacle.boundary}"
-        axis.set(xlabel=place, ylabel=name)
-    style.add_legend(figure, [axes[0]])
-    return figure
-
-
-def _contact_set(axis: Axes, state: DrawnState, *, filled: bool = True) -> None:
-    """For an obstacle in the interior: where it is touched, and the edge of that."""
-    closed, mesh = state.closed, state.problem.mesh
-    if not np.any(closed):
-        return
-    if filled:
-        corners = list(state.X[:, state.problem.triangles[:, closed]].transpose(2, 1, 0))
-        pen: dict[str, Any] = {"facecolor": style.IN_CONTACT, "edgecolor": "none", "alpha": 0.25}
-        axis.add_collection(PolyCollection(corners, **pen, label="in contact"))
-    inner, outer = mesh.f2t
-    rim = closed[inner] != ((outer >= 0) & closed[outer])
-    draw_lines(axis, state.X[:, mesh.facets[:, rim].T], color=style.IN_CONTACT, linewidth=1.2)
+    return design_figure({"": steps}, bounds, solution.objective, page) if bounds else None
 
 
 class Limit(Enum):
     """What limits the motion of a node: label, colour, marker."""
 
     PINNED = ("does not move", "0.6", "o")
-    NOTHING = ("nothing", style.NEUTRAL, "o")
-    MOVE_LIMIT = ("its move limit", style.IN_CONTACT, "s")
+    NOTHING = ("nothing", NEUTRAL, "o")
+    MOVE_LIMIT = ("its move limit", IN_CONTACT, "s")
     AREA = ("the area or an angle of an element", "#000000", "^")
 
 
@@ -268,36 +170,38 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
     return result
 
 
-def _draw_limits(figure: Figure, axis: Axes, solution: Drawable) -> None:
+def limits_figure(solution: Drawable, body: Body, page: Page) -> Figure:
     """Every vertex with the colour of its limit."""
-    X, space = np.asarray(solution.mesh.p), DisplacementSpace.of(solution.problem)
-    fine = plotting.is_fine(space.elements)
-    if not fine:
-        plotting.draw_mesh(axis, points_of(space, X), space.elements, color="0.85")
-    kinds = limits(solution)
+    X, kinds, fine = np.asarray(solution.mesh.p), limits(solution), plotting.is_fine(body.triangles)
     used = np.isin(np.arange(X.shape[1]), solution.mesh.t)
-    size = float(np.clip(1500 / max(X.shape[1], 1), 0.6, 6.0))
-    for limit in Limit:
-        label, colour, marker = limit.value
-        limited = used & (kinds == limit)
-        if np.any(limited):
-            pen: dict[str, Any] = {"marker": marker, "linewidths": 0, "label": label, "rasterized": fine}
-            axis.scatter(X[0, limited], X[1, limited], s=size, c=colour, zorder=2, **pen)
-    axis.set_title("what limits each node")
-    legend = figure.legend(loc="outside lower center", handletextpad=0.2, borderpad=0.1, labelspacing=0.25)
-    for handle in legend.legend_handles:
+    size = float(np.clip(1500 / X.shape[1], 0.6, 6.0))
+
+    def paint(axis: Axes, body: Body) -> None:
+        if not fine:
+            plotting.draw_mesh(axis, body.nodes, body.triangles, color="0.85")
+        for limit in Limit:
+            label, colour, marker = limit.value
+            limited = used & (kinds == limit)
+            if np.any(limited):
+                look: dict[str, Any] = {"marker": marker, "linewidths": 0, "label": label, "rasterized": fine}
+                axis.scatter(X[0, limited], X[1, limited], s=size, c=colour, zorder=2, **look)
+
+    figure = side_by_side([body], paint, page, solution.problem.units.length, title="what limits each node")
+    for handle in figure.legends[0].legend_handles:
         handle.set_sizes([14.0])  # type: ignore[union-attr]
+    return figure
 
 
-def _draw_motion(figure: Figure, axis: Axes, solution: Drawable) -> None:
-    """The way of each vertex over the colours of its length."""
-    old, new = np.asarray(_start(solution).mesh.p), np.asarray(solution.mesh.p)
-    space = DisplacementSpace.of(solution.problem)
-    begin, end = points_of(space, old), points_of(space, new)
-    painted = plotting.draw_nodal(axis, end, space.elements, end - begin, vmin=0.0)
-    if not plotting.is_fine(space.elements):  # the ways would hide the colours
-        moved = np.any(old != new, axis=0)
-        draw_lines(axis, np.stack([old, new], axis=2)[:, moved], color="white", linewidth=0.6)
-    below: dict[str, Any] = {"location": "bottom", "aspect": 25, "shrink": 0.9, "pad": 0.03}
-    colour_bar(figure, painted, [axis], 4, label=f"motion{bracketed(solution.problem.units.length)}", **below)
-    axis.set_title(f"motion from the {_title(solution)}")
+def motion_figure(solution: Drawable, body: Body, begin: Array, end: Array, page: Page) -> Figure:
+    """The way of each vertex, from ``begin`` to ``end`` (2, vertices), over the colours of its length."""
+    space, unit = DisplacementSpace.of(solution.problem), solution.problem.units.length
+    motion = body.nodes - points_of(space, begin)
+
+    def paint(axis: Axes, body: Body) -> Any:
+        if not plotting.is_fine(body.triangles):  # the ways would hide the colours
+            moved = np.any(begin != end, axis=0)
+            draw_lines(axis, np.stack([begin, end], axis=2)[:, moved], color="white", linewidth=0.6)
+        return plotting.draw_nodal(axis, body.nodes, body.triangles, motion, vmin=0.0)
+
+    title = f"motion from the {_title(solution)}"
+    return side_by_side([body], paint, page, unit, label=f"motion{bracketed(unit)}", title=title)

@@ -18,7 +18,6 @@ from rmesh_nlp.report import style
 from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, foundations
 from rmesh_nlp.solving import plotting
 
-WIDTH = 8.0  # inches of the picture of a problem; its height follows the extent of the mesh
 MARKERS = {
     Mobility.PINNED: ("s", "pinned"),
     Mobility.SLIDING: ("|", "slides along"),
@@ -36,19 +35,21 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     """
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace.of(problem)
     nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
-    body = Body(nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
+    body = Body("", nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
-        figure = style.new_figure(WIDTH, 1.5 + WIDTH * min(extent[1] / extent[0], 1.0))
+        width = style.TWO_COLUMNS
+        figure = style.new_figure(width, 1.5 + width * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest
         zone = element_zones(problem.mesh).astype(float)
         plotting.draw_elements(axis, nodes, cells, zone, cmap="Pastel2", vmin=0, vmax=8)
         plotting.draw_mesh(axis, nodes, cells, color="0.6")
         for position, (label, boundary) in enumerate(_roles(problem)):
-            colour = style.LOOKS[1:][position % (len(style.LOOKS) - 1)].color
+            pen = style.PENS[1 + position % (len(style.PENS) - 1)]  # black are the nodes
             edges = space.nodes_of(mesh.facets[:, mesh.boundaries[boundary]])
-            draw_lines(axis, along(edges, nodes), color=colour, linewidth=3, label=f"{label}: {boundary}")
+            said = {"color": pen["color"], "label": f"{label}: {boundary}"}
+            draw_lines(axis, along(edges, nodes), linewidth=3, **said)
         _draw_mobility(axis, problem, free)
         # so wide that they are seen on both sides of a boundary that lies on them
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
@@ -62,7 +63,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         axis.set_title(heading)
         style.add_legend(figure, [axis], "outside lower center")
         style.lay_out(figure)
-        figure.savefig(path, dpi=150)
+        figure.savefig(path)
 
 
 def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:

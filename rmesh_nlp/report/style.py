@@ -1,8 +1,8 @@
-"""How figures look: widths and letters of print, colours safe for the colour-blind."""
+"""How figures look: widths and letters of print, colours safe for the colour-blind; and their files."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,67 +18,50 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.folder import write_whole
+from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
 from rmesh_nlp.problem.units import bracketed
 
 ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0  # inches of one of two columns of a printed page, and of both
-SMALLEST = 7.0  # points of the smallest letters, those of figures of one column
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
-FLAT = 0.6  # height over width of a body below which two of them stand one below the other on one column
 TALLEST = 2.0  # height of a panel over its width, at most
 LETTERS, KEY = 13.0, 8  # letters of a legend to the inch, and those that the line before a name takes
+MARKERS = 15  # about as many markers on a curve
 FORMATS = ("png", "pdf", "svg")
-FOUNDATION = "0.45"
 SETTINGS: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.labelsize": 9,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
-    "legend.fontsize": 8,
+    "font.size": 8.5,
+    "axes.titlesize": "medium",
     "lines.linewidth": 1.2,
+    "lines.markerfacecolor": "none",
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
-    "figure.dpi": 200,
+    "figure.dpi": 160,  # of PNG; vectors are for papers
     "pdf.fonttype": 42,  # text stays text: publishers ask for it
     "svg.fonttype": "none",  # the same in pages
 }
 
-
-@dataclass(frozen=True)
-class Look:
-    """Colour, line style and marker of one curve."""
-
-    color: str
-    linestyle: str
-    marker: str
-    size: float
-
-    def line(self, scale: float = 1.0) -> dict[str, Any]:
-        """What ``Axes.plot`` takes for a line with open markers, their sizes scaled."""
-        pen = {"color": self.color, "linestyle": self.linestyle, "marker": self.marker}
-        return {**pen, "markersize": scale * self.size, "markerfacecolor": "none"}
-
-
 # Okabe and Ito's palette; markers differ in size, so that curves on top of each other show
-LOOKS = (
-    Look("#000000", "--", "o", 4),
-    Look("#D55E00", "-", "s", 7),
-    Look("#0072B2", "-", "^", 5),
-    Look("#009E73", "-.", "D", 3.5),
-    Look("#CC79A7", ":", "v", 5),
-    Look("#E69F00", "--", "P", 5),
-    Look("#56B4E9", "-", "X", 5),
-)
-CONTACT, IN_CONTACT, NEUTRAL = "#009E73", "#D55E00", "#56B4E9"  # of the same palette
+PENS: Sequence[dict[str, Any]] = [
+    {"color": color, "linestyle": linestyle, "marker": marker, "markersize": size}
+    for color, linestyle, marker, size in (
+        ("#000000", "--", "o", 4),
+        ("#D55E00", "-", "s", 7),
+        ("#0072B2", "-", "^", 5),
+        ("#009E73", "-.", "D", 3.5),
+        ("#CC79A7", ":", "v", 5),
+        ("#E69F00", "--", "P", 5),
+        ("#56B4E9", "-", "X", 5),
+    )
+]
+CONTACT, IN_CONTACT, NEUTRAL, FOUNDATION = "#009E73", "#D55E00", "#56B4E9", "0.45"
 
 
-def look(position: int) -> Look:
-    """The look of the curve at a position in its figure."""
-    return LOOKS[position % len(LOOKS)]
+def pen_of(position: int) -> dict[str, Any]:
+    """What ``Axes.plot`` takes for the curve at a position in its figure."""
+    return PENS[position % len(PENS)]
 
 
 @dataclass(frozen=True)
@@ -89,8 +72,8 @@ class Page:
     kind: str = "png"
 
     def __post_init__(self) -> None:
-        if self.columns not in (1, 2):
-            raise ValueError(f"figures are one or two columns wide, got {self.columns}")
+        if self.kind not in FORMATS:
+            raise unknown("format", self.kind, FORMATS)
 
     @property
     def width(self) -> float:
@@ -98,34 +81,28 @@ class Page:
         return ONE_COLUMN if self.columns == 1 else TWO_COLUMNS
 
     @property
-    def line_height(self) -> float:
-        """Inches of the height of a plot of curves."""
-        return 1.7 if self.columns == 1 else 2.3
+    def narrow(self) -> float:
+        """Inches of the width of a figure of one plot."""
+        return self.width if self.columns == 1 else 0.6 * self.width
 
     @property
     def settings(self) -> Any:
         """Matplotlib's settings."""
-        if self.columns == 2:
-            return SETTINGS
-        return {name: SMALLEST if "size" in name else value for name, value in SETTINGS.items()} | {
-            "figure.dpi": 300
-        }
+        return SETTINGS if self.columns == 2 else {**SETTINGS, "font.size": 7.0, "figure.dpi": 300}
 
     def panels(
-        self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0, beside: float = 0.0
+        self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0
     ) -> tuple[Figure, NDArray[Any]]:
         """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
 
-        Axes are equal, and labelled with the unit of length. On one column flat bodies stand one below the
-        other. ``below`` inches stay free under the panels and ``beside`` at their right.
+        Axes are equal, and labelled with the unit of length. On one column panels stand one below the other.
+        ``below`` inches stay free under them.
         """
-        shape = [float(np.ptp(window[1]) / np.ptp(window[0])) for window in windows]
-        stacked = self.columns == 1 and count > 1 and max(shape) < FLAT
-        across = 1 if stacked else count
-        width = (self.width - LABELS - beside) / (1 if stacked else max(across, self.columns))
-        heights = [width * min(ratio, TALLEST) for ratio in shape for _ in range(count if stacked else 1)]
-        whole = self.width if across > 1 or self.columns == 1 else LABELS + beside + width
-        figure = new_figure(whole, sum(heights) + ABOVE * len(heights) + below)
+        across, stacked = (1, count) if self.columns == 1 else (count, 1)
+        width = (self.width - LABELS) / max(across, self.columns)
+        shapes = [float(np.ptp(window[1]) / np.ptp(window[0])) for window in windows]
+        heights = [width * min(shape, TALLEST) for shape in shapes for _ in range(stacked)]
+        figure = new_figure(LABELS + across * width, sum(heights) + ABOVE * len(heights) + below)
         axes: NDArray[Any] = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
@@ -169,12 +146,25 @@ def lay_out(figure: Figure) -> None:
         figure.set_layout_engine("none")
 
 
-def save(figure: Figure, stem: Path, kind: str, settings: Any = SETTINGS) -> Path:
-    """Write the figure in a format and return its path."""
-    path = stem.with_name(f"{stem.name}.{kind}")
+def write(drawn: Iterable[tuple[str, Figure]], manifest: Manifest, page: Page) -> list[Path]:
+    """Write figures by name to the sub-folder ``figures``, each as it is made, and return the files.
+
+    A name that an earlier figure has is numbered. They are noted in the manifest of the folder, and no file
+    is replaced that is not; BadInputError if a file of the user's is in the way.
+    """
+    paths: list[Path] = []
     # of PNG files of such drawings zlib's level 3 makes smaller ones than 6, in less time
-    options: Any = {"pil_kwargs": {"compress_level": 3}} if kind == "png" else {}
-    with rc_context(settings):
-        lay_out(figure)
-        write_whole(path, partial(figure.savefig, format=kind, **options))
-    return path
+    options: Any = {"pil_kwargs": {"compress_level": 3}} if page.kind == "png" else {}
+    with rc_context(page.settings):
+        for name, figure in drawn:
+            stem, number = safe_name(name), 1
+            while stem in {path.stem for path in paths}:
+                number += 1
+                stem = f"{safe_name(name)}-{number}"
+            file = f"figures/{stem}.{page.kind}"
+            manifest.claim(file)
+            lay_out(figure)
+            path = manifest.folder / file
+            write_whole(path, partial(figure.savefig, format=page.kind, **options))
+            paths.append(path)
+    return paths

@@ -111,9 +111,9 @@ def triangulation(nodes: Array, parts: Pieces) -> Triangulation:
     return Triangulation(x, y, parts.triangles.T)
 
 
-def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], thin: float = 1.0, **options: Any) -> None:
+def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], **options: Any) -> None:
     """The edges of a mesh, with thinner lines on finer meshes; those with a node in the middle are bent."""
-    width = thin * float(np.clip(8 / np.sqrt(cells.shape[1]), 0.08, 0.5))
+    width = float(np.clip(8 / np.sqrt(cells.shape[1]), 0.08, 0.5))
     pen = {"color": GRID_LINE, "linewidth": width, "rasterized": is_fine(cells), **options}
     lines = along(edges_of(cells), nodes)
     axis.plot(*np.pad(lines, ((0, 0), (0, 0), (0, 1)), constant_values=np.nan).reshape(2, -1), **pen)

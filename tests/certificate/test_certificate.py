@@ -22,6 +22,7 @@ from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.columns import CERTIFICATES
 from rmesh_nlp.report.figures import block_figures
+from rmesh_nlp.report.style import Page
 from rmesh_nlp.report.tables import markdown
 from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.assess import assess
@@ -159,7 +160,7 @@ def test_tables_and_figures_show_it(folder):
     text = markdown(records)
     assert CERTIFICATES[-1].heading.replace("|", " ") in text
     assert "at most" in text
-    figures = dict(block_figures(blocks(records)[0], results))
+    figures = dict(block_figures(blocks(records)[0], results, Page()))
     (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]
     titles = [axis.get_title() for axis in error.axes]
     assert "given, error at most" in titles[0]

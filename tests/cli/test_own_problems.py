@@ -121,7 +121,7 @@ def test_ctrl_c_while_figures_are_drawn_keeps_the_solution(rmesh, monkeypatch: p
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr("rmesh_nlp.cli.reporting.write_pictures", interrupt)
+        patch.setattr("rmesh_nlp.cli.reporting.pictures", interrupt)
         said = rmesh("solve block.toml --out one")
     assert said.code == 130
     assert "all but the figures is kept in one; rmesh figures one draws them" in said.err

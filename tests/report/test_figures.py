@@ -16,31 +16,37 @@ from matplotlib.text import Text
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import Fields, fields_of, read_vtu
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.drawing import Body, Foundation, foundations, magnification, window
-from rmesh_nlp.report.figures import (
-    block_figures,
-    bracket_figure,
-    convergence_figure,
-    error_figure,
-    grid_figure,
-    stress_figure,
-    write_figures,
+from rmesh_nlp.report.curves import bracket_figure, convergence_figure
+from rmesh_nlp.report.drawing import (
+    Body,
+    Foundation,
+    body_of,
+    contact_figure,
+    displacement_figure,
+    foundations,
+    magnification,
+    window,
 )
+from rmesh_nlp.report.figures import block_figures, error_figure
+from rmesh_nlp.report.figures import figures as figures_of
 from rmesh_nlp.report.histories import Curve
 from rmesh_nlp.report.pictures import pictures
-from rmesh_nlp.report.style import LOOKS, SETTINGS, TWO_COLUMNS, Page, add_legend, new_figure
+from rmesh_nlp.report.style import PENS, SETTINGS, TWO_COLUMNS, Page, add_legend, new_figure, write
 from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.formulations import fixed
 from support.orders import ORDERS
 from support.reporting import joint_61
+
+PAGE = Page()
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +66,7 @@ def figures(results: list[Result]) -> dict[str, Figure]:
     return {
         name: figure
         for block in blocks(records)
-        for name, figure in block_figures(block, [r for r in results if r.record in block.records])
+        for name, figure in block_figures(block, [r for r in results if r.record in block.records], PAGE)
     }
 
 
@@ -71,7 +77,7 @@ def test_every_example_has_its_figures_without_a_solve(results, tmp_path, monkey
 
     monkeypatch.setattr("rmesh_nlp.contact.solver.ContactSolver.solve", refuse)
     monkeypatch.setattr("casadi.nlpsol", refuse)
-    paths = write_figures(results, tmp_path)
+    paths = write(figures_of(results, PAGE), Manifest(tmp_path), PAGE)
     grids = ("nested-grid", "joint-grid", "mpcc-grid")
     stems = {f"6.1-4-{what}" for what in (*grids, "stress", "convergence")}
     stems |= {f"6.1-3-order2-{what}" for what in ("joint-grid", "stress", "convergence")}
@@ -121,19 +127,20 @@ def test_missing_or_broken_solution_file_is_named(tmp_path, content) -> None:
     if content is not None:
         path.write_text(content)
     with pytest.raises(BadInputError, match=r"it\.vtu"):
-        write_figures([Result(joint_61(), path, tmp_path / "it.csv")], tmp_path)
+        list(figures_of([Result(joint_61(), path, tmp_path / "it.csv")], PAGE))
 
 
-def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path) -> None:
     drawn = [(name, new_figure(1, 1)) for name in ("a", "b", "a", "a")]
-    monkeypatch.setattr("rmesh_nlp.report.figures._all_figures", lambda results: iter(drawn))
-    paths = write_figures([], tmp_path, kind="pdf")
+    for _, figure in drawn:
+        figure.subplots()
+    paths = write(drawn, Manifest(tmp_path), Page(kind="pdf"))
     assert [path.name for path in paths] == ["a.pdf", "b.pdf", "a-2.pdf", "a-3.pdf"]
     assert paths[0].read_bytes()[:5] == b"%PDF-"
 
 
 def test_looks_are_told_apart_without_colour() -> None:
-    assert len({(one.linestyle, one.marker) for one in LOOKS}) == len(LOOKS)
+    assert len({(one["linestyle"], one["marker"]) for one in PENS}) == len(PENS)
 
 
 @pytest.mark.parametrize(
@@ -168,6 +175,13 @@ def fields(friction: float, components: int = 2, upright: bool = False) -> Field
     )  # fmt: skip
 
 
+def stress_figure(curves: dict[str, Fields], units: Units = Units()) -> Figure:  # noqa: B008
+    """Contact stresses of fields by name."""
+    figure = contact_figure([body_of(field, name) for name, field in curves.items()], PAGE, units)
+    assert figure is not None
+    return figure
+
+
 def test_contact_stress_is_drawn_along_the_boundary() -> None:
     (axis,) = stress_figure({"given grid": fields(0.0), "joint": fields(0.0)}).axes
     assert [line.get_label() for line in axis.lines] == ["given grid", "joint"]
@@ -195,7 +209,8 @@ def test_with_friction_a_second_panel_has_the_bounds() -> None:
 
 def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
     record = {"relative_error_bound": 0.25, "guaranteed_lower": True}
-    figure = error_figure(fields(0.0), (np.array([0.2]), np.array([0.05])), record)  # of area 0.1
+    bounds = {"error_bound_initial": np.array([0.2]), "error_bound": np.array([0.05])}
+    figure = error_figure(replace(fields(0.0), **bounds), record, PAGE)  # of area 0.1
     before, after = figure.axes[:2]
     assert [axis.collections[0].get_array() for axis in (before, after)] == [
         pytest.approx(2),
@@ -208,13 +223,13 @@ def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
     way = Curve(
         "joint", np.arange(3), np.array([1.0, 2.0, 4.0]), np.array([-1.0, -1.5, -2.0]), np.ones(3, bool)
     )
-    iterations, costs = convergence_figure([way], {"objective": "energy", "energy": -9.0}).axes
+    iterations, costs = convergence_figure([way], {"objective": "energy", "energy": -9.0}, PAGE).axes
     np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
     np.testing.assert_allclose(costs.lines[0].get_xdata(), way.cost)
     assert iterations.get_ylabel() == "|J − J*|"
 
 
-@pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact stress [N/m²]")])
+@pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact pressure [N/m²]")])
 def test_stress_has_its_unit_unless_the_problem_is_scalar(components: int, label: str) -> None:
     (axis,) = stress_figure({"a": fields(0.0, components)}, Units("m", "N")).axes
     assert axis.get_ylabel() == label
@@ -225,11 +240,11 @@ def test_brackets_of_orders_are_over_unknowns() -> None:
         joint_61(nodes=nodes, unknowns=n, order=order, energy_lower_bound=-2.0, energy_upper_bound=-1.0)
         for order, nodes, n in ((1, 25, 12), (1, 81, 56), (2, 25, 56), (2, 9, 12))
     ]
-    (axis,) = bracket_figure(rows).axes
+    (axis,) = bracket_figure(rows, PAGE).axes
     assert axis.get_xlabel() == "unknowns"
     assert [text.get_text() for text in axis.get_legend().get_texts()] == ["joint", "joint, order 2"]
     assert all(line.get_xdata().tolist() == [12, 56] for line in axis.lines)
-    (axis,) = bracket_figure(rows[:2]).axes
+    (axis,) = bracket_figure(rows[:2], PAGE).axes
     assert axis.get_xlabel() == "nodes"
 
 
@@ -255,8 +270,9 @@ def pressed(rise: float, order: int = 1) -> Solution:
 
 def drawings(solution: Solution) -> Sequence[Axes]:
     """Both pictures that show the deformed body."""
-    meshes = next(figure for name, figure in pictures(solution, Page()) if name == "mesh")
-    return [meshes.axes[1], grid_figure({"it": fields_of(solution)}).axes[1]]
+    meshes = next(figure for name, figure in pictures(solution, PAGE) if name == "mesh")
+    grids = displacement_figure([body_of(fields_of(solution), "it")], PAGE, Units(), deformed=True)
+    return [meshes.axes[1], grids.axes[1]]
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -283,11 +299,11 @@ def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
         Foundation("", none[0], none, none, start, way[:, None], False)
         for start, way in zip(starts, ways, strict=True)
     ]
-    return Body(nodes, np.array([[0], [1], [2]]), displacement, tuple(known))
+    return Body("", nodes, np.array([[0], [1], [2]]), displacement, tuple(known))
 
 
-@pytest.mark.parametrize(("below", "is_far"), [(1.9, False), (2.1, True)])
-def test_foundation_farther_than_the_body_is_long_is_not_drawn(below: float, is_far: bool) -> None:
+@pytest.mark.parametrize(("below", "is_far"), [(0.55, False), (0.65, True)])
+def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
     (one,) = foundations(DisplacementSpace.of(problem), problem.mesh.p)
     assert (one.name, one.is_far) == ("bottom", is_far)
@@ -306,17 +322,17 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
 
 
 def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation() -> None:
-    still = body(np.zeros((2, 3)), np.tile([[0.0], [-5.0]], 4))
+    still = body(np.zeros((2, 3)), np.tile([[0.0], [-5.0]], 4))  # said to be near
     np.testing.assert_allclose(window([still]), [[-0.02, 1.02]] * 2)
-    # the foundation is seen up to 0.15 of the extent below the body
-    np.testing.assert_allclose(window([still], 1.0), [[-0.023, 1.023], [-0.173, 1.023]])
+    # the foundation is seen up to 0.3 of the extent below the body
+    np.testing.assert_allclose(window([still], 1.0), [[-0.026, 1.026], [-0.326, 1.026]])
     np.testing.assert_allclose(window([body(np.full((2, 3), 0.1))], 10.0), [[-0.04, 2.04]] * 2)
 
 
 @pytest.mark.parametrize(
     ("columns", "height", "size", "rows"),
     [
-        (1, 0.5, (3.35, 2 * (2.6 * 0.5 + 0.62)), 2),  # flat bodies stand one below the other
+        (1, 0.5, (3.35, 2 * (2.6 * 0.5 + 0.62)), 2),  # one below the other
         (2, 0.5, (7.0, 3.125 * 0.5 + 0.62), 1),
         (2, 9.0, (7.0, 3.125 * 2 + 0.62), 1),  # as tall as twice their width at most
     ],

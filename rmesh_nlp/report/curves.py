@@ -1,0 +1,122 @@
+"""Curves: convergence of solves, bounds of the energy over the mesh, profiles of a study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogFormatter, LogLocator
+
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.io.records import Record
+from rmesh_nlp.problem.units import bracketed, units_of
+from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
+from rmesh_nlp.report.histories import Curve
+from rmesh_nlp.report.study_summary import Chart
+from rmesh_nlp.report.style import MARKERS, Page, add_legend, new_figure, pen_of
+
+FLOOR = 1e-8  # part of the best objective down to which distances are drawn: the solvers' tolerance
+
+
+def convergence_figure(
+    curves: Sequence[Curve], best: Record, page: Page, positions: Mapping[str, int] | None = None
+) -> Figure:
+    """Distance to the best objective over iterations and over cost; on one column over the cost alone.
+
+    Drawn is the value by the problem's own rule. Energies are per unit of depth, so their unit is that of
+    force. ``best`` has the lowest objective, for curves without a feasible end; ``positions`` are those of
+    the names in other figures.
+    """
+    of_energy = best["objective"] == "energy"
+    unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
+    symbol = "J" if of_energy else "F"
+    ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]
+    reference = min(ends, default=float(best["energy" if of_energy else "objective_value"]))
+    figure = new_figure(page.width, 3.1)
+    axes = figure.subplots(1, page.columns, sharey=True, squeeze=False)[0]
+    gaps = [np.abs(one.energy - reference) for one in curves]
+    largest = max(float(np.nanmax(gap)) for gap in gaps) or 1.0
+    # a sum of squares may end at rounding: parts of that would span thirty decades
+    ends_at_zero = abs(reference) < FLOOR * largest
+    floor = FLOOR * (largest if ends_at_zero else abs(reference))
+    for position, (one, gap) in enumerate(zip(curves, gaps, strict=True), 1):
+        look = pen_of(position if positions is None else positions[one.name])
+        for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
+            _draw(axis, where, np.maximum(gap, floor), one, look)
+    least = f"{reference:.6g}".replace("-", "−")
+    drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ "
+    drawn_to += "of the largest" if ends_at_zero else f"|{symbol}*|"
+    if not all(one.feasible.all() for one in curves):
+        drawn_to += "\nopen markers: constraints not yet met"
+    axes[-1].set(xscale="log", xlabel="cost: time of build and solve\nover that of one contact solve")
+    axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}")
+    axes[0].set_xlabel(f"{'iteration' if len(axes) > 1 else 'cost [contact solves]'}\n{drawn_to}")
+    for axis in axes:
+        axis.grid(color="0.9", linewidth=0.5)
+        axis.minorticks_off()
+    _label_in_numbers(axes[-1])
+    add_legend(figure, [axes[0]])
+    return figure
+
+
+def _draw(axis: Axes, where: Array, gap: Array, one: Curve, look: dict[str, Any]) -> None:
+    """A line with some markers, filled where the iterate is feasible."""
+    few = max(1, where.size // MARKERS)
+    marked = sorted({*range(0, where.size, few), where.size - 1})
+    common = {**look, "markersize": 4, "markeredgewidth": 0.8}
+    axis.plot(where, gap, **common, markevery=marked, markerfacecolor="white")
+    feasible = np.where(one.feasible, gap, np.nan)
+    full = {**common, "linestyle": "none", "markerfacecolor": look["color"]}
+    axis.plot(where, feasible, **full, markevery=marked)
+    axis.plot([], [], **{**full, "linestyle": look["linestyle"]}, label=one.name)  # for the legend
+
+
+def _label_in_numbers(axis: Axes) -> None:
+    """Labels 1, 2, 5, 10 where an axis spans few decades: powers of ten would leave it without any."""
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.xaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 1.5)))
+
+
+def profile_figure(chart: Chart, page: Page) -> Figure:
+    """Shares of problems over the chart's quantity, one step function per formulation."""
+    figure = new_figure(page.narrow, 2.9)
+    axis = figure.add_subplot()
+    every = np.concatenate([profile.at for profile in chart.profiles.values()])
+    positive = every[every > 0]
+    # values of zero stand at the left edge of a logarithmic axis
+    low = float(max(positive.min(), 1e-6)) if positive.size else 1.0
+    high = 1.1 * float(max(positive.max(), 2 * low)) if positive.size else 2.0
+    for position, (name, profile) in enumerate(chart.profiles.items(), 1):
+        at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
+        axis.step(at, profile(at), where="post", label=name, **{**pen_of(position), "marker": ""})
+    axis.set(ylim=(-0.02, 1.02), xlabel=chart.axis, ylabel="share of problems", xscale="log")
+    axis.minorticks_off()
+    _label_in_numbers(axis)
+    axis.grid(color="0.9", linewidth=0.5)
+    add_legend(figure, [axis])
+    return figure
+
+
+def bracket_figure(records: Sequence[Record], page: Page) -> Figure:
+    """Lower and upper bounds of the least energy against the size of the mesh, a band per formulation.
+
+    The size is the number of nodes, and of unknowns where not all displacements are linear.
+    """
+    figure = new_figure(page.narrow, 2.8)
+    axis = figure.subplots()
+    size = "nodes" if all(order_of(record) == 1 for record in records) else "unknowns"
+    bands = grouped(records, lambda record: with_order(label(record), record))
+    for position, (name, own) in enumerate(bands.items()):
+        rows = sorted(own, key=lambda record: int(record[size]))
+        nodes = [row[size] for row in rows]
+        low, high = ([row[f"energy_{side}_bound"] for row in rows] for side in ("lower", "upper"))
+        look = {**pen_of(position), "markersize": 4}
+        axis.fill_between(nodes, low, high, color=look["color"], alpha=0.15, linewidth=0)
+        axis.plot(nodes, high, **{**look, "linestyle": "-"}, label=name)
+        axis.plot(nodes, low, **{**look, "linestyle": "--"})
+    axis.set(xscale="log", xlabel=size, ylabel="bounds of the least energy")
+    axis.legend()
+    return figure
