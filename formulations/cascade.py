@@ -17,12 +17,11 @@ corrected.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
-from typing import Any
 
 import numpy as np
 
 from formulations.confirmed import Confirmed
-from formulations.schedule import Regularisation, Schedule
+from formulations.schedule import Schedule, weights_of
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -35,7 +34,6 @@ from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
 
 ON_THE_WAY = 1e-2
 """Part of the error below which a descent at a weight before the final one ends."""
@@ -81,14 +79,6 @@ class Level:
     energy: float
     iterations: int
     contact_solves: int
-
-
-@dataclass(frozen=True)
-class CascadeFigures(Part):
-    """The outer solver, and the levels of a cascade, coarsest first."""
-
-    outer: str
-    cascade: list[dict[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -186,8 +176,11 @@ class Levels(Formulation):
         gain, weight = outcome.outer.gain or 0.0, chosen.regularisation
         remark = f"over meshes of {', '.join(str(level.nodes) for level in levels)} nodes"
         return outcome.having(
-            Regularisation(weight, chosen.distortion, weight * gain, gain),
-            CascadeFigures("newton", [asdict(level) for level in levels]),
+            {
+                **weights_of(weight, chosen.distortion, weight, gain),
+                "outer": "newton",
+                "cascade": [asdict(level) for level in levels],
+            },
             remarks=(remark, *outcome.remarks),
         )
 

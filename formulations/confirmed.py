@@ -14,20 +14,12 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
 
 RULES = (6, 10, 14, 20)
 """Degrees of the quadrature rule that are tried in turn; the last one is that of the assessment."""
 
 AGREEMENT = 0.01
 """Largest error of the gain by the rule, in parts of the assessed gain."""
-
-
-@dataclass(frozen=True)
-class Rules(Part):
-    """The quadrature rules that were used in turn."""
-
-    rules: tuple[str | int, ...]
 
 
 @dataclass(frozen=True)
@@ -56,7 +48,7 @@ class Confirmed(Wrapper):
             with monitor.budget.during("build"):
                 finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=higher))
             outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
-        return outcome.having(Rules(tuple(rules)))
+        return outcome.having({"rules": tuple(rules)})
 
 
 def first_rule(problem: ContactProblem) -> str | int:

@@ -27,14 +27,7 @@ from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part, Work
-
-
-@dataclass(frozen=True)
-class NewtonSteps(Part):
-    """How many Newton steps followed Ipopt."""
-
-    newton_steps: int
+from rmesh_nlp.solving.parts import Work
 
 
 @dataclass(frozen=True)
@@ -105,7 +98,7 @@ class Joint(Formulation):
         if finish.q is end:
             return Outcome(outer, end, status, own=_own(outer, end, program, result))
         status = Status.CONVERGED if finish.is_stationary else status
-        return Outcome(outer, finish.q, status, details=(NewtonSteps(monitor.budget.iterations - before),))
+        return Outcome(outer, finish.q, status, details={"newton_steps": monitor.budget.iterations - before})
 
     def minimised(self, outer: Outer, q: Array, track: Track) -> tuple[Relocation, NLPResult]:
         """The energy NLP, and where Ipopt ends from outer variables ``q`` and the contact solution there."""

@@ -31,7 +31,7 @@ from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part, Work
+from rmesh_nlp.solving.parts import Work
 
 OPTIONS: Mapping[str, Any] = {
     "t0": 1e-2,
@@ -79,29 +79,6 @@ LIMITS = (Status.TIME_LIMIT, Status.ITERATION_LIMIT)
 def build(problem: ContactProblem, objective: str | Objective = "energy") -> MPCC:
     """The symbolic MPCC, see :mod:`rmesh_nlp.models.kkt_model`; in N/m, m and the objective's unit."""
     return bilevel(problem, parse_objective(objective)).mpcc
-
-
-@dataclass(frozen=True)
-class RelaxationName(Part):
-    """The relaxation that was followed."""
-
-    relaxation: str
-
-
-@dataclass(frozen=True)
-class Homotopy(Part):
-    """The homotopy by stages, and what was found at its end: multipliers, residuals, biactive pairs."""
-
-    stages: list[dict[str, Any]]
-    label: str
-    b_stationary: bool | None
-    biactive: int
-    biactive_nodes: list[int]
-    equilibrium_multiplier: float
-    constraint_violation: float
-    complementarity: float
-    nlp_solves: int
-    rescues: int
 
 
 @dataclass(frozen=True)
@@ -164,9 +141,9 @@ class AllAtOnce(Formulation):
         result = solver(x, on_iteration=track.iterate, budget=monitor.budget.share(most))
         monitor.work += Work(kkt_factorisations=track.iterations)
         monitor.budget.check()
-        relaxation = RelaxationName(self.relaxation)
+        relaxation = {"relaxation": self.relaxation}
         if result.status in (*LIMITS, Status.INFEASIBLE):
-            return Outcome(outer, track.best(q), result.status, label="", details=(relaxation,))
+            return Outcome(outer, track.best(q), result.status, label="", details=relaxation)
         end = _equilibrium(outer, program, result)
         if is_energy and not outer.is_near and is_above(end.energy, point.value):
             return self._path(outer.near(), q, monitor)
@@ -176,7 +153,7 @@ class AllAtOnce(Formulation):
             result.status,
             own=end,
             label=result.stationarity,
-            details=(relaxation, _figures(outer, program, result)),
+            details={**relaxation, **_figures(outer, program, result)},
         )
 
 
@@ -220,22 +197,24 @@ def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
 
 
-def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> Homotopy:
-    return Homotopy(
-        stages=[
+def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, Any]:
+    """Entries of the record: the homotopy by stages, and what its end is."""
+    nodes = outer.contact.contact_nodes[program.pair_rows(result.biactive)]
+    return {
+        "stages": [
             {**{name: getattr(stage, name) for name in STAGE}, "status": stage.status.value}
             for stage in result.history
         ],
-        label=result.label,
-        b_stationary=result.b_stationary,
-        biactive=int(result.biactive.size),
-        biactive_nodes=np.unique(outer.contact.contact_nodes[program.pair_rows(result.biactive)]).tolist(),
-        equilibrium_multiplier=float(np.max(np.abs(result.lam_g[: program.n_u]))),
-        constraint_violation=result.constraint_violation,
-        complementarity=result.complementarity,
-        nlp_solves=result.counts["nlp_solves"],
-        rescues=result.counts["rescues"],
-    )
+        "label": result.label,
+        "b_stationary": result.b_stationary,
+        "biactive": int(result.biactive.size),
+        "biactive_nodes": np.unique(nodes).tolist(),
+        "equilibrium_multiplier": float(np.max(np.abs(result.lam_g[: program.n_u]))),
+        "constraint_violation": result.constraint_violation,
+        "complementarity": result.complementarity,
+        "nlp_solves": result.counts["nlp_solves"],
+        "rescues": result.counts["rescues"],
+    }
 
 
 def _equilibrium(outer: Outer, program: Bilevel, result: MPCCResult) -> Equilibrium:

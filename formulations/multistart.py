@@ -13,17 +13,6 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
-
-
-@dataclass(frozen=True)
-class Starts(Part):
-    """Seeds of the starts, None for the mesh as given, with the energies and values at their ends."""
-
-    start_seeds: tuple[int | None, ...]
-    start_energies: tuple[float | None, ...]
-    start_spread: float | None
-    start_values: tuple[float | None, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -53,12 +42,12 @@ class MultiStart(Wrapper):
         values = energies if collapses else [value for _, value in merits]
         finite = [energy for energy in energies if np.isfinite(energy)]
         best = min(zip(map(_known_first, merits), range(len(ends)), strict=True))[1]
-        starts = Starts(
-            start_seeds=tuple(seeds[: len(ends)]),
-            start_energies=_finite(energies),
-            start_spread=max(finite) - min(finite) if finite else None,
-            start_values=None if values is energies else _finite(values),
-        )
+        starts = {
+            "start_seeds": tuple(seeds[: len(ends)]),
+            "start_energies": _finite(energies),
+            "start_spread": max(finite) - min(finite) if finite else None,
+            **({} if values is energies else {"start_values": _finite(values)}),
+        }
         return ends[best][1].having(starts)
 
 

@@ -21,20 +21,12 @@ from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part, Work
+from rmesh_nlp.solving.parts import Work
 
 WINDOW, CREEPING = 10, 1e-2
 """A descent has met a kink if its last so many iterates had several contact sets, and the best of them is
 below those before by less than this part of the decrease so far: of the violation of constraints, and once
 they hold of the objective."""
-
-
-@dataclass(frozen=True)
-class OuterFigures(Part):
-    """The outer solvers that were used, and the contact nodes without strict complementarity."""
-
-    outer: str
-    biactive_nodes: list[int]
 
 
 @dataclass(frozen=True)
@@ -75,7 +67,7 @@ class Nested(NestedSettings, Formulation):
             elif status is Status.INTERRUPTED:
                 status = Status.STALLED
         weak = outer.contact.contact_nodes[outer.function(end).weak]
-        return Outcome(outer, end, status, details=(OuterFigures(method, weak.tolist()),))
+        return Outcome(outer, end, status, details={"outer": method, "biactive_nodes": weak.tolist()})
 
 
 class Creeping:

@@ -16,15 +16,7 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part, Work
-
-
-@dataclass(frozen=True)
-class Remeshing(Part):
-    """Nodes and energies of the meshes that were made in turn, before any node moved."""
-
-    remeshed_nodes: tuple[int, ...]
-    remeshed_energies: tuple[float, ...]
+from rmesh_nlp.solving.parts import Work
 
 
 @dataclass(frozen=True)
@@ -70,4 +62,5 @@ class Remeshed(Wrapper):
         )
         outcome = monitor.run(self.inner, remeshed, remeshed.variables())
         made = f"on a mesh of {start.solved.problem.mesh.p.shape[1]} nodes that Mmg made for the solution"
-        return outcome.having(Remeshing(start.nodes, start.energies), remarks=(made, *outcome.remarks))
+        meshes = {"remeshed_nodes": start.nodes, "remeshed_energies": start.energies}
+        return outcome.having(meshes, remarks=(made, *outcome.remarks))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
@@ -13,17 +14,6 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
-
-
-@dataclass(frozen=True)
-class Regularisation(Part):
-    """Weights relative to the estimated error of the energy, the last one absolutely, and that error."""
-
-    regularisation: float | list[float]
-    distortion: str
-    regularisation_weight: float
-    gain_estimate: float
 
 
 @dataclass(frozen=True)
@@ -65,4 +55,14 @@ class Schedule(Wrapper):
             if monitor.budget.is_over():
                 break
         relative = list(schedule) if len(schedule) > 1 else schedule[0]
-        return outcome.having(Regularisation(relative, self.distortion, schedule[-1] * gain, gain))
+        return outcome.having(weights_of(relative, self.distortion, schedule[-1], gain))
+
+
+def weights_of(relative: float | list[float], distortion: str, last: float, gain: float) -> dict[str, Any]:
+    """Entries of the record: weights relative to the estimated error ``gain``, the last one by itself too."""
+    return {
+        "regularisation": relative,
+        "distortion": distortion,
+        "regularisation_weight": last * gain,
+        "gain_estimate": gain,
+    }

@@ -10,11 +10,10 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.fem.recovery import interpolation_error, recovered
 from rmesh_nlp.models.attainable import LeastErrors
-from rmesh_nlp.solving.parts import Part
 
 
 @dataclass(frozen=True)
-class Attained(Part):
+class Attained:
     """By how much the best mesh of as many triangles as the last one has would lower the error of the energy.
 
     ``share_of_attainable`` is its error over that of the last mesh: 1 if that is the best one.

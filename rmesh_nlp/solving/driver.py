@@ -25,7 +25,7 @@ from rmesh_nlp.solving.exploited import End, back, is_spurious, never_worse, onc
 from rmesh_nlp.solving.formulation import Chooser, Formulation, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
-from rmesh_nlp.solving.parts import Choices, Step
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
@@ -148,7 +148,9 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
         settings=plan.formulation.changed(),
         seed=plan.seed,
         limits=budget.limits,
-        choices=Choices(safe, plan.chooser if why else None, why),
+        safe=safe,
+        chosen_by=plan.chooser if why else None,
+        chosen=why,
         details=end.outcome.details,
         reduced_error=reduced or ReducedError(),
         surviving_gain=surviving,

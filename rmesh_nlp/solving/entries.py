@@ -1,8 +1,8 @@
 """The entries of a record, one declaration of each.
 
 :mod:`rmesh_nlp.io.records` checks what it reads by their types, tables take headings and digits, and
-docs/records.md is made of the meanings. What a formulation adds of its own are the fields of a
-:class:`rmesh_nlp.solving.parts.Part`; their declarations have no value of a Solution.
+docs/records.md is made of the meanings. What a formulation adds of its own are the ``details`` of its
+outcome; their declarations have no value of a Solution.
 """
 
 from __future__ import annotations
@@ -78,6 +78,10 @@ def _error_reduction(solution: Solution) -> object:
     return solution.error_reduction and solution.error_reduction.record()
 
 
+def _attained(solution: Solution) -> dict[str, float]:
+    return vars(solution.reduced_error.attained) if solution.reduced_error.attained else {}
+
+
 def _exploits(solution: Solution) -> str | None:
     return solution.assessment.costliest if solution.assessment.is_exploited else None
 
@@ -137,9 +141,10 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               SOLVED),
         Entry("limits", dict[str, Any], "Of time and iterations.", lambda s: s.limits.changed() or None),
         Entry("tolerance", Number, "Of the first-order residual.", lambda s: s.assessment.tolerance, SOLVED),
-        Entry("chosen_by", Text, "`auto`, where it chose the formulation."),
-        Entry("chosen", Text, "Why it chose that."),
-        Entry("safe", Text, "What followed an exploited end, see [the assessment](assessment.md)."),
+        Entry("chosen_by", Text, "`auto`, where it chose the formulation.", lambda s: s.chosen_by),
+        Entry("chosen", Text, "Why it chose that.", lambda s: s.chosen),
+        Entry("safe", Text, "What followed an exploited end, see [the assessment](assessment.md).",
+              lambda s: s.safe),
         Entry("versions", Any, "Of Python and of the packages that decide the figures.", lambda s: versions(),
               EVERY),
     ),
@@ -185,8 +190,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "their ratio, what they rest on (`source`: `exact`, `refinement` or `certified`), and the "
               "contact solves that the relocation took.", _error_reduction),
         Entry("attainable_factor", Number, "By how much less the error of the best mesh of as many triangles "
-              "is than that of the given mesh, estimated."),
-        Entry("share_of_attainable", Number, "That least error over the one of the final mesh."),
+              "is than that of the given mesh, estimated.", lambda s: _attained(s).get("attainable_factor")),
+        Entry("share_of_attainable", Number, "That least error over the one of the final mesh.",
+              lambda s: _attained(s).get("share_of_attainable")),
         Entry("I1", Number, "Error of the energy, a term of Theorem 4.1, where the exact solution is known.",
               unit="energy", heading="I1", digits=".6f", tex="$I_1$"),
         Entry("I2", Number, "The same of the contact.", unit="energy", heading="I2", digits=".2e",
@@ -244,10 +250,12 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               heading="iterations"),
         Entry("contact_solves", Count, "Of the formulation.", lambda s: s.contact_solves, EVERY,
               is_measured=True, heading="contact|solves"),
-        Entry("cold_contact_solves", Count, "Those without an active set to start from."),
-        Entry("contact_factorisations", Count, "Of the stiffness."),
+        Entry("cold_contact_solves", Count, "Those without an active set to start from.",
+              lambda s: s.work.cold_contact_solves or None),
+        Entry("contact_factorisations", Count, "Of the stiffness.",
+              lambda s: s.work.contact_factorisations or None),
         Entry("kkt_factorisations", Count, "Of KKT matrices; Ipopt's iterations, each of which takes one at "
-              "least.", heading="KKT|factorisations"),
+              "least.", lambda s: s.work.kkt_factorisations or None, heading="KKT|factorisations"),
         _seconds("wall_time_s", "Build, solve and audit.", lambda s: s.wall_time_s, presence=EVERY,
                  is_measured=True, heading="time|[s]", digits=of_seconds),
         _seconds("build_time_s", "Making models and derivatives.", lambda s: s.build_time_s),
@@ -278,8 +286,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("b_stationary", bool | None, "Whether no branch of the contact descends; null: not decided."),
         Entry("biactive", Count, "Pairs whose members both vanish."),
         Entry("biactive_nodes", list[Any] | None, "The nodes that they belong to."),
-        Entry("descent_rate", Number, "Steepest descent over the branches, relative to the gradient on the "
-              "given mesh: 0 if there is none."),
+        Entry("descent_rate", Number, "Steepest descent over the branches, relative to the largest component "
+              "of the gradient on the given mesh: 0 if there is none."),
     ),
     "Certificate": (
         Entry("energy_lower_bound", Number, "Of the least energy, see [the certificate](certificate.md).",

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,6 @@ from rmesh_nlp.models.residual import Multipliers, multipliers
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Label
 
 MET = (Status.CONVERGED, Status.ACCEPTABLE, Status.NOT_STATIONARY)
 """Ends of a solver that met a test of its own."""
@@ -35,15 +36,16 @@ class FirstOrder:
         To the tolerance of the solve, over the branches of the contact where there are several.
     multipliers : Multipliers or None
         Of move limits, areas and angles; where they are large, position or connectivity is the limit.
-    label : Label, optional
-        Stationarity where contact is about to change, for other objectives than the energy.
+    label : mapping of str to object
+        Entries of the record about stationarity where contact is about to change, for other objectives than
+        the energy, whatever formulation ended there.
     """
 
     residual: float = float("nan")
     stationarity: str = ""
     is_stationary: bool = False
     multipliers: Multipliers | None = field(default=None, repr=False)
-    label: Label | None = None
+    label: Mapping[str, Any] = field(default_factory=dict)
 
 
 def first_order(
@@ -65,15 +67,17 @@ def first_order(
     holds = residual <= outer.tolerance
     if relocates and isinstance(outer.function, ReducedObjective):
         stationarity, label = _over_branches(outer, point, holds, said in MET)
-        return FirstOrder(residual, stationarity, bool(label.b_stationary), pulls, label)
+        return FirstOrder(residual, stationarity, bool(label["b_stationary"]), pulls, label)
     proved = proposed in PROVED and bool(np.any(point.weak))
     if proposed is None:
         proposed = "KKT" if holds else ""
     return FirstOrder(residual, proposed, holds or proved or not relocates, pulls)
 
 
-def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Label]:
-    """Stationarity label over the branches of the contact; the energy is smooth across them.
+def _over_branches(
+    outer: Outer, point: ReducedPoint, holds: bool, claimed: bool
+) -> tuple[str, dict[str, Any]]:
+    """Stationarity label over the branches of the contact, with entries; the energy is smooth across them.
 
     Where no pair is biactive a small first-order residual is the proof. A large one is none against it if the
     solver ``claimed`` to have met its test: its multipliers are fitted without a look at the signs of those
@@ -81,8 +85,15 @@ def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool
     """
     if not np.any(point.weak) and (holds or not claimed):
         label = "S" if holds else ""
-        return label, Label(in_words(label, holds, 0), holds, 0, [])
+        words = in_words(label, holds, 0)
+        return label, {"label": words, "b_stationary": holds, "biactive": 0, "biactive_nodes": []}
     branch = outer.branches(point)
     words = in_words(branch.label, branch.b_stationary, branch.pairs.size)
     nodes = np.unique(outer.contact.contact_nodes[outer.kkt.pair_rows(branch.pairs)]).tolist()
-    return branch.label, Label(words, branch.b_stationary, int(branch.pairs.size), nodes, branch.rate)
+    return branch.label, {
+        "label": words,
+        "b_stationary": branch.b_stationary,
+        "biactive": int(branch.pairs.size),
+        "biactive_nodes": nodes,
+        "descent_rate": branch.rate,
+    }

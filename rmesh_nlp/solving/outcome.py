@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
-
-P = TypeVar("P", bound=Part)
 
 
 @dataclass(frozen=True)
@@ -32,8 +30,8 @@ class Outcome:
         that met its own test is believed only if these hold as well.
     label : str, optional
         Stationarity of an MPCC; by default "KKT" where the measured residual allows.
-    details : tuple of Part
-        Typed entries of the record.
+    details : mapping of str to object
+        Entries of the record by their names, declared in :mod:`rmesh_nlp.solving.entries`.
     remarks : tuple of str
         For people: what else there is to say of a choice of settings.
     """
@@ -43,22 +41,17 @@ class Outcome:
     status: Status
     own: Equilibrium | None = None
     label: str | None = None
-    details: tuple[Part, ...] = ()
+    details: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
-    def having(self, *parts: Part, **changes: Any) -> Outcome:
-        """The same with further entries, each in the place of one of its type."""
-        kept = {type(part): part for part in (*self.details, *parts)}
-        return replace(self, details=tuple(kept.values()), **changes)
+    def having(self, details: Mapping[str, Any], **changes: Any) -> Outcome:
+        """The same with further entries."""
+        return replace(self, details={**self.details, **details}, **changes)
 
     def after(self, before: Outcome) -> Outcome:
-        """The same with the entries of what ran before, where it has none of their type."""
+        """The same with the entries and remarks of what ran before."""
         remarks = tuple(dict.fromkeys((*before.remarks, *self.remarks)))
-        return replace(self, details=before.having(*self.details).details, remarks=remarks)
-
-    def part(self, kind: type[P]) -> P | None:
-        """The entries of a type; None if there are none."""
-        return next((part for part in self.details if isinstance(part, kind)), None)
+        return replace(self, details={**before.details, **self.details}, remarks=remarks)
 
 
 def continuous_energy(outcome: Outcome) -> float:

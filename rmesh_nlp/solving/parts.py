@@ -1,9 +1,9 @@
-"""The typed parts of a solution: entries of its record, steps of its history, bounds of its error."""
+"""The parts of a solution: what was counted, steps of its history, bounds of its error."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,25 +14,7 @@ from rmesh_nlp.evaluation import Array
 
 
 @dataclass(frozen=True)
-class Part:
-    """Entries of a record, by the names of the fields.
-
-    A field whose default is None is written where it is known only, all others always.
-    """
-
-    def record(self) -> dict[str, Any]:
-        """The entries."""
-        values = ((one, getattr(self, one.name)) for one in fields(self))
-        return {one.name: value for one, value in values if value is not None or one.default is not None}
-
-
-def entries(*parts: Part | None) -> dict[str, Any]:
-    """The entries of several parts, of the last one where two have the same."""
-    return {name: value for part in parts if part is not None for name, value in part.record().items()}
-
-
-@dataclass(frozen=True)
-class Work(Part):
+class Work:
     """What is counted of a solve.
 
     Attributes
@@ -52,36 +34,6 @@ class Work(Part):
 
     def __add__(self, other: Work) -> Work:
         return Work(*(a + b for a, b in zip(vars(self).values(), vars(other).values(), strict=True)))
-
-    def record(self) -> dict[str, int]:
-        """What was counted at all, without the contact solves, which every record has."""
-        return {name: count for name, count in vars(self).items() if name != "contact_solves" and count}
-
-
-@dataclass(frozen=True)
-class Label(Part):
-    """Stationarity of an end for another objective than the energy, whatever formulation ended there.
-
-    Attributes
-    ----------
-    label : str
-        In words.
-    b_stationary : bool or None
-        Whether no branch of the contact descends; None: not decided.
-    biactive : int
-        Complementarity pairs whose members are both zero.
-    biactive_nodes : list of int
-        The nodes they belong to.
-    descent_rate : float, optional
-        Steepest descent over the branches where there are biactive pairs, relative to the largest component
-        of the gradient on the mesh as given: 0 at a B-stationary end, negative elsewhere.
-    """
-
-    label: str
-    b_stationary: bool | None
-    biactive: int
-    biactive_nodes: list[int]
-    descent_rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -105,23 +57,6 @@ class Constrained:
     def in_words(self) -> str:
         """For people."""
         return f"{figure(self.value)}, {bounds_in_words(self.lower, self.upper)}"
-
-
-@dataclass(frozen=True)
-class Choices(Part):
-    """What was decided in the place of the caller.
-
-    Attributes
-    ----------
-    safe : str, optional
-        What followed an exploited end.
-    chosen_by, chosen : str, optional
-        Who chose the formulation, and why.
-    """
-
-    safe: str | None = None
-    chosen_by: str | None = None
-    chosen: str | None = None
 
 
 DESIGN = "design."

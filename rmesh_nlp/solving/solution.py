@@ -18,16 +18,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.entries import written
-from rmesh_nlp.solving.parts import (
-    Certificate,
-    Choices,
-    Constrained,
-    Part,
-    Step,
-    Work,
-    entries,
-    plain,
-)
+from rmesh_nlp.solving.parts import Certificate, Constrained, Step, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError, SurvivingGain
 from rmesh_nlp.solving.summary import summary
 
@@ -57,8 +48,11 @@ class Solution(Shown):
         Settings that differ from the defaults of the formulation.
     seed : int or None
     limits : Limits
-    choices : Choices
-    details : tuple of Part
+    safe : str, optional
+        What followed an exploited end.
+    chosen_by, chosen : str, optional
+        Who chose the formulation, and why.
+    details : mapping of str to object
         What the formulation adds to the record.
     reduced_error : ReducedError
         By how much the error of the energy fell, where ``auto`` chose.
@@ -85,8 +79,10 @@ class Solution(Shown):
     settings: dict[str, Any] = field(default_factory=dict)
     seed: int | None = None
     limits: Limits = Limits()  # noqa: RUF009 frozen
-    choices: Choices = Choices()  # noqa: RUF009 frozen
-    details: tuple[Part, ...] = ()
+    safe: str | None = None
+    chosen_by: str | None = None
+    chosen: str | None = None
+    details: Mapping[str, Any] = field(default_factory=dict)
     reduced_error: ReducedError = ReducedError()  # noqa: RUF009 frozen
     surviving_gain: SurvivingGain | None = None
     certificate: Certificate | None = field(default=None, repr=False)
@@ -267,8 +263,7 @@ class Solution(Shown):
 
     def record(self) -> dict[str, Any]:
         """The entries of :mod:`rmesh_nlp.solving.entries` as plain JSON values. NaN becomes None."""
-        parts = (*self.details, self.reduced_error.attained, self.assessment.first_order.label)
-        row = written(self) | entries(*parts, self.choices, self.work)
+        row = {**written(self), **self.details, **self.assessment.first_order.label}
         return {name: plain(value) for name, value in row.items()}
 
     def plot(self, what: str = "mesh", axes: Axes | None = None, **style: Any) -> Axes:

@@ -22,7 +22,7 @@ def summary(solution: Any) -> Rows:
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
-        *([] if solution.choices.chosen is None else [("chosen", solution.choices.chosen)]),
+        *([] if solution.chosen is None else [("chosen", solution.chosen)]),
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),

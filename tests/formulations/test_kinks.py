@@ -107,7 +107,7 @@ def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_cl
     monkeypatch.setattr(OuterResidual, "__call__", lambda *_: 1.0)
     for claim in (Status.CONVERGED, Status.STALLED):
         found = ended(outer, q, claim)
-        assert (found.status, found.first_order.label.b_stationary) == (claim, claim is Status.CONVERGED)
+        assert (found.status, found.first_order.label["b_stationary"]) == (claim, claim is Status.CONVERGED)
     given = ended(outer, np.zeros(outer.n))  # what is claimed is looked at
     assert (given.status, given.first_order.stationarity) == (Status.NOT_STATIONARY, "none")
 

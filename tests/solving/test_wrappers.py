@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formulations.multistart import MultiStart, Starts
+from formulations.multistart import MultiStart
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
@@ -26,8 +26,7 @@ from rmesh_nlp.solving.driver import solve
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import entries
-from support.endings import Ends, Own
+from support.endings import Ends
 from support.solved import solve_once
 
 
@@ -58,7 +57,7 @@ class Script:
         end = -self.parts.pop(0) * slope / np.max(np.abs(slope))
         if self.tracks:
             monitor.track(outer).exact(len(self.begun), end)
-        self.ends.append(Outcome(outer, end, Status.CONVERGED, details=(Own(len(self.ends)),)))
+        self.ends.append(Outcome(outer, end, Status.CONVERGED, details={"own": len(self.ends)}))
         return self.ends[-1]
 
 
@@ -79,7 +78,7 @@ class TestMultiStart:
             np.testing.assert_array_equal(begun, outer.variables(seed=seed))
         energies = [continuous_energy(end) for end in script.ends]
         assert np.isnan(energies[1])
-        assert entries(*found.details) == {
+        assert found.details == {
             "own": 2,
             "start_seeds": (None, 1, 2, 3),
             "start_energies": tuple(None if np.isnan(energy) else energy for energy in energies),
@@ -89,7 +88,7 @@ class TestMultiStart:
     def test_of_another_objective_the_best_has_its_least_value(self, problem: ContactProblem) -> None:
         script, found, outer = self.made(problem, "body(-u)")
         values = [outer.function(end.q).value for end in script.ends if outer.is_valid(end.q)]
-        assert found.part(Starts).start_values == (values[0], None, *values[1:])
+        assert found.details["start_values"] == (values[0], None, *values[1:])
         assert outer.function(found.q).value == min(values)
         script, found, outer = self.made(problem, "body(u)")  # a descent of the energy raises this one
         np.testing.assert_array_equal(found.q, script.ends[0].q)
@@ -97,7 +96,8 @@ class TestMultiStart:
     def test_without_a_valid_end_it_is_the_first(self, problem: ContactProblem) -> None:
         script, found, _ = self.made(problem, parts=(50.0, 60.0))
         np.testing.assert_array_equal(found.q, script.ends[0].q)
-        assert found.part(Starts) == Starts((None, 1), (None, None), None)
+        starts = {"start_seeds": (None, 1), "start_energies": (None, None), "start_spread": None}
+        assert found.details == {"own": 0, **starts}
 
     def test_an_interrupted_start_is_the_last_and_is_said(self, problem: ContactProblem) -> None:
         script = Script(0.3, 0.1, 0.1, stop=2)

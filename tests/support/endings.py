@@ -15,14 +15,6 @@ from rmesh_nlp.solving.formulation import Choice, Chooser, Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Part
-
-
-@dataclass(frozen=True)
-class Own(Part):
-    """An entry of a record that a test's formulation adds."""
-
-    own: int
 
 
 @dataclass(frozen=True)
