@@ -56,7 +56,7 @@ def solve(
         stated = read_table(name)
         plan, series = _of_file(stated, formulation, given, says)
     else:
-        (plan,) = comparison.plan_comparison([name], [formulation or "joint"], **given)
+        (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
     more = (SERIES, FIGURES) if columns else (SERIES,)
     with writable(folder, SINGLE if stated is None else (*FILES, *more)) as results:

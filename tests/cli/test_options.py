@@ -44,13 +44,13 @@ def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[Plan
         "6.2 -f nested --starts 2",
     ):
         assert rmesh(f"solve {typed}").code == 130
-    mpcc, joint, nested = plans
+    mpcc, auto, nested = plans
     assert (mpcc.formulation, mpcc.options, mpcc.certify) == ("mpcc", MEANT, True)
     assert mpcc.identity["delta"] == [0.02, 0.01]
     assert mpcc.identity["quadrature"] == 5
-    assert (joint.formulation, joint.size, joint.certify) == ("joint", "4x2", False)
-    assert joint.identity["delta"] is None
-    assert joint.options == {"regularisation": "1,0.1", "remesh": 40}
+    assert (auto.formulation, auto.size, auto.certify) == ("auto", "4x2", False)
+    assert auto.identity["delta"] is None
+    assert auto.options == {"regularisation": "1,0.1", "remesh": 40}
     assert nested.options == {"starts": 2}
 
 
