@@ -12,8 +12,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.tables import frame, markdown
-from rmesh_nlp.solving.formulation import NEEDLESS, Chooser, Formulation, Wrapper
-from rmesh_nlp.solving.formulation import options as of_formulation
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, check_taken, taken
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.plan import planned
@@ -115,14 +114,11 @@ def compare(
     names = [one if isinstance(one, str) else described(one) for one in formulations]
     if len(set(names)) < len(names):
         raise BadInputError(f"a formulation is named twice in {names}")
-    taken = [of_formulation(one) for one in formulations]
-    for option in options:
-        if option not in NEEDLESS and not any(option in known for known in taken):
-            raise BadInputError(f"{option}: not an option of {', '.join(names)}")
+    check_taken(options, formulations)
     solutions, records = {}, []
-    for one, name, known in zip(formulations, names, taken, strict=True):
-        chosen, is_object = {key: options[key] for key in options if key in known}, not isinstance(one, str)
-        done = perform(planned(problem, name, chosen, made=one if is_object else None))
+    for one, name in zip(formulations, names, strict=True):
+        is_object = not isinstance(one, str)
+        done = perform(planned(problem, name, taken(one, options), made=one if is_object else None))
         records.append({**done.row, "variant": name} if is_object else done.row)
         if done.solution is not None:
             solutions[name] = done.solution

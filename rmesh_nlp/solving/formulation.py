@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -170,6 +170,21 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
     if getattr(kind, "relocates", True):
         names |= {*KEYWORDS, *(available(WRAPPERS) if is_named else ())}
     return names
+
+
+def taken(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Those of some options that a formulation takes."""
+    known = options(formulation)
+    return {name: value for name, value in given.items() if name in known}
+
+
+def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulation | Chooser]) -> None:
+    """Raise a BadInputError for an option that none of several formulations takes."""
+    known = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
+    for name, value in given.items():
+        if name not in known:
+            names = [one if isinstance(one, str) else one.name for one in formulations]
+            raise BadInputError(f"{name} = {value!r}: not an option of {', '.join(names)}")
 
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:

@@ -20,10 +20,10 @@ from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import from_texts
-from rmesh_nlp.solving.formulation import NEEDLESS, checked
-from rmesh_nlp.solving.formulation import options as options_of
+from rmesh_nlp.solving.formulation import check_taken, checked, taken
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import (
@@ -31,7 +31,6 @@ from rmesh_nlp.study.plan import (
     PlannedSolve,
     build_example,
     planned,
-    taken_of,
 )
 from rmesh_nlp.study.runner import INTERRUPTED, perform
 
@@ -74,7 +73,7 @@ def plan_comparison(
     ]
     for name in (name for name in examples if not name.endswith(SUFFIX)):
         problems.append(({"kind": "example", "example": name, **given}, build_example(name, **given), {}))
-    errors = [text for text in _listed(options.get("objective", [])) if parse_objective(text).needs_exact]
+    errors = [text for text in as_tuple(options.get("objective", ())) if parse_objective(text).needs_exact]
     if errors and own:
         raise BadInputError(
             f"--objective {errors[0]}: needs an exact or reference solution, and {own[0][0].name!r} has none"
@@ -82,20 +81,17 @@ def plan_comparison(
     if errors:
         problems = [(stated, with_reference(problem), {}) for stated, problem, _ in problems]
     chosen = [formulation_options(text) for text in formulations]
-    for option in options:
-        if option not in NEEDLESS and not any(option in options_of(name) for name, _ in chosen):
-            said = f"--{option}" if options[option] is True else f"--{option} {options[option]}"
-            raise BadInputError(f"{said}: not an option of {', '.join(formulations)}")
-    several = {name: _listed(options[name]) for name in ("objective", "seed") if name in options}
+    check_taken(options, [name for name, _ in chosen])
+    several = {name: as_tuple(options[name]) for name in ("objective", "seed") if name in options}
     commons = [
         {**options, **dict(zip(several, values, strict=True))} for values in product(*several.values())
     ]
     solves = []
     for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
-        taken = checked(name, {**taken_of(name, {**default, **common}), **own_options})
-        limit = taken.get("limits", {}).get("seconds", UNLIMITED["time_s"])
+        asked = checked(name, {**taken(name, {**default, **common}), **own_options})
+        limit = asked.get("limits", {}).get("seconds", UNLIMITED["time_s"])
         about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
-        solves.append(planned(problem, name, taken, **about))
+        solves.append(planned(problem, name, asked, **about))
     if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
         solves = list({solve.key: solve for solve in solves}.values())
     finer = (fine for problem, _ in own for fine in _refinements(problem))
@@ -113,11 +109,6 @@ def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
     """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:iterations=20:seed=3``."""
     name, *parts = text.split(":")
     return name, checked(name, from_texts(parts, f"{text!r}: an option "))
-
-
-def _listed(value: Any) -> list[Any]:
-    """Several values as a list, one as a list of one."""
-    return list(value) if isinstance(value, (list, tuple)) else [value]
 
 
 def _file_problems(names: Sequence[str], order: int | None) -> list[tuple[ContactProblem, str]]:

@@ -23,7 +23,7 @@ from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, options
+from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, taken
 from rmesh_nlp.study.study_file import StudyTable
 
 UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}  # limits of a solve for which none is asked
@@ -147,18 +147,11 @@ def build_example(example: str, quadrature: str | int | None = None, **given: An
     """An example by name with ``n``, ``delta`` and ``order``, lists for pairs; by default the paper's."""
     if example not in EXAMPLES:
         raise unknown("example", example, EXAMPLES)
-    given = {key: tuple(value) if isinstance(value, list) else value for key, value in given.items()}
     try:
         problem = EXAMPLES[example](**given)
         return problem if quadrature is None else replace(problem, quadrature=quadrature)
     except (ValueError, MemoryError) as error:
         raise BadInputError(str(error)) from error
-
-
-def taken_of(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
-    """Those of some options that a formulation takes."""
-    accepted = options(formulation)
-    return {name: value for name, value in given.items() if name in accepted}
 
 
 def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
@@ -202,7 +195,7 @@ def _variants(
             common |= {} if objective == "energy" else {"objective": objective}
             common |= {} if seed == "given" else {"seed": seed}
             with located(f"{path}: formulations.{variant}"):
-                options = checked(formulation, {**taken_of(formulation, common), **table.keywords})
+                options = checked(formulation, {**taken(formulation, common), **table.keywords})
             yield variant, formulation, options
 
 

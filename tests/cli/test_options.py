@@ -136,7 +136,7 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve 6.1 --objective energie", "energie"),
         ("solve 6.1 --objective error-l2", "error-l2"),
         ("solve 6.1 -f mpcc --relaxation scholtse", "did you mean scholtes"),
-        ("solve 6.1 --relaxation scholtes", "--relaxation scholtes"),
+        ("solve 6.1 --relaxation scholtes", "relaxation = 'scholtes'"),
         ("solve 6.1 --regularisation 1,0,0.1", "'1,0,0.1'"),
         ("solve 6.1 --regularisation much", "'much'"),
         ("solve my.toml --n 4x2", "--n 4x2 is for the examples"),
