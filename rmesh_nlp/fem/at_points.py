@@ -30,8 +30,7 @@ class PointValues:
         Barycentric coordinates of the points.
     weights : (sums, points) array, optional
         An element function takes sums of values with these weights; by default the values themselves.
-    place : int
-        Which argument of the element function X is. The values are the last one, point by point.
+        X is its first argument, the values are the last one, point by point.
     kept : list
         What was evaluated last: a solver asks for several derivatives on one mesh.
     """
@@ -39,7 +38,6 @@ class PointValues:
     function: ca.Function
     shares: Array
     weights: Array | None = None
-    place: int = 0
     kept: list[tuple[Array, list[Array]]] = field(default_factory=list, repr=False)
 
     @classmethod
@@ -63,7 +61,7 @@ class PointValues:
     @cached_property
     def _key(self) -> tuple[object, ...]:
         weights = None if self.weights is None else self.weights.tobytes()
-        return self.function.serialize(), self.shares.tobytes(), weights, self.place
+        return self.function.serialize(), self.shares.tobytes(), weights
 
     @property
     def length(self) -> int:
@@ -91,7 +89,7 @@ class PointValues:
 
     def values(self, columns: list[Expression]) -> Expression:
         """The argument of an element function, from its other ones."""
-        points = ca.horzsplit(ca.reshape(columns[self.place], 2, -1) @ ca.DM(self.shares))
+        points = ca.horzsplit(ca.reshape(columns[0], 2, -1) @ ca.DM(self.shares))
         # by the function itself, which may have free symbols
         values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in points))
         return ca.vec(values if self.weights is None else values @ ca.DM(self.weights.T))

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import bound_terms, given_gap_terms, gradient_group, in_units
+from rmesh_nlp.fem.contact_terms import bound_terms, given_gap_terms, gradient_group
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional, as_row
 from rmesh_nlp.fem.objective import Fields
@@ -126,7 +126,7 @@ def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, 
     problem = fields.problem
     terms = given_gap_terms(fields.space) if problem.design else []
     unit = float(np.max(np.ptp(problem.mesh.p, axis=1)))
-    groups = [in_units(term.on(fields.positions, fields.displacement), unit) for term in terms]
+    groups = [term.on(fields.positions, fields.displacement).in_units(unit) for term in terms]
     gaps = [problem.given_gaps(part)[1] for part in problem.contact_sets] if problem.design else []
     return [group.shifted(first) for group in groups], np.concatenate([np.zeros(0), *gaps]), unit
 

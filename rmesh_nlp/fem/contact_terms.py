@@ -195,13 +195,6 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
     )
 
 
-def in_units(group: ElementGroup, unit: float) -> ElementGroup:
-    """The same rows divided by ``unit``."""
-    symbols = local_symbols(group.function)
-    f, g = group.function(*symbols)
-    return replace(group, function=ca.Function(group.function.name(), symbols, [f, g / unit]))
-
-
 def contact_force_groups(
     space: DisplacementSpace,
     rows: Index,

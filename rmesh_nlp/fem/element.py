@@ -80,9 +80,8 @@ class Differentiated:
         if at_points is None:
             return
         self._columns, self._chain = symbols[:-1], at_points.chain(self._kind)
-        if at_points.place in variable:
-            first = sum(symbols[i].shape[0] for i in variable[: variable.index(at_points.place)])
-            X = slice(first, first + symbols[at_points.place].shape[0])  # places of X in x
+        if 0 in variable:
+            X = slice(0, symbols[0].shape[0])  # places of X in x
             slope = self._kind(self._values.shape[0], self._x.shape[0])
             slope[:, X] = self._chain.slope
             self._moving = self._chain, X, slope

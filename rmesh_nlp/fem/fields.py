@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.element import local_symbols, with_design
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -212,6 +212,16 @@ class ElementGroup:
     def shifted(self, first_row: int) -> ElementGroup:
         """The same group, its rows numbered from ``first_row`` instead of from zero."""
         return replace(self, rows=np.where(self.rows == CONSTANT, CONSTANT, self.rows + first_row))
+
+    def through(self, change: Callable[[Expression, Expression], list[Expression]]) -> ElementGroup:
+        """The same elements with the results ``change(f, g)``."""
+        symbols = local_symbols(self.function)
+        results = change(*self.function(*symbols))
+        return replace(self, function=ca.Function(self.function.name(), symbols, results))
+
+    def in_units(self, unit: float) -> ElementGroup:
+        """The same group, its rows divided by ``unit``."""
+        return self.through(lambda f, g: [f, g / unit])
 
     def some(self, chosen: Index) -> ElementGroup:
         """The same group of some of its elements."""

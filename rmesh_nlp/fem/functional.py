@@ -96,10 +96,8 @@ def _total(groups: Sequence[ElementGroup]) -> Callable[[Array], float]:
 
 def as_row(group: ElementGroup, row: int) -> ElementGroup:
     """The group's objective as a constraint row."""
-    symbols = local_symbols(group.function)
-    value = ca.densify(group.function(*symbols)[0])
-    function = ca.Function(group.function.name(), symbols, [0, value])
-    return replace(group, function=function, rows=np.full((1, group.size), row))
+    as_rows = group.through(lambda f, _: [0, ca.densify(f)])
+    return replace(as_rows, rows=np.full((1, group.size), row))
 
 
 def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
@@ -107,12 +105,10 @@ def scaled_group(group: ElementGroup, weight: float) -> ElementGroup:
     if weight == 1.0:
         return group
     symbols = local_symbols(group.function)
+    columns, values = symbols[: len(group.arguments)], symbols[len(group.arguments) :]
     f, g = group.function(*symbols)
-    if group.at_points is not None:
-        function = ca.Function(group.function.name(), symbols, [weight * f, g])
-        return replace(group, function=function)
     # the weight is data of the elements: derivatives of the function serve every weight
     factor = type(symbols[0]).sym("weight")
-    function = ca.Function(group.function.name(), [*symbols, factor], [factor * f, g])
+    function = ca.Function(group.function.name(), [*columns, factor, *values], [factor * f, g])
     arguments = (*group.arguments, constant_field(np.full((1, group.size), weight)))
     return replace(group, function=function, arguments=arguments)

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Expression
-from rmesh_nlp.fem.element import Local, differentiated
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.element import Local, differentiated, local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, Field
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.sums import Entries, Shape, Sums
@@ -119,8 +118,7 @@ class _Part:
     def __call__(self, inputs: Inputs) -> list[Array]:
         columns = [gather(inputs) for gather in self._gathers]
         if self._at_points is not None:
-            X = columns[self._at_points.place]
-            columns[self._n : self._n] = self._at_points.evaluated(X, self._order)
+            columns[self._n : self._n] = self._at_points.evaluated(columns[0], self._order)
         return self._columns(columns)
 
 
@@ -165,22 +163,21 @@ def _alike(first: ElementGroup, second: ElementGroup) -> bool:
 
 def _joined(group: ElementGroup, other: ElementGroup) -> ElementGroup:
     """The group of the sum of two objectives, with the rows of both."""
+    if other.at_points is not None:  # the first argument is X, the last one has the values
+        group, other = other, group
     arguments, places = list(group.arguments), []
     for argument in other.arguments:
         place = next((k for k, own in enumerate(group.arguments) if _equal(own, argument)), len(arguments))
         arguments += [argument] if place == len(arguments) else []
         places.append(place)
-    kind = ca.SX if group.function.is_a("SXFunction") else ca.MX
-    columns = [kind.sym(f"a{i}", argument.shape[0]) for i, argument in enumerate(arguments)]
-    at_points = group.at_points or other.at_points
-    values: list[Expression] = [] if at_points is None else [kind.sym("values", at_points.size)]
-    first = group.function(*columns[: len(group.arguments)], *(values if group.at_points else ()))
-    second = other.function(*(columns[k] for k in places), *(values if other.at_points else ()))
+    own, n = local_symbols(group.function), len(group.arguments)
+    added = [type(own[0]).sym(f"b{i}", argument.shape[0]) for i, argument in enumerate(arguments[n:])]
+    columns, values = [*own[:n], *added], own[n:]
+    first, second = group.function(*own), other.function(*(columns[k] for k in places))
     results = [first[0] + second[0], ca.vertcat(first[1], second[1])]
     function = ca.Function(group.function.name(), [*columns, *values], results)
-    if at_points is not None and at_points is other.at_points:
-        at_points = replace(at_points, place=places[at_points.place])
-    return ElementGroup(function, tuple(arguments), np.concatenate([group.rows, other.rows]), at_points)
+    rows = np.concatenate([group.rows, other.rows])
+    return ElementGroup(function, tuple(arguments), rows, group.at_points)
 
 
 def _equal(first: Field, second: Field) -> bool:

@@ -7,16 +7,15 @@ which decide what is accepted as a start and as a solution (:func:`is_valid`).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Expression
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -75,11 +74,12 @@ class Validity:
         Stiffness is divided by the area, so equilibrium can hold with inverted elements, too, and a solver
         that may violate the rows would go there and not come back.
         """
-        symbols = local_symbols(self.group.function)
-        f, rows = self.group.function(*symbols)
-        area, *angles = ca.vertsplit(rows)
-        upright = ca.vertcat(ca.if_else(area > 0, area, type(area)(np.nan)), *angles)
-        return replace(self.group, function=ca.Function("upright", symbols, [f, upright]))
+
+        def upright(f: Expression, rows: Expression) -> list[Expression]:
+            area, *angles = ca.vertsplit(rows)
+            return [f, ca.vertcat(ca.if_else(area > 0, area, type(area)(np.nan)), *angles)]
+
+        return self.group.through(upright)
 
     def without_rows(self) -> Validity:
         """No rows at all, where a barrier stands in their place."""

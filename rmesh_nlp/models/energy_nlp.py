@@ -24,7 +24,6 @@ from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.contact_terms import in_units
 from rmesh_nlp.fem.fields import ElementGroup, Field, Index
 from rmesh_nlp.fem.objective import Fields, Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -205,7 +204,7 @@ def relocation(
         *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),
     ]
     if length != 1:
-        rows = [in_units(group, length) for group in rows]
+        rows = [group.in_units(length) for group in rows]
     energies = (*parts.energy(free.positions, displacement, slip), *position_groups)
     x = ca.MX.sym("x", free.n + n_u + n_s)
     return Relocation(

@@ -34,7 +34,6 @@ from rmesh_nlp.fem.contact_terms import (
     contact_force_groups,
     gradient_group,
     identity_group,
-    in_units,
 )
 from rmesh_nlp.fem.fields import Field, Index, unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
@@ -260,7 +259,7 @@ def bilevel(
         *(term.on(positions, displacement, first_row=n_g) for term in parts.gaps),
         *(term.on(positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
     ]
-    groups += [in_units(group, length) for group in pairs]
+    groups += [group.in_units(length) for group in pairs]
     n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs
     groups.append(identity_group(first, first_h + np.arange(n_c)))
