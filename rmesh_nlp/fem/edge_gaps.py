@@ -113,7 +113,7 @@ def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[Eleme
     free[part.nodes] = 1.0
     given = _given_along(space, at_start)
     inside = space.order == 2 and part.obstacle.boundary is Place.INTERIOR
-    for at_edge, cells, sides, rows, patch in _fans(space, part) if inside else _patches(space, part):
+    for at_edge, cells, sides, rows, patch in _fans(space, part) if inside else patches(space, part):
         number = max(sides)
         curve = problem.curves[number] if number >= 0 else None
         on_curve = tuple(curve is not None and side == number for side in sides)
@@ -130,7 +130,7 @@ def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[Eleme
         )
 
 
-class _Patch(NamedTuple):
+class Patch(NamedTuple):
     """Contact nodes with edges or triangles alike.
 
     ``at_edge`` tells whether they are at edges, ``rows`` which of the contact set they are. ``cells`` are the
@@ -145,8 +145,8 @@ class _Patch(NamedTuple):
     vertices: Index
 
 
-def _patches(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
-    """Contact nodes with the edges beside them, of nodes at edges their own.
+def patches(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
+    """Contact nodes on a boundary with the edges of it beside them, of nodes at edges their own.
 
     A node between two curves counts one edge as an arc, the other as a chord.
     """
@@ -170,10 +170,10 @@ def _patches(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
     for (at_edge, sides), members in groups.items():
         rows, patches = zip(*members, strict=True)
         cells = tuple((0, i) for i in range(1, 1 + len(sides)))
-        yield _Patch(at_edge, cells, sides, np.array(rows), np.array(patches, dtype=np.int64).T)
+        yield Patch(at_edge, cells, sides, np.array(rows), np.array(patches, dtype=np.int64).T)
 
 
-def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
+def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
     """Contact nodes with the triangles around them, all taken as straight.
 
     At order 2 a foundation may rise above the interpolant inside of a triangle and on none of its edges.
@@ -192,7 +192,7 @@ def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[_Patch]:
     for (at_edge, count), members in groups.items():
         rows, patches = zip(*members, strict=True)
         cells = tuple((0, 1, 2 + i) if at_edge else (0, 1 + 2 * i, 2 + 2 * i) for i in range(count))
-        yield _Patch(at_edge, cells, (-1,) * count, np.array(rows), np.array(patches, dtype=np.int64).T)
+        yield Patch(at_edge, cells, (-1,) * count, np.array(rows), np.array(patches, dtype=np.int64).T)
 
 
 def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
@@ -204,7 +204,7 @@ def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
 
 @dataclass(frozen=True)
 class _Beside:
-    """A contact node and its cells, see :class:`_Patch`.
+    """A contact node and its cells, see :class:`Patch`.
 
     ``on_curve`` tells of each edge whether it is an arc of ``curve``; lengths are in units of ``unit``, in
     which ``tiny`` is the least height.

@@ -8,7 +8,7 @@ pressure and no part in the boundary.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import reduce
 
 import casadi as ca
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.bernstein import size
+from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, element_group
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Fields, Forces, Objective, Term
-from rmesh_nlp.fem.space import DisplacementSpace, Index, contact_edges
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
@@ -159,32 +160,13 @@ def _groups(
     """The sum of ``value(omega_i, lambda_i)`` over the nodes of a contact boundary."""
     part, groups = contact_on(on.space, boundary), []
     normal = _forces_on(on, boundary).normal.component(part.number)
-    for which, vertices, pairs in _patches(on.space, part):
-        X, force = ca.SX.sym("X", 2, len(vertices)), ca.SX.sym("lambda")
-        share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in pairs) / size(on.space.order, 2)
+    for patch in patches(on.space, part):
+        X, force = ca.SX.sym("X", 2, len(patch.vertices)), ca.SX.sym("lambda")
+        share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in patch.cells) / size(on.space.order, 2)
         function = ca.Function("at_node", [ca.vec(X), force], [ca.SX(value(share, force)), NO_ROWS])
-        local = on.positions.at(vertices), normal.at(part.nodes[None, which])
+        local = on.positions.at(patch.vertices), normal.at(part.nodes[None, patch.rows])
         groups.append(element_group(function, on.positions, local))
     return groups
-
-
-def _patches(
-    space: DisplacementSpace, part: ContactSet
-) -> Iterator[tuple[Index, Index, list[tuple[int, int]]]]:
-    """The contact edges around contact nodes: which nodes, vertices (k, n), and the edges between these."""
-    edges = contact_edges(space.problem, part.obstacle)
-    nodes, neighbours = np.hstack([edges, edges[::-1]])
-    order = np.argsort(nodes, kind="stable")
-    nodes, neighbours = nodes[order], neighbours[order]
-    for which, carriers, shares in space.kinds(part.nodes):
-        if shares.size == 2:
-            yield which, carriers, [(0, 1)]
-            continue
-        first, last = (np.searchsorted(nodes, carriers[0], side) for side in ("left", "right"))
-        for n in np.unique(last - first).tolist():
-            chosen = np.flatnonzero(last - first == n)
-            ends = neighbours[first[chosen] + np.arange(n)[:, None]]
-            yield which[chosen], np.vstack([carriers[:, chosen], ends]), [(0, k + 1) for k in range(n)]
 
 
 def _may_slip(space: DisplacementSpace, part: ContactSet) -> NDArray[np.bool_]:
