@@ -134,7 +134,7 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve 6.1 --quadrature 0", "quadrature must be 'auto', 'midpoint' or a degree from 1 to 50, got 0"),
         ("solve 6.1 --out ''", "--out needs the name of a folder"),
         ("solve 6.1 --objective energie", "energie"),
-        ("solve 6.1 --objective error-l2", "error-l2"),
+        ("solve 6.1 -f joint --objective error-l2", "error-l2"),
         ("solve 6.1 -f mpcc --relaxation scholtse", "did you mean scholtes"),
         ("solve 6.1 --relaxation scholtes", "relaxation = 'scholtes'"),
         ("solve 6.1 --regularisation 1,0,0.1", "'1,0,0.1'"),
