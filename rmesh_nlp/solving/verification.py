@@ -15,7 +15,6 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.reduced_model import Reduced, ReducedObjective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import ACCURATE
 
 LEAST_ORDER = 1.9
@@ -129,39 +128,15 @@ def verify_gradient(
     return TaylorTest(str(asked), point.value, slope, steps, remainders, orders)
 
 
-@dataclass(frozen=True)
-class ErrorTerms:
-    """The terms on one mesh, in the unit of the energy.
+def error_terms(problem: ContactProblem, nodes: Array) -> dict[str, float]:
+    """The terms of Theorem 4.1 at node positions (2, nodes), in the unit of the energy: entries of a record.
 
-    Attributes
-    ----------
-    I1, I2 : float
-    I3 : float
-        0 without friction.
-    above_exact : float
-        Audited energy less the exact one: by the theorem the sum of the three.
+    ``energy_above_exact``, the audited energy less the exact one, is by the theorem the sum of ``I1``, ``I2``
+    and ``I3``, which is 0 without friction. Empty where no exact solution is known.
     """
-
-    I1: float
-    I2: float
-    I3: float
-    above_exact: float
-
-    def entries(self) -> dict[str, float | None]:
-        """Entries of a record."""
-        return {"I1": self.I1, "I2": self.I2, "I3": self.I3, "energy_above_exact": self.above_exact}
-
-
-def error_terms(solution: Solution) -> ErrorTerms | None:
-    """The terms of Theorem 4.1 on the relocated mesh; None where no exact solution is known."""
-    return error_terms_on(solution.problem, np.asarray(solution.mesh.p))
-
-
-def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
-    """The same on any node positions (2, nodes) of a problem's mesh."""
     exact = problem.exact
     if exact is None or not np.isfinite(exact.energy):
-        return None
+        return {}
     accurate = replace(problem, quadrature=ACCURATE)
     model = ContactSolver(accurate)
     state = model.solve(nodes)
@@ -175,7 +150,8 @@ def error_terms_on(problem: ContactProblem, nodes: Array) -> ErrorTerms | None:
         return parse_objective(name).on(fields).evaluate()(np.zeros(0))
 
     friction = term("friction") if problem.frictional else 0.0
-    return ErrorTerms(term("error-energy"), term("contact"), friction, state.energy - exact.energy)
+    terms = {"I1": term("error-energy"), "I2": term("contact"), "I3": friction}
+    return {**terms, "energy_above_exact": state.energy - exact.energy}
 
 
 def _slips(model: ContactSolver, u: Array) -> Array:

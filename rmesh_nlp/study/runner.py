@@ -84,8 +84,9 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
         asked = {name: value for name, value in identity.items() if row[name] != value}
         if asked:  # auto chose, or the rule was raised
             row["asked"] = asked
-        terms = error_terms(solution) if solution.assessment.final.min_area_ratio > 0 else None
-        return Done(row | (terms.entries() if terms else {}), solution)
+        if solution.assessment.final.min_area_ratio > 0:
+            row |= error_terms(solution.problem, np.asarray(solution.mesh.p))
+        return Done(row, solution)
     except ValueError as error:  # the formulation does not take this problem or option
         return Done(failure(solve, "refused", _one_line(error), watch.elapsed))
     except Exception as error:
