@@ -32,11 +32,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.solving.outer import Outer
 from rows import Store, markdown
 
-
-def rows_of(path):
-    return [json.loads(line) for line in path.read_text().splitlines()]
-
-
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 MODULES = sorted(SCRIPTS.rglob("*.py"))
 
