@@ -16,11 +16,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.contact.system import ActiveSet
-from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.contact_problem import refined
@@ -131,32 +128,9 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
 
 
 def on_refined(last: Admissible) -> Admissible:
-    """The admissible displacement on the uniform refinement, beginning with the contact of ``last``."""
+    """The admissible displacement on the uniform refinement."""
     moved = relocated_mesh(last.problem.mesh, last.body.nodes)
-    fine = discretise(refined(last.problem, mesh=moved))
-    return admissible(fine, start=_refined_set(last.parts.space, last.state.active, fine.space))
-
-
-def _refined_set(coarse: DisplacementSpace, active: ActiveSet, fine: DisplacementSpace) -> ActiveSet:
-    """Contact on a uniform refinement: a new vertex touches or slides as the node at its edge does.
-
-    Where there is none, and at new edges, that is what both ends do.
-    """
-    touching = np.zeros(fine.contact_nodes.size, dtype=bool)
-    sliding = np.zeros(touching.size if active.sliding.size else 0, dtype=np.int8)
-    facets = coarse.problem.mesh.facets
-    for coarse_set, fine_set in zip(coarse.contact_sets, fine.contact_sets, strict=True):
-        for old, new in ((active.touching, touching), (active.sliding, sliding)):
-            if old.size:
-                at_nodes = np.zeros(coarse.n_nodes, dtype=old.dtype)
-                at_nodes[coarse_set.nodes] = old[coarse_set.rows]
-                at_vertices, at_edges = np.split(at_nodes[coarse.number], [coarse.n_vertices])
-                if not at_edges.size:
-                    a, b = at_vertices[facets]
-                    at_edges = np.where(a == b, a, 0)
-                finer = fine.of_linear(np.append(at_vertices, at_edges)[None].astype(float))
-                new[fine_set.rows] = np.trunc(finer[0, fine_set.nodes])
-    return ActiveSet(touching, sliding)
+    return admissible(refined(last.problem, mesh=moved))
 
 
 def by_certificate(estimated: ErrorReduction, before: float, after: float) -> ErrorReduction:

@@ -26,14 +26,12 @@ from rmesh_nlp.problem.units import after
 PENETRATION = 0.05
 """Part of the length of a contact edge that a foundation may pass into it between its nodes."""
 
-LARGE = 0.1
-"""Part of the extent of the body from which on displacements are not small."""
+NEGLECTED = 0.1
+"""Part from which on what is neglected is not small: of displacements in the extent of the body, and of the
+difference of nodal loads by the problem's rule and by one of high degree in these loads."""
 
 TINY = 1e-7
 """The same below which units do not fit: steel under a hundredth of its yield stress moves by 1e-5."""
-
-LOAD_ERROR = 0.1
-"""Relative difference of nodal loads by the problem's rule and by one of high degree."""
 
 FEW = 3
 """Touching nodes below which a contact is not resolved, and nodes at which a boundary bends that is round."""
@@ -187,7 +185,7 @@ def _sizes(problem: ContactProblem, u: Array) -> Found:
     said = f"the largest displacement is {largest:.2g}{unit} and the body {extent:.2g}{unit} long"
     if largest > extent:
         yield "large", f"{said}: check units (modulus, loads, lengths)"
-    elif largest > LARGE * extent:
+    elif largest > NEGLECTED * extent:
         yield "large", f"{said}: small strains and gaps at the undeformed place do not hold"
     elif 0 < largest < TINY * extent:
         yield "tiny", f"{said}: check units (modulus, loads, lengths)"
@@ -201,7 +199,7 @@ def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | Non
         yield "load", "the loads vanish on this mesh: do they use the same lengths as the mesh?"
     elif accurate is not None and varying:
         wrong = float(np.sum(np.abs(system.load - accurate)) / max(np.sum(np.abs(accurate)), 1e-300))
-        if wrong > LOAD_ERROR:
+        if wrong > NEGLECTED:
             text = f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
             text += f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature"
             yield "load", text
