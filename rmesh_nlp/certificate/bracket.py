@@ -111,7 +111,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     local -= np.bincount(skeleton.owner, traction.unbalanced_work(u), local.size)
     gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
     local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
-    why = displacement_faults(problem, skeleton, conditions, u)
+    why = displacement_faults(problem, conditions)
     if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
         why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
     if not (conditions.is_certain and load.is_certain):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import Admissible
+from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.displacement import GIVEN
@@ -14,6 +14,7 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.parts import Certificate
 from rmesh_nlp.solving.solution import Solution
@@ -78,10 +79,12 @@ def _bracket(state: State, continuous: Admissible, refinements: int | None) -> B
     u = DisplacementSpace.of(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
     bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
-    return bracket if state.problem.motion.curves else _with_upper(bracket, continuous)
+    if state.problem.motion.curves:  # certified as the polygon of its mesh
+        continuous = admissible(replace(state.problem, mesh=state.mesh, motion=Motion(None)))
+    return with_upper(bracket, continuous)
 
 
-def _with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
+def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     """The bracket with the energy of an admissible displacement as its upper bound."""
     if continuous.status is not Status.CONVERGED:
         return bracket

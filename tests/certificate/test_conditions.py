@@ -11,12 +11,11 @@ from scipy.special import jn_zeros
 from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import conditions_of
-from rmesh_nlp.certificate.displacement import penetration
 from rmesh_nlp.certificate.integrals import body_forces, integrals
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
 from support.certificates import distorted
 
 JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
@@ -150,32 +149,6 @@ def test_constants_of_the_oscillation_are_those_of_the_literature() -> None:
     ):
         found = oscillation(one, np.array([load]), edges, np.array([constant]))
         assert found[0] == pytest.approx(wanted)
-
-
-@pytest.mark.parametrize("inside", [False, True])
-def test_penetration_is_found_between_nodes_and_concave_gaps_are_safe(inside: bool) -> None:
-    law, held = PlaneStrain(3.0, 2.0), Dirichlet("top", (0.0, 0.0))
-    if inside:
-        law, held = Laplace(0.0), Dirichlet("top", (1.0,))
-
-    def depth(offset, down: float) -> float:
-        obstacle = Obstacle("bottom", (0.0, 1.0), lambda x, y: offset(x))
-        if inside:
-            obstacle = Obstacle.interior(lambda x, y: -offset(x))
-        problem = ContactProblem(rectangle(4, 4, x=(0, 2)), law, (held,), obstacle)
-        skeleton = on(problem)
-        u = np.zeros((problem.components, skeleton.nodes.shape[1]))
-        u[-1] = -down
-        return penetration(problem, skeleton, conditions_of(problem, skeleton), u)
-
-    assert depth(lambda x: 0.1 * x, 0.0) == 0.0
-    assert depth(lambda x: 0.1 * x + 0.2, 0.3) == pytest.approx(0.1)  # at x = 0
-    assert depth(lambda x: 0.5 * (2 - x) * x, 0.0) == 0.0  # concave: 0 at the ends of the boundary
-    # least between the nodes and halfway between two of 32 samples, at a smooth place or a kink
-    middle = 0.25 + 1 / 128
-    for valley in (lambda x: (x - middle) ** 2 - 0.07, lambda x: ca.fabs(x - middle) - 0.4):
-        deep = -float(valley(middle))
-        assert deep <= depth(valley, 0.0) <= deep + (0.25 if inside else 0.02)
 
 
 def test_the_domain_is_the_same_unless_its_boundary_moves() -> None:

@@ -14,13 +14,11 @@ from skfem import MeshTri
 
 from rmesh_nlp.certificate import equilibration
 from rmesh_nlp.certificate.bracket import Bracket, bracket, refined_bracket
-from rmesh_nlp.certificate.conditions import conditions_of
-from rmesh_nlp.certificate.displacement import penetration
-from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.certificate.displacement import AT_NODES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
-from support.certificates import guess_on
+from support.certificates import guess_on, proved
 
 Field = Callable[[Any, Any], Any]
 
@@ -97,7 +95,7 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
     widths = []
     for n in (4, 8):
         found = on(make(n, order))
-        assert found.why == ()
+        assert set(found.why) <= {AT_NODES}
         assert found.lower < EXACT[make] < found.upper
         assert found.upper - found.lower < 1.45 * (found.upper - EXACT[make])
         assert np.sum(found.local) == pytest.approx(found.upper - found.lower, rel=1e-4)
@@ -165,27 +163,15 @@ def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: 
     ("offset", "value", "why"),
     [
         (lambda x, y: 0.02 * (x - 1) ** 2, lambda x, y: 0.1 * y**2, ""),
-        (lambda x, y: 0.02 * (x - 1) ** 4, 0.0, "between"),
+        (lambda x, y: 0.02 * (x - 1) ** 4, 0.0, ""),
         (0.0, lambda x, y: 0.1 * y**3, "not quadratic"),
     ],
 )
 def test_parabolas_are_exact_at_order_2(offset: Field | float, value: Field | float, why: str) -> None:
-    """Gaps hold along edges by their coefficients, and quadratic given displacements everywhere."""
+    """Quadratic given displacements hold everywhere, and nothing passes between the nodes."""
     held = (Dirichlet("left", (0.0, value)),)
     problem = replace(frictional(), dirichlet=held, obstacle=Obstacle("bottom", (0.0, 1.0), offset))
-    found = on(problem)
+    found = proved(problem)
     assert found.guaranteed_lower
     assert found.guaranteed_upper is (why == "")
     assert why in " ".join(found.why)
-
-
-@pytest.mark.parametrize("inside", [False, True])
-def test_a_gap_is_as_deep_as_its_least_coefficient(inside: bool) -> None:
-    problem = membrane() if inside else signorini(3, 2)
-    skeleton = skeleton_of(problem, problem.mesh.p)
-    conditions = conditions_of(problem, skeleton)
-    u = np.full((1, guess_on(problem).displacement.shape[1]), 0.5)
-    assert penetration(problem, skeleton, conditions, u) == 0.0
-    edge = int(problem.mesh.f2t.shape[1] - 1) if inside else int(conditions.contact[0])
-    u[0, problem.mesh.p.shape[1] + edge] = -0.3  # the parabola itself goes down to 0.1 only
-    assert penetration(problem, skeleton, conditions, u) == pytest.approx(0.3 - (0.1 if inside else 0.0))

@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.assessment.admissible import admissible
+from rmesh_nlp.certificate.bracket import Bracket, bracket
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.certify import with_upper
 
 
 def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
@@ -35,6 +38,11 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
             friction[model.contact_nodes] = found.tangential_force / weights
     node = space.number
     return Guess(displacement[:, node], pressure[node], friction[node])
+
+
+def proved(problem: ContactProblem) -> Bracket:
+    """The bracket of the contact solution, the upper bound by an admissible displacement."""
+    return with_upper(bracket(problem, problem.mesh.p, guess_on(problem)), admissible(problem))
 
 
 def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:
