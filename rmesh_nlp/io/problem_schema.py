@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from inspect import Parameter, signature
-from typing import Annotated, Any, TypeVar, get_type_hints
+from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
 from pydantic import (
     BaseModel,
@@ -80,10 +80,22 @@ FORCES = ("friction", "coulomb")
 """Keys of a contact that say which friction there is."""
 
 
+T = TypeVar("T", bound="Table")
+
+
 class Table(BaseModel):
     """A table whose keys are all known."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+    either: ClassVar[tuple[str, ...]] = ()
+    """Keys of which it has exactly one."""
+
+    @model_validator(mode="after")
+    def _one_of(self: T) -> T:
+        if self.either and len(self.given(*self.either)) != 1:
+            raise ValueError(f"expected either {' or '.join(self.either)}")
+        return self
 
     def given(self, *names: str) -> list[str]:
         """Which of these keys have a value."""
@@ -93,9 +105,6 @@ class Table(BaseModel):
         """The keys that the file has, with their values: all, or those among some names."""
         keys = [name for name in type(self).model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in keys if not names or name in names}
-
-
-T = TypeVar("T", bound=Table)
 
 
 def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
@@ -127,14 +136,9 @@ def taking(*makes: Callable[..., Any], without: tuple[str, ...] = ()) -> Callabl
 class MeshTable(Table):
     """``[mesh]``: a file, or a shape with the arguments of its function."""
 
+    either = ("file", "shape")
     file: Text | None = None
     shape: Annotated[str, among(SHAPES)] | None = None
-
-    @model_validator(mode="after")
-    def _one_source(self) -> MeshTable:
-        if len(self.given("file", "shape")) != 1:
-            raise ValueError("expected either a file or a shape")
-        return self
 
 
 @taking(Laplace, Elastic.from_young, Elastic)
@@ -157,6 +161,7 @@ class CircleTable(Table):
 class ContactTable(Table):
     """``[contact]`` or each ``[[contact]]``: on a boundary, or above an obstacle in the interior."""
 
+    either = ("boundary", "interior")
     boundary: Text | None = None
     offset: Scalar | None = None
     normal: Pair | None = None
@@ -172,8 +177,6 @@ class ContactTable(Table):
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
-        if len(self.given("boundary", "interior")) != 1:
-            raise ValueError("expected either a boundary or interior")
         kinds = self.given(*FOUNDATIONS)
         if len(kinds) > 1 or (kinds and self.interior is not None):
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
