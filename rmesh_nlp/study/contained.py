@@ -104,7 +104,7 @@ class Contained:
         line, _ = self._answer(process, Budget(Limits(START_S), self._session))
         if line is None or line.strip() != READY:
             code = self.close()
-            raise RuntimeError(f"no process for solves could be started: it ended with code {code}")
+            raise OSError(f"no process for solves could be started: it ended with code {code}")
         return process
 
     def _answer(

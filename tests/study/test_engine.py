@@ -49,6 +49,8 @@ def study_file(folder, text=SMALL):
     return str(folder / "study.toml")
 
 
+on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals")
+
 PLAN = [solve_of("fixed", time_s=float(i)) for i in (21, 22, 23)]
 SOLVED = []
 
@@ -162,6 +164,13 @@ def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monk
         list(engine.run([solve_of("fixed")], tmp_path))
 
 
+@on_posix
+def test_without_processes_a_study_ends_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "executable", "false")
+    assert cli.run(["study", study_file(tmp_path), "--out", str(tmp_path / "out"), "--jobs", "2"]) == 2
+    assert capsys.readouterr().err.endswith("no process for solves could be started: it ended with code 1\n")
+
+
 def test_without_the_extra_a_scheduler_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(BadInputError, match=r"^--scheduler needs dask.distributed: pip install"):
@@ -206,7 +215,6 @@ def rmesh(*arguments):
 
 
 LONG = 'random = { count = 300 }\nformulations = ["fixed"]\nfields = false\n'
-on_posix = pytest.mark.skipif(sys.platform == "win32", reason="signals")
 
 
 def two_jobs(folder):
