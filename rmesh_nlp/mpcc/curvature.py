@@ -8,22 +8,13 @@ are unique. Nocedal and Wright, Numerical Optimization, 2006, theorem 12.5, on e
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish
-from rmesh_nlp.mpcc.lower_level import directions, least_eigenvalue
+from rmesh_nlp.mpcc.lower_level import FLAT, MOST, directions, least_critical, least_eigenvalue
 from rmesh_nlp.mpcc.multipliers import Columns
 from rmesh_nlp.mpcc.run import Run
-
-MOST = 200
-"""Most unknowns, slacks included, of a point that is tested: by dense matrices."""
-
-_WEAK = 8  # most constraints without a multiplier, for a search of all faces of the cone
-_FLAT = 1e-6  # part of the Hessian's largest entry below which a curvature has no sign
-_SIGN = 1e-9
 
 
 def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
@@ -40,7 +31,7 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
     if not np.all(np.isfinite(hessian)):
         return "not tested", None
-    flat = _FLAT * float(np.max(np.abs(hessian), initial=0.0))
+    flat = FLAT * float(np.max(np.abs(hessian), initial=0.0))
     if not flat or _is_positive(hessian + flat * np.eye(hessian.shape[0])):
         return "not negative", None
     gradients = columns.matrix.T.toarray()
@@ -51,24 +42,14 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     one_sided = np.append(columns.may_fall[:n_own] ^ columns.may_rise[:n_own], columns.corner)
     strong = ~one_sided | (np.abs(values) > run.options.stationarity * lin.scale)
     sign = np.where(columns.may_fall, 1.0, -1.0)[~strong]  # a lower bound: the value may only rise
-    weak = sign[:, None] * gradients[~strong]
+    weak = -sign[:, None] * gradients[~strong]
     if least_eigenvalue(hessian, directions(gradients[strong]))[0] >= -flat:
         return "not negative", None
     pair = np.append(np.full(n_own, -1), columns.members % max(lifted.pairs.shape[1], 1))[~strong]
-    if weak.shape[0] > _WEAK:
-        faces = [(True,) * weak.shape[0]]
-    else:
-        faces = list(itertools.product((True, False), repeat=weak.shape[0]))
-    for face in faces:
-        held = np.array(face, dtype=bool)
-        value, d = least_eigenvalue(hessian, directions(np.vstack([gradients[strong], weak[held]])))
-        slopes = weak @ d
-        for side in (1.0, -1.0):
-            rises = pair[(pair >= 0) & (side * slopes > _SIGN)]
-            is_critical = np.all(side * slopes >= -_SIGN) and np.unique(rises).size == rises.size
-            if value < -flat and is_critical:
-                return "negative", side * d
-    return ("not tested" if weak.shape[0] > _WEAK else "not negative"), None
+    value, d, is_complete = least_critical(hessian, gradients[strong], weak, pair)
+    if value < -flat:
+        return "negative", d
+    return "not negative" if is_complete else "not tested", None
 
 
 def _is_positive(matrix: Array) -> bool:

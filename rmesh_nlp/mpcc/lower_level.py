@@ -24,6 +24,13 @@ from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
+FLAT = 1e-6
+"""Part of the Hessian's largest entry below which a curvature has no sign."""
+
+MOST = 200
+"""Most unknowns, slacks included, of a point whose critical directions are searched: by dense matrices."""
+
+_FACES = 6  # most weakly active constraints for that
 DENSE = 1000
 """Most variables of a lower level that is checked after each solve, by dense matrices: within a second."""
 
@@ -31,8 +38,6 @@ SEARCHES = 20
 """Starts from which a lower value is looked for at the end of a solve."""
 
 _LOWER = 1e-6  # a value of the lower level is lower by more than this, relative
-_FLAT = 1e-6  # part of the Hessian's largest entry below which a curvature has no sign
-_FACES, _SMALL = 6, 100  # most weakly active constraints, and variables, for a search of all critical faces
 _RANK = 1e-9  # part of the largest diagonal entry of R below which one is zero
 
 BoolArray = NDArray[np.bool_]
@@ -236,10 +241,10 @@ class LowerLevel:
         matrix, (quadratic, linear) = hessian.reshape(n_y, n_y, order="F"), self._shape
         beside = self._derivatives(y + ZERO * (1 + np.abs(y)), np.append(upper, p), lam[n_y:])[4]
         noise = float(np.max(np.abs(np.nan_to_num(beside - hessian)), initial=0.0))
-        flat = max(noise, _FLAT * float(np.max(np.abs(matrix), initial=0.0)))
+        flat = max(noise, FLAT * float(np.max(np.abs(matrix), initial=0.0)))
         gradients = sign[:, None] * rows[entry]
         low, _ = least_eigenvalue(matrix, directions(gradients[strong]))
-        high = _least_critical(matrix, gradients[strong], gradients[active & ~strong])
+        high, _, _ = least_critical(matrix, gradients[strong], gradients[active & ~strong])
         whole, _ = least_eigenvalue(matrix, np.eye(n_y))
         n_active = int(active.sum())
         convex, lowest = quadratic and linear and whole >= -flat, None
@@ -296,19 +301,23 @@ def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:
     return float(values[0]), directions @ vectors[:, 0]
 
 
-def _least_critical(matrix: Array, strong: Array, weak: Array) -> float:
-    """Least curvature found along d with ``strong d = 0`` and ``weak d <= 0``.
+def least_critical(
+    matrix: Array, strong: Array, weak: Array, pair: Array | None = None
+) -> tuple[float, Array, bool]:
+    """Least curvature found along d with ``strong d = 0``, ``weak d <= 0``; d, and whether all was searched.
 
-    The least one is attained inside a face of the cone, at an eigenvector there. With few weakly active
-    constraints all faces are searched, of each its least eigenvector; else that of all active constraints.
+    Of rows with the same number in ``pair``, not negative, at most one may change along d. The least one is
+    attained inside a face of the cone, at an eigenvector there. With few weakly active constraints all faces
+    are searched, of each its least eigenvector; else that of all active constraints.
     """
     n = weak.shape[0]
-    few = n <= _FACES and matrix.shape[0] <= _SMALL
-    faces = itertools.product((False, True), repeat=n) if few else [(True,) * n]
-    least = np.inf
-    for face in faces:
+    few = n <= _FACES and matrix.shape[0] <= MOST
+    least, along = np.inf, np.zeros(matrix.shape[0])
+    for face in itertools.product((False, True), repeat=n) if few else [(True,) * n]:
         value, d = least_eigenvalue(matrix, directions(np.vstack([strong, weak[list(face)]])))
-        slopes = weak @ d
-        if value < least and (np.all(slopes <= _RANK) or np.all(slopes >= -_RANK)):
-            least = value
-    return least
+        for side in (d, -d):
+            slopes = weak @ side
+            changed = np.zeros(0) if pair is None else pair[(pair >= 0) & (slopes < -_RANK)]
+            if value < least and np.all(slopes <= _RANK) and np.unique(changed).size == changed.size:
+                least, along = value, side
+    return least, along, few

@@ -197,7 +197,7 @@ class MPCCResult:
     curvature : str
         Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
         saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with
-        slacks, no Hessian, or more than eight constraints without multipliers).
+        slacks, no Hessian, or more than six constraints without multipliers).
     reached : tuple of Reached
         Of several starts: what they ended at, the lowest first. The result itself is the best one;
         ``counts`` and ``seconds`` are sums over all starts.
