@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from rmesh_nlp.contact import active_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.distortion import DISTORTIONS
@@ -78,7 +79,9 @@ def test_strict_complementarity_fails_where_a_touching_node_has_no_force() -> No
     np.testing.assert_array_equal(replace(point, equilibrium=state).weak, state.active.touching)
 
 
-def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_first_asked_for() -> None:
+def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_first_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def counts(energy: ReducedEnergy) -> tuple[int, int, int]:
         return energy.contact_solves, energy.cold_solves, energy.factorisations
 
@@ -88,12 +91,13 @@ def test_solves_are_counted_warm_or_cold_and_that_of_the_given_mesh_when_it_is_f
     assert energy(zero).equilibrium is given
     assert counts(energy) == (1, 1, given.iterations)
     q = np.random.default_rng(0).uniform(-0.3, 0.3, outer.n)
-    first = energy(q)
-    assert energy(q.copy()) is first
-    q *= 0.5  # the point that is remembered has positions of its own
-    second = energy(q)
+    with monkeypatch.context() as patch:
+        patch.setattr(active_set, "first_set", lambda _: pytest.fail("it begins anew"))
+        first = energy(q)
+        assert energy(q.copy()) is first
+        q *= 0.5  # the point that is remembered has positions of its own
+        second = energy(q)
     cold = ContactSolver(outer.problem).solve(energy.relocation.nodes(q))
-    assert second.equilibrium.iterations < cold.iterations
     iterations = [state.iterations for state in (given, first.equilibrium, second.equilibrium)]
     assert counts(energy) == (3, 1, sum(iterations))
     assert second.value == pytest.approx(cold.energy, rel=1e-10)
