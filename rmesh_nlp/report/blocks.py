@@ -81,7 +81,7 @@ class Block:
     def best(self) -> Record | None:
         """The successful record with the lowest audited energy, or value of the only other objective."""
         of_energy = len(self.objectives) > 1 or objective_of(self.records[0]) == "energy"
-        return min(self.succeeded, key=audited if of_energy else _last_objective, default=None)
+        return min(self.succeeded, key=audited if of_energy else _objective_at_end, default=None)
 
     @property
     def unit(self) -> float | None:
@@ -131,7 +131,7 @@ def audited(record: Record) -> float:
     return float(record["energy"] if value is None else value)
 
 
-def _last_objective(record: Record) -> float:
+def _objective_at_end(record: Record) -> float:
     value = record.get("objective_value")
     return math.inf if value is None else float(value)
 
@@ -144,9 +144,8 @@ def ends_of(record: Record) -> tuple[float | None, float | None]:
     return record["energy_initial"] if start is None else start, record["energy_audited"]
 
 
-def objective_gain(record: Record) -> float | None:
-    """The fall of the objective in per cent of its size at the start."""
-    before, after = record.get("objective_initial"), record.get("objective_value")
+def gain_of(before: float | None, after: float | None) -> float | None:
+    """A fall in per cent of the size at the start."""
     return None if after is None or not before else 100 * (before - after) / abs(before)
 
 
@@ -216,14 +215,3 @@ def contact_units(record: Record) -> float | None:
     """Build and solve over the time of one contact solve measured in the same run."""
     seconds, unit = seconds_of_work(record), record.get("contact_time_s")
     return seconds / unit if seconds is not None and unit else None
-
-
-def gain_in_per_cent(record: Record) -> float | None:
-    """The fall of the audited energy in per cent of its size on the given mesh."""
-    before, after = record.get("energy_initial_audited"), record.get("energy_audited")
-    return None if after is None or not before else 100 * (before - after) / abs(before)
-
-
-def gain_of_objective(record: Record) -> float | None:
-    """The fall of the energy, or of another objective that was minimised, in per cent."""
-    return gain_in_per_cent(record) if objective_of(record) == "energy" else objective_gain(record)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.report.blocks import Block, contact_units, gain_in_per_cent, label
+from rmesh_nlp.report.blocks import Block, contact_units, gain_of, label
 from rmesh_nlp.report.table import MISSING, Groups, Table, latex_heading
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
@@ -101,8 +101,13 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
 
 
 FORMULATION = Column("formulation", label)
+COST = Column("cost|[contact solves]", contact_units, cost)
 BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
-GAIN = Column("gain|[%]", gain_in_per_cent, lambda gain: ".2f" if abs(gain) < 1000 else ".3g")
+GAIN = Column(
+    "gain|[%]",
+    lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
+    lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
+)
 
 # what a first reader wants to know: audited energies, work and how each solve ended
 MAIN = (
@@ -125,7 +130,7 @@ COSTS = (
     Column("build|[s]", _seconds("build")),
     Column("solve|[s]", _seconds("solve")),
     Column("audit|[s]", _seconds("audit")),
-    Column("cost|[contact solves]", contact_units, cost),
+    COST,
 )
 # of the formulation's own state and of the assessment's contact solve
 RESIDUALS = (

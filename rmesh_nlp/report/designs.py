@@ -11,7 +11,7 @@ from typing import Any
 
 from rmesh_nlp.display import bounds_in_words
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.report.blocks import Block, label, objective_gain
+from rmesh_nlp.report.blocks import Block, ends_of, gain_of, label
 from rmesh_nlp.report.columns import BIACTIVE, LABEL, Column, of, shown, table_of
 from rmesh_nlp.report.notes import stopped_early, units_notes
 from rmesh_nlp.report.table import MISSING, Rows, Table, latex_text
@@ -54,12 +54,16 @@ def short_label(record: Record) -> str:
 
 FORMULATION = Column("formulation", short_label)
 VIOLATION = Column("violation", violation, ".1e")
-OUTCOME = (
-    FORMULATION,
+ENDS = (
     Column("objective|at start", "objective_initial", ".5e"),
     Column("objective|at end", "objective_value", ".5e"),
-    Column("gain|[%]", objective_gain, ".4g"),
-    Column("left on refined|meshes [%]", _left, ".3g"),
+)
+LEFT = Column("left on refined|meshes [%]", _left, ".3g")
+OUTCOME = (
+    FORMULATION,
+    *ENDS,
+    Column("gain|[%]", lambda record: gain_of(*ends_of(record)), ".4g"),
+    LEFT,
     VIOLATION,
     LABEL,
     *of("status"),

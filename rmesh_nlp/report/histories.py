@@ -20,9 +20,10 @@ from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks, grouped, label, seconds_of_work
 
-FEASIBLE = 1e-6  # primal residual up to which the objective of an iterate means something
+# up to this primal residual the objective of an iterate means something, and below it first-order residuals
+# are not told apart
+FEASIBLE = 1e-6
 SLACK = 1e-3  # part of the worst gain by which the common level may miss it: last digits are not compared
-TIGHTEST = 1e-6  # first-order residuals below it are not told apart
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     level = max((end for end, _ in pairs), default=math.nan)
     level += SLACK * max(0.0, min((start - level for _, start in pairs), default=0.0))
     residuals = [r["stationarity_residual"] for r in records if r.get("stationarity_residual") is not None]
-    common = max((max(residual, TIGHTEST) for residual in residuals), default=math.nan)
+    common = max((max(residual, FEASIBLE) for residual in residuals), default=math.nan)
     rows = []
     for result, record in zip(results, records, strict=True):
         split = record.get("build_time_s") is not None and record.get("solve_time_s") is not None

@@ -34,15 +34,16 @@ from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     Block,
     blocks,
-    gain_of_objective,
+    ends_of,
+    gain_of,
     order_of,
     variant,
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.columns import CERTIFICATES, COSTS, ENERGIES, GAIN, MAIN, RESIDUALS, Column, of
+from rmesh_nlp.report.columns import CERTIFICATES, COST, ENERGIES, GAIN, RESIDUALS, Column, of
 from rmesh_nlp.report.curves import convergence_figure, profile_figure
-from rmesh_nlp.report.designs import FEW, OUTCOME
+from rmesh_nlp.report.designs import ENDS, FEW, LEFT, VIOLATION
 from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.histories import curve
 from rmesh_nlp.report.notes import block_notes, legends, stopped_early, units_notes
@@ -57,26 +58,25 @@ REPORT = "report.html"
 CHART = Page(1)  # legible on a phone, where charts are three inches wide
 CONVERGENCE, MESHES, STARTS = 12, 60, 8  # most problems, solves with meshes, and names of starts on the page
 
-# what tells solves apart, and columns of their second table; those that no row has are left out
+# what tells solves apart, and columns of two tables of them; those that no row has are left out
 WHICH = (
     Column("formulation", variant),
-    Column("problem", "example"),
+    Column("problem", lambda record: with_order(str(record["example"]), record)),
     Column("size", lambda record: str(record["n"])),
     *of("seed"),
 )
-COUNTED = (Column("order", order_of), *of("unknowns"))  # where not all displacements are linear
-MORE = (*COSTS[-1:], *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
 SOLVED = (
-    *of("status"),
-    *MAIN[1:3],
-    *OUTCOME[1:3],
-    replace(GAIN, of=gain_of_objective),
-    *OUTCOME[4:6],
-    *MAIN[4:-1],
+    *of("status", "energy_initial_audited", "energy_audited"),
+    *ENDS,
+    replace(GAIN, of=lambda record: gain_of(*ends_of(record))),
+    LEFT,
+    VIOLATION,
+    *of("iterations", "contact_solves", "wall_time_s"),
 )
+MORE = (*of("unknowns"), COST, *ENERGIES[1:], *RESIDUALS[1:], *CERTIFICATES[1:])
 OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
-COST = (
+COST_NOTE = (
     "Cost: time of build and solve over that of one contact solve on the given mesh. Residuals are "
     "dimensionless: equilibrium and complementarity of an independent contact solve on the relocated mesh, "
     "and the first-order residual of the outer problem over that on the given mesh."
@@ -145,7 +145,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         solves=_solves(comparable, SOLVED, failed),
         more=_solves(comparable, MORE, failed),
         failures=Table(head, [("", failures)], texts=5),
-        remarks=[*legends(records), COST, *units_notes(records), *stopped_early(records), *remarks],
+        remarks=[*legends(records), COST_NOTE, *units_notes(records), *stopped_early(records), *remarks],
         environments=_environments(folder, records),
         shared=f"{shared} of {len(records)} solves shared their core with something." if shared else "",
     )
@@ -223,8 +223,7 @@ def _design_columns(records: Sequence[Record]) -> tuple[Column, ...]:
 
 
 def _solves(records: Sequence[Record], columns: Sequence[Column], failed: Set[int]) -> Table:
-    which = WHICH if all(order_of(record) == 1 for record in records) else (*WHICH, *COUNTED)
-    shown = (*which, *columns, *(_design_columns(records) if columns is SOLVED else ()))
+    shown = (*WHICH, *columns, *(_design_columns(records) if columns is SOLVED else ()))
     cells = {column.heading: [column.cell(record) for record in records] for column in shown}
     filled = {head: own for head, own in cells.items() if set(own) != {MISSING}}
     rows = list(zip(*filled.values(), strict=True))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from rmesh_nlp.io.records import Record, has_energy, objective_of
+from rmesh_nlp.io.records import Record, has_energy
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
-    audited,
     blocks,
     contact_units,
+    ends_of,
     grouped,
     label,
     seedless,
@@ -58,7 +58,7 @@ def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
         ends = list(group[0].get("start_values") or group[0]["start_energies"])
         costs: list[float] = []
     elif len({record["seed"] for record in group}) > 1:
-        ends = [_end(record) if record["success"] else None for record in group]
+        ends = [ends_of(record)[1] if record["success"] else None for record in group]
         costs = [cost for r in group if r["success"] and (cost := contact_units(r)) is not None]
     else:
         return None
@@ -66,12 +66,6 @@ def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
     figures = [shown(f(values) if values else None, ".7g") for f in (min, median, max)]
     middle = shown(median(costs) if costs else None, ".3g")
     return [name, str(len(ends)), *figures, str(len(ends) - len(values)), middle]
-
-
-def _end(record: Record) -> float | None:
-    """The audited energy, or the value of another objective."""
-    value = audited(record) if objective_of(record) == "energy" else record.get("objective_value")
-    return None if value is None else float(value)
 
 
 def refinement_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:

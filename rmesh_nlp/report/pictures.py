@@ -18,6 +18,7 @@ from rmesh_nlp.fem.sampling import along, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.kept_problem import KeptSolution
 from rmesh_nlp.mapping import MeshMap, Mobility
+from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report.design_figure import design_figure
@@ -39,8 +40,6 @@ from rmesh_nlp.solving.solution import Solution
 
 Drawable = Solution | KeptSolution
 GIVEN = "given mesh"
-CLOSED = 1e-9  # a gap below this part of the largest displacement is closed
-SMALL = 1e-6  # a multiplier below this part of the largest of its kind is not active
 
 
 def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: Array) -> Body:
@@ -54,7 +53,7 @@ def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: A
     for part in space.contact_sets:
         obstacle = part.obstacle
         if obstacle.boundary is Place.INTERIOR:  # closed are elements whose nodes all touch
-            touching = u[0] + obstacle.distances(nodes) <= CLOSED * np.max(np.abs(u), initial=0.0)
+            touching = u[0] + obstacle.distances(nodes) <= ZERO * np.max(np.abs(u), initial=0.0)
             closed |= np.all(touching[space.elements], axis=0)
         else:
             edges = space.nodes_of(contact_edges(problem, obstacle))
@@ -162,10 +161,10 @@ def limits(solution: Drawable) -> NDArray[np.object_]:
     result = np.full(mobility.size, Limit.NOTHING, dtype=object)
     if solution.multipliers is not None:
         pull = solution.multipliers.area + solution.multipliers.angle
-        active = pull > SMALL * np.max(pull, initial=0.0)
+        active = pull > ZERO * np.max(pull, initial=0.0)
         result[np.unique(problem.triangles[:, active])] = Limit.AREA
         limit = solution.multipliers.limit
-        result[limit > SMALL * np.max(limit, initial=0.0)] = Limit.MOVE_LIMIT
+        result[limit > ZERO * np.max(limit, initial=0.0)] = Limit.MOVE_LIMIT
     result[mobility == Mobility.PINNED] = Limit.PINNED
     return result
 

@@ -24,6 +24,7 @@ from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
     ends_of,
+    gain_of,
     grouped,
     seconds_of_work,
     variant,
@@ -109,7 +110,7 @@ def summary_table(records: Sequence[Record]) -> Table:
         if record["success"] and gain is not None:
             best[instance(record)] = max(best.get(instance(record), -INF), gain)
     columns: tuple[tuple[str, Callable[[Record], float | None]], ...] = (
-        (".3g", lambda record: _part(_gain(record), abs(_start(record) or 0))),
+        (".3g", lambda record: gain_of(*ends_of(record))),
         (".4g", lambda record: _part(_gain(record), best.get(instance(record)))),
         (".0f", lambda record: record["iterations"]),
         (".0f", lambda record: record["contact_solves"]),
@@ -253,21 +254,16 @@ def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> d
 
     Where no formulation gains anything over the ``initial`` energies, all that did not fail miss nothing.
     """
-    table = np.array([np.asarray(row, dtype=float) for row in energies.values()])
+    table = _table(energies)
     best = np.min(table, axis=0)
     gain, is_best = np.asarray(initial, dtype=float) - best, np.isfinite(table) & (table <= best)
     with np.errstate(invalid="ignore", divide="ignore"):
         return _profiles(energies, np.where(gain > 0, (table - best) / gain, np.where(is_best, 0.0, np.inf)))
 
 
-def _table(costs: Mapping[str, ArrayLike]) -> Array:
-    """(formulations, problems) costs."""
-    table = np.array([np.asarray(row, dtype=float) for row in costs.values()])
-    if table.ndim != 2:
-        raise ValueError("every formulation needs a cost for every problem")
-    if np.any(table[np.isfinite(table)] < 0) or np.any(np.isnan(table)):
-        raise ValueError("costs must not be negative; a failure is infinite")
-    return table
+def _table(values: Mapping[str, ArrayLike]) -> Array:
+    """(formulations, problems) values; a failure is infinite."""
+    return np.array([np.asarray(row, dtype=float) for row in values.values()])
 
 
 def _profiles(names: Iterable[str], table: Array) -> dict[str, Profile]:

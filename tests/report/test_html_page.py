@@ -65,7 +65,7 @@ def test_meshes_on_the_page_are_those_of_the_solutions(folder: Path) -> None:
         assert set(one["fields"]) == set(values)
         for name, expected in values.items():
             np.testing.assert_allclose(one["fields"][name], expected, rtol=1e-4, atol=1e-9)
-    assert ">order<" in text
+    assert ">6.1, order 2<" in text
     assert ">unknowns<" in text
 
 

@@ -52,12 +52,6 @@ def test_profiles_computed_by_hand(profile: Any, at: list[float], shares: list[f
     assert profile.at.shape == profile.share.shape
 
 
-@pytest.mark.parametrize("costs", [{"a": [1.0], "b": [1.0, 2.0]}, {"a": [-1.0]}, {"a": [np.nan]}])
-def test_what_is_no_table_of_costs_is_refused(costs: dict[str, list[float]]) -> None:
-    with pytest.raises(ValueError, match=r"every formulation|negative|inhomogeneous"):
-        performance_profiles(costs)
-
-
 def drawn(rows: list[Record]) -> dict[str, dict]:
     return {chart.name: chart.profiles for chart in charts([Results(Path()).result(row) for row in rows])}
 
