@@ -36,14 +36,7 @@ nodes both gain the same in the same time. Where element areas are constraints N
 0.6 to 0.8 of the gain of ``joint`` on three problems of 2,558 to 3,838 outer variables."""
 
 ENOUGH = 1e-3
-"""Part of the gain so far below which a predicted step is not worth taking, for 20,000 outer variables. It
-grows with them, since a step costs more of them: see :func:`enough_for`."""
-
-ENOUGH_UP_TO = 20_000
-"""Outer variables up to which ``ENOUGH`` is taken as it is."""
-
-SCHEDULE = (1.0, 0.1, 0.01)
-"""Weights of the distortion where constraints must hold and ``joint`` is run."""
+"""Part of the gain so far below which a predicted step is not worth taking."""
 
 
 @dataclass(frozen=True)
@@ -90,10 +83,10 @@ class Auto(Chooser):
         if motion.delta is not None:
             if free.n > MANY and self.regularisation is None and not validity(problem, free).size:
                 why = f"nested, newton: nodes have move limits, and more than {MANY} outer variables are many"
-                return Nested(enough=enough_for(free.n)), why
+                return Nested(enough=ENOUGH), why
             return self._around(Joint()), "joint: nodes have move limits"
         if motion.min_angle > 0:
-            held = Confirmed(Schedule(Joint(), self.regularisation or SCHEDULE))
+            held = Confirmed(Schedule(Joint(), self.regularisation or Schedule.weights))
             why = "joint, regularised: a least angle is asked for, which must hold as a constraint"
             return held, why
         chosen = self._weighted()
@@ -117,8 +110,3 @@ class Auto(Chooser):
             return self.cascade
         *before, last = weights(self.regularisation)
         return replace(self.cascade, regularisation=last, schedule=tuple(before) or self.cascade.schedule)
-
-
-def enough_for(n: int) -> float:
-    """Part of the gain so far below which a predicted step is not worth taking."""
-    return ENOUGH * max(1.0, n / ENOUGH_UP_TO)

@@ -15,7 +15,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 
-RULES = (6, 10, 14, 20)
+FIRST, LAST = 6, 20
 """Degrees of the quadrature rule that are tried in turn; the last one is that of the assessment."""
 
 AGREEMENT = 0.01
@@ -24,7 +24,7 @@ AGREEMENT = 0.01
 
 @dataclass(frozen=True)
 class Confirmed(Wrapper):
-    """Raises the degree of the rule for the loads until it changes the gain by at most 1 %.
+    """Takes the rule of the assessment for the loads where the problem's changes the gain by more than 1 %.
 
     Attributes
     ----------
@@ -35,18 +35,16 @@ class Confirmed(Wrapper):
     then: Any = None
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        outcome, rules = monitor.run(self.inner, outer, q), [outer.problem.quadrature]
-        while True:
-            higher = next_rule(outcome.outer.problem)
-            if monitor.budget.is_over() or higher is None:
-                break
-            with monitor.budget.during("audit"):
-                confirmed = agrees(outcome)
-            if confirmed:
-                break
-            rules.append(higher)
+        outcome, problem = monitor.run(self.inner, outer, q), outer.problem
+        rules = [problem.quadrature]
+        if monitor.budget.is_over() or (isinstance(problem.rule, int) and problem.rule >= LAST):
+            return outcome.having({"rules": tuple(rules)})
+        with monitor.budget.during("audit"):
+            confirmed = agrees(outcome)
+        if not confirmed:
+            rules.append(LAST)
             with monitor.budget.during("build"):
-                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=higher))
+                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=LAST))
             outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
         return outcome.having({"rules": tuple(rules)})
 
@@ -57,14 +55,8 @@ def first_rule(problem: ContactProblem) -> str | int:
         return problem.quadrature
     rule = problem.rule
     if not isinstance(rule, int):
-        return RULES[0]
-    return min(rule, RULES[0]) if problem.quadrature == "auto" else max(rule, RULES[0])
-
-
-def next_rule(problem: ContactProblem) -> int | None:
-    """The next degree to try; None if the problem's rule is that of the assessment already."""
-    rule = problem.rule
-    return next((degree for degree in RULES if not isinstance(rule, int) or degree > rule), None)
+        return FIRST
+    return min(rule, FIRST) if problem.quadrature == "auto" else max(rule, FIRST)
 
 
 def agrees(outcome: Outcome) -> bool:

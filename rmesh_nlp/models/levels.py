@@ -139,13 +139,6 @@ CANDIDATES = 16
 OUTSIDE = -1e-9
 """Barycentric coordinate below which a point is outside an element."""
 
-SMALL = 0.02
-"""Area, in parts of the initial one, below which an interpolated element is mended, unless elements of the
-coarse mesh are as small."""
-
-MENDINGS = 40
-"""Rounds of mending."""
-
 
 def interpolated(nodes: Array, triangles: NDArray, values: Array, points: Array) -> Array:
     """Piecewise linear interpolation of nodal ``values`` (components, nodes) at ``points`` (2, points).
@@ -192,37 +185,15 @@ def prolonged(
 ) -> Array:
     """Outer variables of a finer mesh that follow the ``shift`` (2, coarse nodes) of a coarser one.
 
-    An element that lies across several may be inverted: there the shift is smoothed, and if that does not
-    help, made smaller as a whole.
+    An element that lies across several may be inverted: then the shift is made smaller as a whole.
     """
     X0, triangles, mesh_map = fine.problem.mesh.p, fine.problem.triangles, fine.mesh_map
     before, after = (signed_areas(x, coarse_triangles) for x in (coarse_nodes, coarse_nodes + shift))
     # slivers that the coarse map makes on purpose are kept, and are no reason to damp the map
-    least = max(0.5 * float(np.min(after / before)), 1e-9)
-    initial = signed_areas(X0, triangles)
-    q = mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, shift, X0))
-    for _ in range(MENDINGS):
-        now = mesh_map.positions.values(q)
-        small = signed_areas(now, triangles) < min(SMALL, least) * initial
-        if not np.any(small):
-            break
-        q = mesh_map.q_of(X0 + _smoothed(now - X0, triangles, np.unique(triangles[:, small])))
-    q = mesh_map.clipped(q)
-    while not np.all(signed_areas(mesh_map.positions.values(q), triangles) > min(1e-3, least) * initial):
+    least = np.clip(0.5 * float(np.min(after / before)), 1e-9, 1e-3) * signed_areas(X0, triangles)
+    q = mesh_map.clipped(mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, shift, X0)))
+    while not np.all(signed_areas(mesh_map.positions.values(q), triangles) > least):
         q = 0.9 * q
         if np.max(np.abs(q), initial=0.0) < 1e-6:
             return np.zeros_like(q)
     return q
-
-
-def _smoothed(shift: Array, triangles: NDArray, nodes: NDArray) -> Array:
-    """The shift with some nodes set to the mean over their neighbours and themselves."""
-    n = shift.shape[1]
-    total, count = shift.copy(), np.ones(n)
-    for i in range(3):
-        for j in ((i + 1) % 3, (i + 2) % 3):
-            np.add.at(total.T, triangles[i], shift[:, triangles[j]].T)
-            np.add.at(count, triangles[i], 1.0)
-    result = shift.copy()
-    result[:, nodes] = (total / count)[:, nodes]
-    return result

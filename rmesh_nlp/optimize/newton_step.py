@@ -24,7 +24,7 @@ OVERSHOOT = 2.0
 DECREASE = 0.01
 """Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré."""
 
-SHORTEN, SEARCHES = 0.25, 30
+SHORTEN, SEARCHES = 0.5, 30
 """Factor of the steps that are tried for a Cauchy point and in a projected search, and most tries of that."""
 
 

@@ -17,7 +17,7 @@ from best_mesh import adaptive as plain
 from best_mesh.cases import EQUATIONS_61, Case, next_mesh
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.models.remeshing import GROWTH, ROUGH, Solved, metric_start, remeshed_problem
+from rmesh_nlp.models.remeshing import Solved, metric_start, remeshed_problem
 from rmesh_nlp.problem import ContactProblem
 from rows import Row, Store, timed
 
@@ -87,14 +87,14 @@ def attainable(case: Case, size: int) -> Rows:
 
 
 def metric_loop(case: Case, most: int) -> Rows:
-    """An adaptive loop of Mmg with the recovered metric: one round per size, each several times the last."""
+    """An adaptive loop of Mmg with the recovered metric: one round per size, each four times the last."""
     problem, ratio, spent = case.problem(case.sizes[0]), float("nan"), 0.0
     while unknowns(problem) <= most:
         solved, seconds = timed(Solved.of, problem)
         spent += seconds
         yield {**_row(case, problem), "seconds": spent}
-        size = int(GROWTH * unknowns(problem))
-        (problem, ratio), seconds = timed(remeshed_problem, problem, solved.regions, size, ratio, ROUGH)
+        size = 4 * unknowns(problem)
+        (problem, ratio), seconds = timed(remeshed_problem, problem, solved.regions, size, ratio, 0.2)
         spent += seconds
 
 
