@@ -13,7 +13,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.lines import on_curve, parameters_of, sliding_directions
+from rmesh_nlp.problem.lines import on_curve, sliding_directions
 from rmesh_nlp.problem.motion import Relative
 
 PARALLEL = 1e-8
@@ -122,9 +122,9 @@ class MeshMap:
         parameters = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
         for number, (name, curve) in enumerate(problem.motion.curves.items()):
             inner = np.flatnonzero(sliding & (along == number))
-            t, speed = parameters_of(curve, mesh.p[:, inner])
+            t = curve.nearest(mesh.p[:, inner])
             index[:, inner], offset[:, inner] = first[inner], t
-            scale[:, inner] = np.min(unit[:, inner], axis=0) / speed
+            scale[:, inner] = np.min(unit[:, inner], axis=0) / np.linalg.norm(curve.velocity(t), axis=0)
             which[:, inner] = np.array([[2 * number], [2 * number + 1]])
             nodes = problem.boundary_nodes((name,))  # also the ends of the curve, which do not slide
             parameters.offset[number, nodes] = curve.nearest(mesh.p[:, nodes])

@@ -112,12 +112,6 @@ def harmonic_motions(problem: ProblemData) -> Array:
     return displacements
 
 
-def parameters_of(curve: Curve, points: Array) -> tuple[Array, Array]:
-    """Parameters (n,) of points (2, n) on a curve and the length (n,) of curve per unit of the parameter."""
-    t = curve.nearest(points)
-    return t, np.linalg.norm(curve.velocity(t), axis=0)
-
-
 def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> tuple[Index, Array]:
     """Nodes on lines, and unit tangents (2, nodes) of those that may slide, zero elsewhere.
 
