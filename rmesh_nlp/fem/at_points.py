@@ -68,11 +68,6 @@ class PointValues:
         """Of a value."""
         return int(self.function.size1_out(0))
 
-    @property
-    def size(self) -> int:
-        """Of the argument of the element function."""
-        return self.length * len(self._matrices[0])
-
     @cached_property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of vertices."""

@@ -196,20 +196,16 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
 
 
 def contact_force_groups(
-    space: DisplacementSpace,
-    rows: Index,
-    positions: Field,
-    normal_force: Field,
-    friction: tuple[Field, Field],
+    space: DisplacementSpace, rows: Index, positions: Field, forces: tuple[Field, Field, Field]
 ) -> list[ElementGroup]:
     """Rows ``-lambda n + (mu- - mu+) t`` of the equilibrium at contact nodes.
 
-    ``rows`` is (components, nodes): the row of each displacement unknown; the multipliers are fields
-    (obstacles, nodes).
+    ``rows`` is (components, nodes): the row of each displacement unknown; ``forces`` are the fields
+    (obstacles, nodes) of lambda, mu- and mu+.
     """
     groups = []
     for part in space.contact_sets:
-        used = (normal_force, *friction) if part.obstacle.frictional else (normal_force,)
+        used = forces if part.obstacle.frictional else forces[:1]
         for which, vertices, shares in space.kinds(part.nodes):
             nodes = part.nodes[which]
             local = [field.component(part.number).at(nodes[None]) for field in used]
@@ -219,31 +215,25 @@ def contact_force_groups(
     return groups
 
 
-def coulomb_function(obstacle: Obstacle, shares: Array) -> ca.Function:
-    """``(X_i, lambda) -> (0, F(X) lambda)`` of one contact node."""
-    (X, x, y), pressure = _node(shares), ca.SX.sym("lambda")
-    return ca.Function("coulomb", [X, pressure], [0, at(obstacle.coulomb, x, y) * pressure], OPEN)
+def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
+    """``(X_i, lambda, mu-, mu+) -> (0, F(X) lambda - mu- - mu+)`` of one contact node."""
+    X, x, y = _node(shares)
+    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    value = at(obstacle.coulomb, x, y) * pressure - minus - plus
+    return ca.Function("bound_force", [X, pressure, minus, plus], [0, value], OPEN)
 
 
 def bound_force_groups(
-    space: DisplacementSpace,
-    first_row: int,
-    positions: Field,
-    normal_force: Field,
-    friction: tuple[Field, Field],
+    space: DisplacementSpace, first_row: int, positions: Field, forces: tuple[Field, Field, Field]
 ) -> list[ElementGroup]:
     """Rows ``F lambda - mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
-    minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
-    function = ca.Function("bound_force", [minus, plus], [0, -minus - plus])
     groups = []
     for part, numbers in _frictional(space):
-        local = tuple(field.component(part.number).at(part.nodes[None]) for field in friction)
-        groups.append(ElementGroup(function, local, first_row + numbers[None]))
-        for which, vertices, shares in space.kinds(part.nodes) if part.obstacle.has_coulomb else ():
-            force = normal_force.component(part.number).at(part.nodes[None, which])
-            rows = first_row + numbers[None, which]
-            pressing = coulomb_function(part.obstacle, shares)
-            groups.append(element_group(pressing, positions, (positions.at(vertices), force), rows))
+        for which, vertices, shares in space.kinds(part.nodes):
+            nodes = part.nodes[None, which]
+            local = positions.at(vertices), *(field.component(part.number).at(nodes) for field in forces)
+            function, rows = bound_function(part.obstacle, shares), first_row + numbers[None, which]
+            groups.append(element_group(function, positions, local, rows))
     return groups
 
 

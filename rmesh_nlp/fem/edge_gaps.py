@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import casadi as ca
@@ -113,19 +113,17 @@ def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[Eleme
     free[part.nodes] = 1.0
     given = _given_along(space, at_start)
     inside = space.order == 2 and part.obstacle.boundary is Place.INTERIOR
-    for at_edge, cells, sides, rows, patch in _fans(space, part) if inside else patches(space, part):
-        number = max(sides)
+    for patch in _fans(space, part) if inside else patches(space, part):
+        number = max(patch.sides)
         curve = problem.curves[number] if number >= 0 else None
-        on_curve = tuple(curve is not None and side == number for side in sides)
-        beside = _Beside(part.obstacle, cells, on_curve, curve, unit, tiny, space.order, at_edge)
-        function, at_points = beside.gap_function(problem.components)
-        along = np.vstack([space.nodes_of(patch[list(cell)]) for cell in cells])
+        function, at_points = _gap_function(part.obstacle, patch, curve, unit, tiny, space)
+        along = np.vstack([space.nodes_of(patch.vertices[list(cell)]) for cell in patch.cells])
         yield ElementTerm(
             function,
-            (patch, part.nodes[None, rows]),
-            part.rows[rows][None],
+            (patch.vertices, part.nodes[None, patch.rows]),
+            part.rows[patch.rows][None],
             at_points=at_points,
-            arc=None if curve is None else (number, patch),
+            arc=None if curve is None else (number, patch.vertices),
             constants=np.vstack([free[along], given[along]]),
         )
 
@@ -202,74 +200,55 @@ def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
     return np.asarray(np.sum(normals * np.where(held, value, 0.0), axis=0))
 
 
-@dataclass(frozen=True)
-class _Beside:
-    """A contact node and its cells, see :class:`Patch`.
+def _gap_function(
+    obstacle: Obstacle, patch: Patch, curve: Curve | None, unit: float, tiny: float, space: DisplacementSpace
+) -> tuple[ca.Function, PointValues | None]:
+    """``([parameters,] patch, u_i, (free, given)[, distances]) -> (0, gap)`` of a contact node.
 
-    ``on_curve`` tells of each edge whether it is an arc of ``curve``; lengths are in units of ``unit``, in
-    which ``tiny`` is the least height.
+    ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
+    ``given``: cell by cell, in each those at its vertices and then those at its edges. ``tiny`` is the least
+    height in units of ``unit``. Edges on the last one of the patch's curves are arcs of ``curve``.
     """
-
-    obstacle: Obstacle
-    cells: tuple[tuple[int, ...], ...]
-    on_curve: tuple[bool, ...]
-    curve: Curve | None
-    unit: float
-    tiny: float
-    order: int
-    at_edge: bool
-
-    def gap_function(self, components: int) -> tuple[ca.Function, PointValues | None]:
-        """``([parameters,] patch, u_i, (free, given)[, distances]) -> (0, gap)``.
-
-        ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
-        ``given``: cell by cell, in each those at its vertices and then those at its edges.
-        """
-        kind = ca.SX if self.curve is None else kind_of(self.curve)
-        n, corners = len(self.cells), len(self.cells[0])
-        vertices, nodes = 1 + max(max(cell) for cell in self.cells), size(self.order, corners)
-        X, t = kind.sym("X", 2, vertices), kind.sym("t", vertices)
-        u, constants = kind.sym("u", components), kind.sym("constants", 2 * nodes * n)
-        free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
-        interior = self.obstacle.boundary is Place.INTERIOR
-        shares = _samples(corners, interior)
-        points, of_cells = ca.horzsplit(X), []
-        for cell, arc in zip(self.cells, self.on_curve, strict=True):
-            of_cells.append(np.zeros((vertices, shares.shape[1])))
-            of_cells[-1][list(cell)] = shares
-            if self.curve is not None and arc:
-                edge = ArcPoints(self.curve, ca.vertcat(*(t[i] for i in cell)), kind)
-                points += [edge.point(s) for s in shares[1]]
-            else:
-                points += ca.horzsplit(X @ ca.DM(of_cells[-1]))
-        distance = kind.sym("distance", len(points))
-        middles = [
-            np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in SIDES[corners]
-        ]
-        power, own = kind(self.tiny**POWER), distance[0]
-        for i, cell in enumerate(self.cells):
-            along = distance[vertices + i * shares.shape[1] : vertices + (i + 1) * shares.shape[1]]
-            at_nodes = [*(distance[k] for k in cell), *(along[k] for k in middles)]
-            D = ca.DM(to_coefficients(self.order, corners)) @ ca.vertcat(*at_nodes[:nodes])
-            keeps = free[:, i] * D - (1 - free[:, i]) * given[:, i]
-            if self.at_edge:
-                own = D[corners]
-            for k, at in enumerate(shares.T):
-                share = ca.DM(functions(self.order, at))
-                height = ca.dot(share, keeps) - along[k]
-                weight = ca.dot(share, free[:, i])
-                if corners == 3:  # where only nodes that are held have a share no other can keep off
-                    weight = ca.if_else(weight > 0, weight, np.inf)
-                power += ca.fmax(height / (self.unit * weight), 0) ** POWER
-        off = self.unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
-        x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if self.at_edge else X[:, 0])
-        gap = ca.dot(self.obstacle.direction(x, y), u) + own - off
-        columns = [*([] if self.curve is None else [t]), ca.vec(X), u, constants]
-        if self.curve is not None:  # points that are no mean of vertices
-            values = ca.vertcat(*(self.obstacle.distance(*ca.vertsplit(point)) for point in points))
-            return ca.Function("edge_gap", columns, [0, ca.substitute(gap, distance, values)], OPEN), None
-        at_points = PointValues.of(self.obstacle.distance, np.hstack([np.eye(vertices), *of_cells]))
-        return ca.Function("edge_gap", [*columns, distance], [0, gap], OPEN), at_points
+    order, cells, interior = space.order, patch.cells, obstacle.boundary is Place.INTERIOR
+    kind = ca.SX if curve is None else kind_of(curve)
+    n, corners, vertices = len(cells), len(cells[0]), len(patch.vertices)
+    nodes, shares = size(order, corners), _samples(corners, interior)
+    X, t, u = kind.sym("X", 2, vertices), kind.sym("t", vertices), kind.sym("u", space.problem.components)
+    constants = kind.sym("constants", 2 * nodes * n)
+    free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
+    # distances at vertices, and at the samples of each cell
+    firsts = [0, *(vertices + i * shares.shape[1] for i in range(n + 1))]
+    distance = kind.sym("distance", firsts[-1])
+    at_vertices, *samples = ca.vertsplit(distance, firsts)
+    middles = [np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in SIDES[corners]]
+    shapes, power, own = ca.DM(functions(order, shares)).T, kind(tiny**POWER), at_vertices[0]
+    for i, (cell, along) in enumerate(zip(cells, samples, strict=True)):
+        at_nodes = ca.vertcat(*(at_vertices[k] for k in cell), *(along[k] for k in middles))[:nodes]
+        D = ca.DM(to_coefficients(order, corners)) @ at_nodes
+        if patch.at_edge:
+            own = D[corners]
+        height = shapes @ (free[:, i] * D - (1 - free[:, i]) * given[:, i]) - along
+        weight = shapes @ free[:, i]
+        if corners == 3:  # where only nodes that are held have a share no other can keep off
+            weight = ca.if_else(weight > 0, weight, np.inf)
+        power += ca.sum1(ca.fmax(height / (unit * weight), 0) ** POWER)
+    off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
+    x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if patch.at_edge else X[:, 0])
+    gap = ca.dot(obstacle.direction(x, y), u) + own - off
+    places = [np.eye(vertices)[:, list(cell)] @ shares for cell in cells]
+    if curve is None:
+        at_points = PointValues.of(obstacle.distance, np.hstack([np.eye(vertices), *places]))
+        return ca.Function("edge_gap", [ca.vec(X), u, constants, distance], [0, gap], OPEN), at_points
+    points = ca.horzsplit(X)  # those on the curve are no mean of vertices
+    for cell, side, place in zip(cells, patch.sides, places, strict=True):
+        if side == max(patch.sides):
+            arc = ArcPoints(curve, ca.vertcat(*(t[i] for i in cell)), kind)
+            points += [arc.point(s) for s in shares[1]]
+        else:
+            points += ca.horzsplit(X @ ca.DM(place))
+    values = ca.vertcat(*(obstacle.distance(*ca.vertsplit(point)) for point in points))
+    gap = ca.substitute(gap, distance, values)
+    return ca.Function("edge_gap", [t, ca.vec(X), u, constants], [0, gap], OPEN), None
 
 
 def _samples(corners: int, interior: bool) -> Array:

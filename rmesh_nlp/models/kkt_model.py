@@ -236,12 +236,10 @@ def bilevel(
 
     # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then of G and H
     groups = [gradient_group(group, -free.n, force) for group in parts.bulk(positions, displacement)]
-    groups += contact_force_groups(
-        parts.space, parts.displacement.index, positions, forces.normal, forces[1:]
-    )
+    groups += contact_force_groups(parts.space, parts.displacement.index, positions, forces)
     for weights in parts.friction:
         groups.append(gradient_group(weights.on(positions, slip), n_u - (first + n_c), force))
-    groups += bound_force_groups(parts.space, n_u, positions, forces.normal, forces[1:])
+    groups += bound_force_groups(parts.space, n_u, positions, forces)
     for k, (terms, unit) in enumerate(zip(summed.sums, sums, strict=True)):
         groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
     groups.append(identity_group(first_sum, n_u + n_s + np.arange(n_sums)))
