@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import casadi as ca
 
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, PlaneStrain, Traction
+from support.sliding import elastic, entries
 
 LAMBDA, MU = 3.0, 2.0
 
@@ -30,22 +30,16 @@ def smooth_membrane(n: int, order: int) -> ContactProblem:
 def smooth_block(n: int, order: int) -> ContactProblem:
     """``(sin(2 x) cos(y), x^2 exp(y))`` on the unit square, given on the left and loaded elsewhere."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    u = _bent(x, y)
-    slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
-    strain = (slope + slope.T) / 2
-    stress = LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain
-    body = ca.Function("f", [x, y], [-(ca.jacobian(stress[:, 0], x) + ca.jacobian(stress[:, 1], y))])
+    _, stress, force = elastic(_bent(x, y), x, y, LAMBDA, MU)
+    body = ca.Function("f", [x, y], [force])
     sides = {"right": (1, 0), "bottom": (0, -1), "top": (0, 1)}
     loads = {name: ca.Function("t", [x, y], [stress @ ca.DM(n)]) for name, n in sides.items()}
 
-    def parts(function: ca.Function) -> tuple[Any, Any]:
-        return partial(_entry, function, 0), partial(_entry, function, 1)
-
     return ContactProblem(
         rectangle(n, n),
-        PlaneStrain(LAMBDA, MU, parts(body)),
+        PlaneStrain(LAMBDA, MU, entries(body, 0, 1)),
         (Dirichlet("left", (lambda x, y: _bent(x, y)[0], lambda x, y: _bent(x, y)[1])),),
-        tractions=tuple(Traction(name, parts(load)) for name, load in loads.items()),
+        tractions=tuple(Traction(name, entries(load, 0, 1)) for name, load in loads.items()),
         motion=Motion(None),
         quadrature=10,
         exact=ExactSolution(_bent, float("nan")),
@@ -55,7 +49,3 @@ def smooth_block(n: int, order: int) -> ContactProblem:
 
 def _bent(x: Any, y: Any) -> Any:
     return ca.vertcat(ca.sin(2 * x) * ca.cos(y), x * x * ca.exp(y))
-
-
-def _entry(function: ca.Function, i: int, x: Any, y: Any) -> Any:
-    return function(x, y)[i]

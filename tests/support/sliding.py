@@ -42,14 +42,24 @@ def displacement(x: Any, y: Any, power: int = 2) -> Any:
     return ca.vertcat(SLIDE * past * past * past + y * shear / MU, PRESS * y)
 
 
+def elastic(u: ca.SX, x: ca.SX, y: ca.SX, lame_lambda: float, lame_mu: float) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Strain and stress of a displacement, and the body force that it needs."""
+    slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
+    strain = (slope + slope.T) / 2
+    stress = lame_lambda * ca.trace(strain) * ca.SX.eye(2) + 2 * lame_mu * strain
+    return strain, stress, -(ca.jacobian(stress[:, 0], x) + ca.jacobian(stress[:, 1], y))
+
+
+def entries(function: ca.Function, *which: int) -> tuple[Any, ...]:
+    """Entries of a matrix by their numbers, column by column, each as a function of position."""
+    return tuple(partial(_entry, function, i) for i in which)
+
+
 def _functions(power: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     """The body force that the solution needs, its stress, and the density of its energy without friction."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
     u = displacement(x, y, power)
-    slope = ca.horzcat(ca.jacobian(u, x), ca.jacobian(u, y))
-    strain = (slope + slope.T) / 2
-    stress = LAMBDA * ca.trace(strain) * ca.SX.eye(2) + 2 * MU * strain
-    force = -(ca.jacobian(stress[:, 0], x) + ca.jacobian(stress[:, 1], y))
+    strain, stress, force = elastic(u, x, y, LAMBDA, MU)
     density = ca.dot(stress, strain) / 2 - ca.dot(force, u)
     results = {"force": force, "stress": stress, "density": density}
     one, two, three = (ca.Function(name, [x, y], [value]) for name, value in results.items())
@@ -79,11 +89,11 @@ def sliding_block(n: int, power: int = 2) -> ContactProblem:
     force, stress, _ = _functions(power)
     return ContactProblem(
         mesh=rectangle(n, n),
-        law=PlaneStrain(LAMBDA, MU, (partial(_entry, force, 0), partial(_entry, force, 1))),
+        law=PlaneStrain(LAMBDA, MU, entries(force, 0, 1)),
         dirichlet=(Dirichlet("left", (0.0, lambda x, y: PRESS * y)),),
         tractions=(
-            Traction("top", (partial(_entry, stress, 2), partial(_entry, stress, 3))),
-            Traction("right", (partial(_entry, stress, 0), partial(_entry, stress, 1))),
+            Traction("top", entries(stress, 2, 3)),
+            Traction("right", entries(stress, 0, 1)),
         ),
         obstacle=Obstacle("bottom", friction=BOUND),
         motion=Motion((0.02, 0.02)),
