@@ -9,7 +9,8 @@ NOSBENCH's .json files, and folders of them, are read too. Every solve is a proc
 a forked process copies each page of memory that it touches, most of them Python's. What a solver ends
 with is measured by the problem's expressions, not taken from the solver: solved is a point whose constraint
 violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
-best known value or, where none is known, of the least that any solver here found. Time is processor time of
+best known value or, where none is known, of the least that any solver here found, proved one that linear
+programs show to be S- or B-stationary, whatever the solver calls it. Time is processor time of
 build and solve. Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and
 membrane-pressure (not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has
 no row of.
@@ -41,11 +42,12 @@ from mpcc_library.families import FAMILIES
 from mpcc_library.large import LARGE
 from mpcc_library.solvers import NEEDS, SOLVERS
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc import MPCC, Problem, read
+from rmesh_nlp.mpcc import MPCC, Options, Problem, classify, read
 from rmesh_nlp.mpcc.reading import READERS
 from rows import Row, Store, command_line, markdown, timed
 
 SOLVED, LOWEST = 1e-6, 1e-4
+SHOWN = ("solved", "lowest", "proved")
 COLOURS = ("#0072B2", "#D55E00", "#009E73")  # told apart by the colour-blind: Okabe and Ito (2008)
 
 
@@ -97,7 +99,9 @@ def solved(group: str, problem: Problem, solver: str, limit: float, together: bo
     def work() -> Row:
         end, seconds = timed(SOLVERS[solver], problem)
         f, violation = measured(problem, end.x)
-        ending = {"status": end.status, "f": f, "violation": violation}
+        tolerances = Options(feasibility=SOLVED, complementarity=SOLVED, corner=math.sqrt(SOLVED))
+        found = classify(problem.mpcc, end.x, p=problem.p0, options=tolerances)
+        ending = {"status": end.status, "f": f, "violation": violation, "proved": bool(found.b_stationary)}
         return ending | {"iterations": end.iterations, "seconds": seconds}
 
     row = work() if together else isolated(work, limit)
@@ -108,9 +112,11 @@ def solved(group: str, problem: Problem, solver: str, limit: float, together: bo
 
 def judged(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows with ``solved`` and ``lowest``, see above; what did not come to an end is neither."""
-    columns = ["group", "problem", "solver", "pairs", "target", "f", "violation", "iterations", "seconds"]
+    columns = ["group", "problem", "solver", "pairs", "target", "f", "violation"]
+    columns += ["proved", "iterations", "seconds"]
     frame = pd.DataFrame(rows, columns=columns)
     frame["solved"] = frame.violation <= SOLVED
+    frame["proved"] = frame.solved & frame.proved.eq(True)  # nothing of what did not end
     least = frame.f.where(frame.solved).groupby(frame.problem).transform("min")
     best = frame.target.astype(float).fillna(least)
     frame["lowest"] = frame.solved & (frame.f - best <= LOWEST * np.maximum(1.0, best.abs()))
@@ -124,11 +130,11 @@ def table(rows: Sequence[Row]) -> str:
         frame = pd.concat([frame, frame.assign(group="all")])
     for group, own in frame.groupby("group", sort=False):
         sums = own.groupby("solver", sort=False).agg(
-            {"problem": "count", "solved": "sum", "lowest": "sum", "iterations": "sum", "seconds": "sum"}
+            {"problem": "count", **dict.fromkeys((*SHOWN, "iterations", "seconds"), "sum")}
         )
         counted = own.iterations.notna().groupby(own.solver, sort=False).all()
         part = pd.DataFrame({"problems": f"{group}, " + sums.problem.astype(str), "solver": sums.index})
-        part[["solved", "lowest"]] = sums[["solved", "lowest"]]
+        part[[*SHOWN]] = sums[[*SHOWN]]
         part["iterations"] = [
             f"{n:.0f}" if all_ else None for n, all_ in zip(sums.iterations, counted, strict=True)
         ]
