@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
@@ -70,27 +70,10 @@ class Solved:
         return self.solver.problem
 
     @staticmethod
-    def of(problem: ContactProblem, near: Solved | None = None) -> Solved:
-        """Solve a problem on the mesh as given, from the contact of a similar mesh if there is one."""
+    def of(problem: ContactProblem) -> Solved:
+        """Solve a problem on the mesh as given."""
         solver = ContactSolver(problem)
-        start = near.active_near(solver) if near is not None and "given" not in vars(solver) else None
-        if start is not None:
-            state = solver.solve(np.asarray(problem.mesh.p), start)
-            if state.status is Status.CONVERGED:  # the same as from nothing, and shared by all
-                vars(solver)["given"] = state
         return Solved(solver, solver.given)
-
-    def active_near(self, other: ContactSolver) -> ActiveSet | None:
-        """The active set of the nearest contact nodes; None without contact."""
-        own, others = (
-            solver.discretisation.space.points(np.asarray(solver.problem.mesh.p))[:, solver.contact_nodes].T
-            for solver in (self.solver, other)
-        )
-        if not own.size or not others.size:
-            return None
-        nearest, active = cKDTree(own).query(others)[1], self.state.active
-        sliding = active.sliding[nearest] if active.sliding.size else active.sliding
-        return ActiveSet(active.touching[nearest], sliding)
 
     @cached_property
     def regions(self) -> tuple[Recovered, ...]:
@@ -136,7 +119,7 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     for _ in range(ROUNDS):
         try:
             problem, ratio = remeshed_problem(current.problem, current.regions, nodes, ratio, off=off)
-            current = _solved(problem, current)
+            current = _solved(problem)
         except BadInputError:
             if not done:
                 raise
@@ -149,8 +132,8 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     return MetricStart(best, counts, tuple(solved.state.energy for solved in done))
 
 
-def _solved(problem: ContactProblem, near: Solved) -> Solved:
-    solved = Solved.of(problem, near)
+def _solved(problem: ContactProblem) -> Solved:
+    solved = Solved.of(problem)
     if solved.state.status is not Status.CONVERGED:
         count = problem.mesh.p.shape[1]
         raise ProblemError("mesh", f"the contact problem was not solved on a new mesh of {count} nodes")

@@ -9,10 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact import active_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, ProblemError
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import from_arrays, named
@@ -42,7 +40,6 @@ from rmesh_nlp.problem import (
     Traction,
 )
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.contact_problem import refined
 from support.contact_geometry import (
     block_between_two_foundations,
     block_in_a_corner,
@@ -235,20 +232,6 @@ def test_the_error_is_near_the_true_one_on_a_fine_mesh_and_that_of_all_regions()
     assert parts.error == pytest.approx(Solved.of(problem).error, rel=0.05)
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_contact_of_a_similar_mesh_saves_steps_and_changes_nothing(order: int, monkeypatch) -> None:
-    problem = replace(EXAMPLES["6.3"](n=(12, 6), delta="none"), order=order)
-    fine = refined(problem)
-    cold, near = Solved.of(fine), Solved.of(problem)
-    monkeypatch.setattr(active_set, "first_set", lambda _: pytest.fail("it begins anew"))
-    warm = Solved.of(fine, near)
-    system = cold.solver.system(np.asarray(fine.mesh.p))
-    assert warm.state.iterations < active_set.solve(system, active_set.at_rest(system)).iterations
-    assert warm.state.active.key() == cold.state.active.key()
-    assert warm.state.energy == pytest.approx(cold.state.energy, rel=1e-13)
-    assert warm.solver.given is warm.state
-
-
 class Calls:
     def __init__(
         self, monkeypatch: pytest.MonkeyPatch, energies: list[Any], after: Callable[[], Any] = lambda: None
@@ -266,7 +249,7 @@ class Calls:
             raise self.left.pop(0)
         return replace(problem, name=f"round {len(self.sizes)}"), 2.0
 
-    def solve(self, problem: ContactProblem, _: Solved) -> Any:
+    def solve(self, problem: ContactProblem) -> Any:
         self.after()
         energy = self.left.pop(0)
         if isinstance(energy, Exception):
@@ -310,7 +293,7 @@ class TestRounds:
             metric_start(Solved.of(signorini(2)), 9)
 
     def test_a_contact_problem_without_a_solution_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        def unsolved(problem: ContactProblem, _: Solved) -> Solved:
+        def unsolved(problem: ContactProblem) -> Solved:
             solver = ContactSolver(problem)
             state = replace(solver.solve(problem.mesh.p), status=Status.ITERATION_LIMIT)
             return Solved(solver, state)
