@@ -30,7 +30,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
@@ -40,8 +39,6 @@ from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
-from rmesh_nlp.problem import Place
-from rmesh_nlp.problem.body import Body
 
 COLUMNS = 256
 """Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
@@ -272,19 +269,17 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     """Upper triangle of where the lifted Hessian may have entries, whatever is active.
 
     Unknowns meet if their nodes meet in an element. A touching node follows the outer variables that its gap
-    depends on: those of its vertices, and those of its neighbours on the contact boundary where gaps hold
-    along edges. So outer variables meet where nodes do that follow them.
+    and its slip depend on.
     """
     space, positions = relocation.discretisation.space, relocation.mesh_map.positions.index
     meet = _elements(space)
-    follows = sp.csr_array(sp.eye_array(space.n_nodes) + _followed(space))
-    moved = meet @ follows
     at_nodes = np.full((len(positions), space.n_nodes), -1)
     at_nodes[:, space.number[: space.n_vertices]] = positions
-    to_outer = _to_unknowns(at_nodes, relocation.n_q)
+    to_outer = _to_unknowns(at_nodes, relocation.n_q) + _followed(relocation)
     to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
-    outer = to_outer.T @ (follows.T @ moved) @ to_outer + sp.eye_array(relocation.n_q)
-    mixed = to_others.T @ moved @ to_outer
+    moved = meet @ to_outer
+    outer = to_outer.T @ moved + sp.eye_array(relocation.n_q)
+    mixed = to_others.T @ moved
     others = to_others.T @ meet @ to_others + sp.eye_array(relocation.n_u)
     pattern = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, others]])))
     pattern.sum_duplicates()
@@ -305,21 +300,16 @@ def _elements(space: DisplacementSpace) -> sp.csr_array:
     return sp.csr_array(belongs @ belongs.T + sp.eye_array(n))
 
 
-def _followed(space: DisplacementSpace) -> sp.csr_array:
-    """(nodes, nodes) At which other nodes the positions are that the gap of a node depends on."""
-    problem, n = space.problem, space.n_nodes
-    pattern = sp.csr_array((n, n))
+def _followed(relocation: Relocation) -> sp.csr_array:
+    """(nodes, n_q) Which outer variables the gap and the slip of a node depend on."""
+    space, n_contact = relocation.discretisation.space, relocation.n_contact
+    node = np.zeros(n_contact, dtype=np.int64)
     for part in space.contact_sets:
-        for which, vertices, _ in space.kinds(part.nodes):
-            nodes = np.tile(part.nodes[which], len(vertices))
-            pattern = pattern + _incidence(nodes, space.number[vertices].ravel(), n, n)
-        if holds_along_edges(problem, part.obstacle):
-            for vertices in problem.triangles if part.obstacle.boundary is Place.INTERIOR else ():
-                beside = np.tile(space.number[vertices], len(space.elements))
-                pattern = pattern + _incidence(space.elements.ravel(), beside, n, n)
-            first, second = space.number[Body(problem, problem.mesh.p).edges_of(part.obstacle).ends]
-            pattern = pattern + _incidence(np.append(first, second), np.append(second, first), n, n)
-    return pattern
+        node[part.rows] = part.nodes
+    nodes = np.concatenate([node, node[relocation.friction_rows]])
+    first, n_q = relocation.lagrangian.first.pattern, relocation.n_q
+    rows = sp.vstack([first[relocation.gap_rows, :n_q], first[relocation.slip_rows, :n_q]])
+    return sp.csr_array(_incidence(nodes, np.arange(nodes.size), space.n_nodes, nodes.size) @ abs(rows))
 
 
 def _to_unknowns(index: Index, n: int) -> sp.csr_array:

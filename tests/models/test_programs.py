@@ -160,8 +160,8 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
 def test_other_objectives_and_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(TypeError, match="energy"):
         lifted(nlp_of(EXAMPLES["6.1"](3), "error-l2"))
-    problem = nlp_of(bumpy(0.0))
-    monkeypatch.setattr(module, "_followed", lambda space: 0 * module._elements(space))
+    problem, followed = nlp_of(bumpy(0.0)), module._followed
+    monkeypatch.setattr(module, "_followed", lambda relocation: 0 * followed(relocation))
     larger = lifted(problem)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
