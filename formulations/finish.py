@@ -83,7 +83,9 @@ def _exact(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, 
     """The exact finish of the KKT model, and a contact solve."""
     track, program = monitor.track(outer), outer.kkt
     unit = pull(outer.at_start.gradient) / program.value
-    ipopt = {**COMMON, "obj_scaling_factor": 1 / unit, "tol": TIGHT, "acceptable_tol": 1e3 * TIGHT}
+    # the point is near, but its multipliers are not known: a barrier below Ipopt's own, but not at its end
+    ipopt = {**COMMON, "mu_init": 1e-4, "obj_scaling_factor": 1 / unit, "tol": TIGHT}
+    ipopt["acceptable_tol"] = 1e3 * TIGHT
     with monitor.budget.during("build"):
         solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
     result = solver.finish(program.point(point), budget=monitor.budget.share())
