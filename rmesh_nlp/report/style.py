@@ -39,7 +39,7 @@ SETTINGS: Any = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "legend.frameon": False,
-    "figure.dpi": 160,  # of PNG; vectors are for papers
+    "figure.dpi": 150,  # of PNG; vectors are for papers
     "pdf.fonttype": 42,  # text stays text: publishers ask for it
     "svg.fonttype": "none",  # the same in pages
 }
