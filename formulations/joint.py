@@ -19,7 +19,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
 from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.optimize.solver import NLPResult, Solver
+from rmesh_nlp.optimize.solver import LEAST_SHIFTS, NLPResult, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Positive
@@ -28,6 +28,11 @@ from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
+
+CENTRED: Mapping[str, Any] = {"mu_init": 2.0, "bound_mult_init_method": "mu-based", **LEAST_SHIFTS}
+"""Ipopt's options where nodes have move limits alone: it starts in the middle of them, and the nodes choose
+their corners as the barrier falls. Without these 6.1 with 8, 16, 24, 32 squares a side takes 48, 48, 105, 132
+iterations, with them 35, 48, 61, 79, and ends no higher."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +70,9 @@ class Joint(Formulation):
         ``distorted`` says that the objective has a distortion, which stands in the place of areas.
         """
         own = {"nlp_scaling_method": "none", "obj_scaling_factor": 1 / unit, "tol": self.tol}
-        if areas:
+        if not areas:
+            own |= CENTRED
+        else:
             own |= {"tol": 1e-2 * self.tol, "compl_inf_tol": 1e-2 * self.tol}
         if distorted:
             own["mu_init"] = self.first_barrier

@@ -40,6 +40,7 @@ from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
+from rmesh_nlp.optimize.solver import LEAST_SHIFTS
 from rmesh_nlp.problem import ContactProblem
 
 COMMON: Mapping[str, Any] = {
@@ -48,6 +49,7 @@ COMMON: Mapping[str, Any] = {
     # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
     # less than with the ordering that MUMPS takes of itself
     "mumps_pivot_order": 5,
+    **LEAST_SHIFTS,
 }
 """Ipopt options for the KKT model."""
 

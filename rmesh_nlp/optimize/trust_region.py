@@ -59,7 +59,7 @@ class NewtonSettings(Settings):
     shrink: Part = 0.25
     grow: Factor = 2.0
     forcing: Part = 0.1
-    first_radius: Positive = 1.0
+    first_radius: Positive = 0.5
     max_products: Count = 40
 
     def __post_init__(self) -> None:
