@@ -125,7 +125,7 @@ def _constant(matrix: sp.sparray) -> ca.DM:
     columns = sp.csc_array(matrix)
     columns.sort_indices()
     pattern = ca.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data)
+    return ca.DM(pattern, columns.data.tolist())
 
 
 def _slips(system: ContactSystem) -> _Slips:

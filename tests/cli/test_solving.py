@@ -144,7 +144,7 @@ def test_refusing_the_only_objective_is_no_success(rmesh) -> None:
 @pytest.mark.slow
 def test_seeds_and_objectives_join_what_is_there(rmesh) -> None:
     typed = "compare 6.1 --n 3 --quadrature 6 --out all -q --no-figures"
-    assert rmesh(f"{typed} --formulations joint --seed 1 --seed 2,3").code == 0
+    assert rmesh(f"{typed} --formulations joint --seed 1 --seed 2 --seed 3").code == 0
     assert "## Several starts" in Path("all/table.md").read_text()
     assert rmesh(f"{typed} --formulations nested --objective error-l2 --resume").code == 0
     rows = [result.record for result in read_results(Path("all"))]

@@ -96,8 +96,9 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
     # from the given mesh mpcc ends in a lower minimum of 6.1: it must not leave nested's on the way there
     end = solved("nested", name)
     certified = mpcc.solve(EXAMPLES[name](), start=end)
-    np.testing.assert_allclose(certified.mesh.p, end.mesh.p, atol=1e-4)
-    assert certified.energy == pytest.approx(end.energy, rel=1e-8)
+    # other minima are a tenth of an edge away; along flat directions nested is exact to a thousandth of one
+    np.testing.assert_allclose(certified.mesh.p, end.mesh.p, atol=1e-3)
+    assert certified.energy == pytest.approx(end.energy, rel=1e-9)
     assert (certified.success, certified.stationarity) == (True, "S")
     assert certified.iterations < 40
 
