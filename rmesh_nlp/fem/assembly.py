@@ -123,7 +123,9 @@ def _by_element(values: NDArray) -> Index:
 def _selection(row: Index, column: Index, shape: tuple[int, int], value: Array | float = 1.0) -> ca.DM:
     """A sparse matrix by its entries; zeros among them are kept."""
     values = np.broadcast_to(value, row.shape)
-    return ca.DM(sp.csc_matrix((values, (row, column)), shape=shape))
+    matrix = sp.csc_matrix((values, (row, column)), shape=shape)
+    matrix.sort_indices()  # CasADi ends the process where they are not
+    return ca.DM(matrix)
 
 
 def element_values(groups: Sequence[ElementGroup]) -> Callable[[Array], list[Array]]:

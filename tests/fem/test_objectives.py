@@ -338,7 +338,7 @@ def test_an_objective_in_python_is_the_same_as_in_text() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("order", ORDERS)
-def test_nested_and_mpcc_agree_on_a_quantity(order: int) -> None:
+def test_nested_and_mpcc_lower_a_quantity_to_the_same_minimum_or_mpcc_to_a_lower_one(order: int) -> None:
     block, objective = (
         replace(example("6.2", (6, 3)), order=order),
         "peak-pressure(contact, 100) + 0.1*quality",
@@ -346,7 +346,7 @@ def test_nested_and_mpcc_agree_on_a_quantity(order: int) -> None:
     nested, mpcc = (rm.solve(block, name, objective=objective) for name in ("nested", "mpcc"))
     values = [solution.record()["objective_value"] for solution in (nested, mpcc)]
     assert values[0] < 0.9 * nested.record()["objective_initial"]
-    assert values[0] == pytest.approx(values[1], rel=1e-3)
+    assert 0.95 * values[0] < values[1] < 1.001 * values[0]
 
 
 def at_zero(problem: ContactProblem, objective: object) -> float:
