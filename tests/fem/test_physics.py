@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from gallery import free_boundary
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -77,7 +78,7 @@ def test_penetration_between_nodes_is_measured() -> None:
     flat = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1))))
     assert flat.assessment.final.penetration <= 1e-16
     # a flat obstacle below P1 functions is met everywhere if it is met at the nodes
-    assert fixed.solve(membrane(8)).assessment.final.penetration == 0
+    assert fixed.solve(free_boundary.problem(8)).assessment.final.penetration == 0
 
 
 def test_a_friction_bound_may_vary_with_position() -> None:
@@ -109,25 +110,9 @@ def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
     assert solution.tangential_stress[corner] == 0
 
 
-def membrane(n: int) -> ContactProblem:
-    """u >= 0 with f = -2 and the radial solution r^2/2 - ln r - 1/2 outside r = 1."""
-
-    def exact(x: object, y: object) -> object:
-        r2 = ca.fmax(x * x + y * y, 1.0)
-        return r2 / 2 - ca.log(r2) / 2 - 0.5
-
-    return ContactProblem(
-        rectangle(n, n, x=(-1.5, 1.5), y=(-1.5, 1.5)),
-        Laplace(-2.0),
-        tuple(Dirichlet(edge, (exact,)) for edge in EDGES),
-        Obstacle.interior(0.0),
-        Motion(Relative(0.25)),
-        name="membrane",
-    )
-
-
 def test_an_interior_obstacle_has_its_known_free_boundary() -> None:
-    solution = fixed.solve(membrane(24))
+    """That of the radial solution r^2 / 2 - ln r - 1 / 2 is at r = 1."""
+    solution = fixed.solve(free_boundary.problem(24))
     touching = solution.pressure > 0
     r = np.hypot(*solution.mesh.p)
     assert solution.success

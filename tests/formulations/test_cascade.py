@@ -9,7 +9,6 @@ import pytest
 import rmesh_nlp as rm
 from formulations import cascade as module
 from formulations.cascade import Cascade
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.models.levels import coarsened
@@ -57,21 +56,6 @@ def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
     assert [level["nodes"] for level in row["cascade"]] == [25]
     assert np.min(signed_areas(solution.mesh.p, problem.triangles)) > 0
     assert solution.gain_audited > 0
-
-
-@pytest.mark.parametrize(
-    "bad",
-    [
-        {"schedule": (0.0,)},
-        {"schedule": (1.0, -1.0)},
-        {"schedule": "x"},
-        {"distortion": "oval"},
-        {"iterations": 0},
-    ],
-)
-def test_bad_settings_are_refused(bad: dict[str, Any]) -> None:
-    with pytest.raises(BadInputError, match=next(iter(bad))):
-        Cascade.of(bad)
 
 
 @pytest.mark.slow

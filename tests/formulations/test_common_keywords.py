@@ -192,6 +192,7 @@ def test_what_is_no_field_is_refused_with_the_nearest_one() -> None:
         (Joint, {"ipopt": 3}),
         (Options, {"warm_duals": "yes"}),
         *((kind, {"distortion": bad}) for kind in (Cascade, Auto) for bad in (1, "oval")),
+        *((Cascade, {"schedule": bad}) for bad in ((0.0,), (1.0, -1.0), "x")),
     ],
 )
 def test_what_is_no_number_is_checked_too(kind: type[Settings], given: dict[str, Any]) -> None:

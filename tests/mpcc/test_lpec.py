@@ -132,21 +132,24 @@ def test_of_feasible_branches_the_one_with_the_lower_objective_is_taken():
     assert z[1] == 0
 
 
-def test_point_outside_its_bounds_is_put_into_them():
-    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=0.5))
-    assert phase_one(run, np.array([-0.1, -0.2]))[1] is Status.INFEASIBLE
-    run = run_of(MPCC(XY, x, ca.exp(x) + y, x, y, ubg=1.5))
-    assert phase_one(run, np.array([-0.1, -0.2]))[1] is Status.CONVERGED
-
-
 @pytest.mark.parametrize(
-    ("least", "status"), [(0.0, Status.CONVERGED), (1e-9, Status.CONVERGED), (1e-3, Status.INFEASIBLE)]
+    ("rows", "bounds", "start", "is_infeasible"),
+    [
+        (x**2 + y**2, {"ubg": -1}, (0.3, 0.2), True),
+        (x * y, {"lbg": 1}, (0.3, 0.2), True),
+        (x + y, {"lbg": 1}, (0.3, 0.2), False),
+        ((x - 3) ** 2 * x, {"lbg": 5}, (0.3, 0.2), True),  # at 1, where the row is 4; it holds from 4.5 on
+        (x**2, {"lbg": 5}, (0.3, 0.2), False),
+        # a point outside its bounds is put into them
+        *((ca.exp(x) + y, {"ubg": bound}, (-0.1, -0.2), bound < 1) for bound in (0.5, 1.5)),
+        # a minimum within the tolerance of 1e-8 is none
+        *((x**2 + y**2 + least, {"ubg": 0}, (0, 0), least > 1e-8) for least in (0.0, 1e-9, 1e-3)),
+    ],
 )
-def test_a_minimum_of_the_violation_within_the_tolerance_is_not_called_infeasible(least, status):
-    """x^2 + y^2 + least <= 0 has its least violation at zero."""
-    run, end = end_of(MPCC(XY, x, x**2 + y**2 + least, x, y, ubg=0), [0, 0])
-    assert run.options.feasibility > 1e-9
-    assert end[1] is status
+def test_infeasible_is_what_has_a_local_minimum_of_the_violation(rows, bounds, start, is_infeasible):
+    _, (z, status) = end_of(MPCC(XY, x, rows, x, y, **bounds), start)
+    assert status is (Status.INFEASIBLE if is_infeasible else Status.CONVERGED)
+    assert np.min(z[:2]) == pytest.approx(0, abs=1e-8)
 
 
 @pytest.mark.parametrize("start", [[np.nan, 0.0], [np.inf, 0.0]])

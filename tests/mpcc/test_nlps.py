@@ -9,6 +9,7 @@ from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs, relaxed_nlp
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
+from support.derivatives import assert_derivatives_are_casadis
 from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
 
 p = ca.SX.sym("p")
@@ -140,27 +141,12 @@ def nonlinear(kind):
     return MPCC(x, ca.sumsqr(x - 1) * x[2], x[0] ** 3 - x[1], G, H, p=p, lbg=0, ubg=0, lbx=-5, ubx=[4, 5, 6])
 
 
-def assert_derivatives_are_casadis(nlp, seed):
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
-    rows = [nlp.f, ca.gradient(nlp.f, nlp.x), nlp.g, ca.jacobian(nlp.g, nlp.x)]
-    hessian = ca.triu(ca.hessian(lam_f * nlp.f + ca.dot(lam_g, nlp.g), nlp.x)[0])
-    given = ca.Function("given", [nlp.x, nlp.p, lam_f, lam_g], [*rows, hessian])
-    at = np.random.default_rng(seed)
-    point, parameters = at.uniform(0.2, 1.5, nlp.n_x), at.uniform(0.2, 1.5, nlp.p.shape[0])
-    lam = at.normal(size=nlp.n_g)
-    own = nlp.derivatives
-    ours = [*own.grad_f(point, parameters), *own.jac_g(point, parameters)]
-    ours += [own.hess_lag(point, parameters, 0.7, lam)]
-    for mine, casadi in zip(ours, given(point, parameters, 0.7, lam), strict=True):
-        np.testing.assert_allclose(np.array(ca.DM(mine)), np.array(ca.DM(casadi)), rtol=1e-11, atol=1e-12)
-
-
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
 @pytest.mark.parametrize("name", [None, *RELAXATIONS])
 def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
     lifted = lift(nonlinear(kind))
     nlp = lifted.nlp if name is None else relaxed_nlp(lifted, name)[0]
-    assert_derivatives_are_casadis(nlp, 3)
+    assert_derivatives_are_casadis(nlp, seed=3)
 
 
 def compiled(mpcc=None, **options):

@@ -11,6 +11,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, Options, multistart, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.optimize.nlp import Derivatives
+from support.derivatives import assert_derivatives_are_casadis
 from support.scripted_run import XY, x, y
 
 stray = ca.SX.sym("stray")
@@ -146,27 +147,8 @@ def test_extended_mpcc_keeps_assembled_derivatives(kind, with_hessian):
     assert (longer.n_x, longer.n_g, longer.n_pairs) == (5, 3, 3)
     assert list(longer.lbx) == [-INF] * 3 + [0, -1]
     assert (list(longer.lbg), list(longer.ubg)) == ([-1, -1, -INF], [2, 2, 7])
-    column = ca.vertcat(longer.g, longer.G, longer.H)
-    whole = automatic_derivatives(*_pure(longer, column))
-    at = np.random.default_rng(0)
-    point, parameters, lam = at.normal(size=5), at.normal(size=2), at.normal(size=9)
-    found = longer.derivatives
-    pairs = [(found.grad_f(point, parameters), whole.grad_f(point, parameters))]
-    pairs += [(found.jac_g(point, parameters), whole.jac_g(point, parameters))]
-    if with_hessian:
-        given = (point, parameters, 0.7, lam)
-        pairs += [([found.hess_lag(*given)], [whole.hess_lag(*given)])]
-    for ours, casadi in pairs:
-        for a, b in zip(ours, casadi, strict=True):
-            np.testing.assert_allclose(np.array(ca.DM(a)), np.array(ca.DM(b)), rtol=1e-12, atol=1e-12)
-    assert (found.hess_lag is not None) == with_hessian
-
-
-def _pure(program, column):
-    """One symbol for x and one for p, as CasADi's derivatives of MX need."""
-    oracle = ca.Function("oracle", [program.x, program.p], [program.f, column])
-    v, p = ca.MX.sym("v", program.n_x), ca.MX.sym("p", program.p.shape[0])
-    return v, p, *oracle.call([v, p], True, False)
+    assert_derivatives_are_casadis(longer, ca.vertcat(longer.g, longer.G, longer.H))
+    assert (longer.derivatives.hess_lag is not None) == with_hessian
 
 
 def test_models_of_contact_have_parts_by_name_and_can_be_extended():

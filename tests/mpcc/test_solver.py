@@ -3,8 +3,8 @@
 import casadi as ca
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
+from mpcc_library.large import obstacle_control
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
@@ -307,16 +307,8 @@ def test_the_exact_finish_alone_descends_over_the_branches_without_any_relaxatio
 
 @pytest.mark.slow
 def test_large_obstacle_control_is_exact_and_labelled():
-    m = 34
-    n, h = m * m, 1 / (m + 1)
-    line = sp.diags([-np.ones(m - 1), np.full(m, 2.0), -np.ones(m - 1)], [-1, 0, 1])
-    laplace = ca.DM(sp.csc_matrix(sp.kronsum(line, line)) / h**2)
-    s = np.arange(1, m + 1) * h
-    wanted = 0.5 * np.outer(np.sin(2 * np.pi * s), np.sin(2 * np.pi * s)).ravel() - 0.02
-    x = ca.SX.sym("x", 3 * n)
-    u, f, force = x[:n], x[n : 2 * n], x[2 * n :]
-    cost = h**2 * (ca.sumsqr(u - wanted) + 1e-3 * ca.sumsqr(f))
-    result = solve(MPCC(x, cost, ca.mtimes(laplace, u) - f - force, force, u, lbg=0, ubg=0), 0.0)
+    problem = obstacle_control(34**2, 0)
+    result = solve(problem.mpcc, problem.x0)
     assert (result.status, result.stationarity) == (S.CONVERGED, "S")
     assert result.complementarity == 0.0
     assert result.n_biactive > 100

@@ -222,42 +222,12 @@ def test_multipliers_given_back_prove_the_label(mpcc, label):
         assert np.max(np.abs(lam[member > 1e-4]), initial=0.0) < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("n", [1, 2, 6])
-def test_b_without_s_needs_the_exact_finish(n):
-    """Here the relaxed solutions are off by sqrt(t): x = y = sqrt(t), z = 3 sqrt(t), f = -sqrt(t)."""
-    result = solve(scheel_like(n), 1.0)
-    assert (result.success, result.stationarity, result.b_stationary) == (True, "M", True)
-    assert len(result.biactive) == n
-    assert abs(result.f) < 1e-6
-    relaxed = [step for step in result.history if step.phase == "relaxed"][-1]
-    assert relaxed.objective == pytest.approx(-n * np.sqrt(relaxed.t), rel=1e-2)
-
-
 def corners(slopes_G, slopes_H, g=None):
     """Pairs x_i _|_ y_i that are biactive at 0; their multipliers are minus the slopes."""
     n = len(slopes_G)
     v = ca.SX.sym("v", 2 * n)
     f = ca.dot(ca.DM([*slopes_G, *slopes_H]), v)
     return at(MPCC(v, f, None if g is None else g(v), v[:n], v[n:], ubg=0), np.zeros(2 * n))
-
-
-@pytest.mark.parametrize(
-    ("slopes_G", "slopes_H", "label"),
-    [
-        ([1, 2, 0], [1, 0, 3], "S"),
-        ([1, -2, 0], [1, 0, 3], "M"),
-        ([1, -2, 0], [1, -1, 3], "C"),
-        ([1, -2, 0], [1, 1, 3], "W"),
-    ],
-)
-def test_unique_multipliers_decide_the_label_and_name_a_branch_that_descends(slopes_G, slopes_H, label):
-    lifted, lin = corners(slopes_G, slopes_H)
-    found = stationarity(lifted, lin, 1e-6)
-    assert (found.label, found.b_stationary) == (label, label == "S")
-    if label != "S":
-        free = lifted.pairs[~found.direction.zero]
-        assert np.min(lin.gradient[free]) < 0
 
 
 def test_only_multipliers_are_those_of_independent_columns():

@@ -11,11 +11,9 @@ from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import linearise
-from rmesh_nlp.mpcc.phase_one import phase_one
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import run_of
 
 z = ca.SX.sym("z", 4)
 SADDLE = z[0] * z[1] + z[0] ** 4 + z[1] ** 4
@@ -48,23 +46,6 @@ def test_large_problems_say_that_curvature_was_not_tested():
     v = ca.SX.sym("v", 204)
     result = solve(MPCC(v, ca.sumsqr(v - 1), None, v[:2], v[2:4]), 0.5)
     assert (result.success, result.curvature) == (True, "not tested")
-
-
-@pytest.mark.parametrize(
-    ("rows", "bounds", "is_infeasible"),
-    [
-        (z[0] ** 2 + z[1] ** 2, {"ubg": -1}, True),
-        (z[0] * z[1], {"lbg": 1}, True),
-        (z[0] + z[1], {"lbg": 1}, False),
-        ((z[0] - 3) ** 2 * z[0], {"lbg": 5}, True),  # at 1, where the row is 4; it holds from 4.5 on
-        (z[0] ** 2, {"lbg": 5}, False),
-    ],
-)
-def test_infeasible_is_what_has_a_local_minimum_of_the_violation(rows, bounds, is_infeasible):
-    run = run_of(MPCC(z[:2], z[0], rows, z[0], z[1], **bounds))
-    end, status = phase_one(run, run.lifted.start(np.array([0.3, 0.2]), np.zeros(0)))
-    assert (status is Status.INFEASIBLE) == is_infeasible
-    assert np.min(end[run.lifted.pairs]) == 0
 
 
 def test_infeasible_is_never_said_after_an_iteration_limit():

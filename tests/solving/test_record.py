@@ -7,19 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from gallery import signorini
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.records import FIELDS, read_record, to_json
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.problem import Constraint, ContactProblem, Dirichlet, Laplace, Motion, Obstacle
+from rmesh_nlp.problem import Constraint, Motion
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
@@ -248,22 +247,9 @@ def test_the_page_of_records_has_the_declared_entries(monkeypatch: pytest.Monkey
     assert text == records_page.page(text), "run python scripts/records_page.py"
 
 
-def exact(x: Any, y: Any) -> Any:
-    """r^(3/2) cos(3 theta / 2): touches for x < 0 with the pressure 3/2 sqrt(-x), and is free for x > 0."""
-    r = ca.sqrt(x * x + y * y + 1e-30)
-    return r * ca.sqrt(r) * ca.cos(1.5 * ca.atan2(y, x))
-
-
 def half_touching(n: int, order: int) -> tuple[Solution, DisplacementSpace]:
-    """On squares of width 2 / (2 n + 1), so that contact ends within an edge."""
-    problem = ContactProblem(
-        rectangle(2 * n + 1, n, x=(-1, 1)),
-        Laplace(),
-        tuple(Dirichlet(side, (exact,)) for side in ("left", "right", "top")),
-        Obstacle("bottom", (1.0,)),
-        Motion(0.01),
-        order=order,
-    )
+    """Touches for x < 0 with the pressure 3/2 sqrt(-x); no node at 0, so that contact ends within an edge."""
+    problem = replace(signorini.problem(n), order=order)
     return fixed.solve(problem), DisplacementSpace.of(problem)
 
 
@@ -274,7 +260,7 @@ def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(orde
         solution, space = half_touching(n, order)
         assert solution.success
         x, y = space.points(np.asarray(solution.mesh.p))
-        wanted = np.array([float(exact(*at)) for at in zip(x, y, strict=True)])
+        wanted = np.array([float(signorini.exact(*at)) for at in zip(x, y, strict=True)])
         assert solution.displacement.shape == (1, space.n_nodes)
         assert solution.pressure.shape == solution.tangential_stress.shape == (space.n_nodes,)
         off = np.abs(solution.displacement[0] - wanted)

@@ -1,22 +1,16 @@
-"""Taylor tests find wrong gradients, Theorem 4.1 holds term by term, and errors as objectives by hand."""
+"""Taylor tests find wrong gradients, and Theorem 4.1 holds term by term."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objective import Fields
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.solving.verification import (
     TaylorTest,
     error_terms,
@@ -88,30 +82,3 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one_whatever_the_rule() -> 
 def test_without_an_exact_solution_there_are_no_terms() -> None:
     problem = EXAMPLES["6.2"]((6, 4))
     assert error_terms(problem, problem.mesh.p) == {}
-
-
-def at_rest(problem: ContactProblem, text: str) -> float:
-    """Value of an objective without displacement on the mesh as given."""
-    x, p = ca.MX.sym("x", 1), problem.mesh.p
-    still = ContactSolver(problem)
-    u = constant_field(still.displacement.values(np.zeros(still.n_u)))
-    slip = constant_field(np.zeros((1, p.shape[1])))
-    groups = parse_objective(text).on(Fields(problem, constant_field(p), u, slip)).groups
-    return float(ca.Function("f", [x], [Assembled(groups, x, ca.MX(0, 1), 0).f])(0))
-
-
-@pytest.mark.parametrize(
-    ("text", "gap", "value"),
-    [
-        ("error-l2", 0.0, 1 / 3),  # the integral of x^2
-        ("error-h1", 0.0, 1.0),
-        ("error-energy", 0.0, 0.5),
-        ("error-energy + 2*error-l2", 0.0, 0.5 + 2 / 3),
-        ("contact", 0.5, 0.5),  # a constant gap along x = 1, where the outward normal derivative is 1
-    ],
-)
-def test_u_against_the_exact_solution_x_on_the_unit_square(text: str, gap: float, value: float) -> None:
-    base = EXAMPLES["6.1"](4)
-    exact = ExactSolution(lambda x, y: x, energy=float("nan"))
-    obstacle = replace(base.obstacle, offset=gap)
-    assert at_rest(replace(base, law=Laplace(), obstacle=obstacle, exact=exact), text) == pytest.approx(value)
