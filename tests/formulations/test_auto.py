@@ -32,14 +32,14 @@ from support.formulations import auto
 from support.problems import no_move_limits
 
 
-def free(n: int, quadrature: int | None = None) -> ContactProblem:
-    problem = no_move_limits(EXAMPLES["6.1"](n=n))
-    return problem if quadrature is None else replace(problem, quadrature=quadrature)
+def free(n: int) -> ContactProblem:
+    return no_move_limits(EXAMPLES["6.1"](n=n))
 
 
 @pytest.mark.slow
-def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None:
-    problem, seen = free(16), []
+def test_relocation_without_move_limits_and_what_the_record_and_the_steps_say_of_it() -> None:
+    problem = free(16)
+    seen: list[Step] = []
     solution = auto.solve(problem, on_step=seen.append, **{"iterations": 20})
     row, exact = solution.record(), problem.exact.energy
     # move limits of a fifth of an edge give 1.6 times less
@@ -52,6 +52,11 @@ def test_relocation_without_move_limits_and_what_the_record_says_of_it() -> None
     assert row["iterations"] == row["cascade"][0]["iterations"] + own
     assert [step.q is None for step in seen].count(False) == own + 1
     assert np.all(signed_areas(solution.mesh.p, problem.triangles) > 0)
+    assert all(math.isfinite(step.dual_residual) for step in seen)
+    assert seen[0].dual_residual == pytest.approx(1.0)  # the mesh as given
+    # by the measure of records, and of the mesh that the step is on
+    assert seen[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
+    assert seen[-1].energy_given == pytest.approx(solution.energy_initial)
 
 
 SIDES = ("left", "bottom", "top", "contact")
@@ -107,19 +112,6 @@ def test_over_a_curved_foundation_gaps_hold_along_edges() -> None:
     choice = Auto().choose(problem, ENERGY)
     assert choice.why.endswith("gaps along edges: a foundation is curved")
     assert [one.gap for one in choice.problem.obstacles] == ["edge"]
-
-
-@pytest.mark.slow
-def test_steps_of_a_cascade_say_residual_and_gain() -> None:
-    steps: list[Step] = []
-    problem = free(16, 6)
-    solution = auto.solve(problem, on_step=steps.append, **{"iterations": 20})
-    last = steps[-1]
-    assert all(math.isfinite(step.dual_residual) for step in steps)
-    assert steps[0].dual_residual == pytest.approx(1.0)  # the mesh as given
-    # by the measure of records, and of the mesh that the step is on
-    assert last.dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
-    assert last.energy_given == pytest.approx(solution.energy_initial)
 
 
 @pytest.mark.parametrize(

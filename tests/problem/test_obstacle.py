@@ -78,6 +78,7 @@ def test_interior_obstacle_and_friction() -> None:
     [
         (lambda: Obstacle("a", (1.0, 1e-5)), "has length 1.0000000000"),
         (lambda: Obstacle("a", (1.0,), friction=1.0), "two displacement components"),
+        (lambda: Obstacle("a", (1.0,), coulomb=0.1), "two displacement components"),
         (lambda: Obstacle(Place.INTERIOR, friction=1.0), "two displacement components"),
         (lambda: Obstacle("a", gap="nodes"), "gap must be 'node' or 'edge', got 'nodes'"),
         (lambda: Obstacle.line("a", (0, 0), (0, 0)), "non-zero vector"),

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.optimize.status import Status
 from support.designs import BOW, H0, E, F, block
@@ -103,21 +102,18 @@ def test_seeds_draw_designs_within_their_bounds() -> None:
         assert variable.bounds[0] <= min(values) < max(values) <= variable.bounds[1]
 
 
-@pytest.mark.parametrize("formulation", ["joint", "nested", "auto"])
-def test_energies_of_designs_do_not_compare(formulation: str) -> None:
-    with pytest.raises(BadInputError, match="do not compare"):
-        rm.solve(column(LIFT), formulation)
-
-
-def test_largest_pressure_needs_contact_at_the_start() -> None:
+@pytest.mark.parametrize(
+    ("formulation", "objective", "words"),
+    [
+        *((name, "energy", "do not compare") for name in ("joint", "nested", "auto")),
+        ("mpcc", "max-pressure(bottom)", "nothing presses on 'bottom'"),
+        ("nested", "design(lfit)", "'lfit' is no design variable"),
+    ],
+)
+def test_what_designs_cannot_be_asked(formulation: str, objective: str, words: str) -> None:
     problem = replace(column(LIFT), obstacle=rm.Obstacle("bottom", (0, 1), 0.5 - LIFT.symbol))
-    with pytest.raises(BadInputError, match="nothing presses on 'bottom'"):
-        rm.solve(problem, "mpcc", objective="max-pressure(bottom)")
-
-
-def test_unknown_names_in_a_quantity() -> None:
-    with pytest.raises(ValueError, match="'lfit' is no design variable"):
-        rm.solve(column(LIFT), "nested", objective="design(lfit)")
+    with pytest.raises(ValueError, match=words):
+        rm.solve(problem, formulation, objective=objective)
 
 
 def test_an_expression_of_a_design_may_be_a_number() -> None:

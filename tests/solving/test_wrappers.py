@@ -107,10 +107,6 @@ class TestMultiStart:
         assert solution.record()["start_seeds"] == (None, 1)
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
-    def test_starts_and_a_seed_are_refused(self, problem: ContactProblem) -> None:
-        with pytest.raises(BadInputError, match="cannot be combined"):
-            solve(problem, "joint", starts=2, seed=0)
-
 
 def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: ContactProblem) -> None:
     free, steps = replace(problem, motion=Motion(None)), []
@@ -191,28 +187,26 @@ class TestRemeshed:
         found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough))
         assert (found.status, found.valid) == (Status.INACCURATE, False)
 
-    @pytest.mark.parametrize(
-        ("motion", "objective", "words"),
-        [
-            (Motion(0.1), "energy", "move limits in units of length"),
-            (Motion(None), "quality", "not 'quality'"),
-        ],
-    )
-    def test_what_belongs_to_the_given_mesh_is_refused(self, given, motion, objective, words) -> None:
-        with pytest.raises(BadInputError, match=words):
-            solve(replace(given, motion=motion), Remeshed(Script().formulation), objective=objective)
-
     def test_without_mmgpy_it_says_what_to_install(self, given, monkeypatch) -> None:
         monkeypatch.setattr("formulations.remeshed.is_available", lambda: False)
         with pytest.raises(BadInputError, match=r"pip install 'rmesh-nlp\[remesh\]'"):
             solve(given, Remeshed(Script().formulation))
 
-    @pytest.mark.parametrize("other", [{"starts": 2}, {"seed": 0}, {"start": "given"}])
-    def test_it_is_not_combined_with_what_belongs_to_the_given_mesh(self, given, other) -> None:
-        with pytest.raises(BadInputError, match=f"combined with {next(iter(other))}"):
-            solve(given, "nested", remesh=True, **other)
 
-    @pytest.mark.parametrize("nodes", [2, 7.5, "many", False])
-    def test_a_number_of_nodes_is_one(self, nodes: Any) -> None:
-        with pytest.raises(BadInputError, match="number of nodes of at least 3"):
-            Remeshed(Script().formulation, nodes)
+@pytest.mark.parametrize(
+    ("name", "changed", "options", "words"),
+    [
+        ("joint", {}, {"starts": 2, "seed": 0}, "cannot be combined"),
+        # what belongs to the given mesh
+        ("nested", {"motion": Motion(0.1)}, {"remesh": True}, "move limits in units of length"),
+        ("nested", {}, {"remesh": True, "objective": "quality"}, "not 'quality'"),
+        *(
+            ("nested", {}, {"remesh": True, **other}, f"combined with {next(iter(other))}")
+            for other in ({"starts": 2}, {"seed": 0}, {"start": "given"})
+        ),
+        *(("nested", {}, {"remesh": nodes}, "number of nodes of at least 3") for nodes in (2, 7.5, "many")),
+    ],
+)
+def test_what_does_not_go_together(given, name, changed, options, words) -> None:
+    with pytest.raises(BadInputError, match=words):
+        solve(replace(given, **changed), name, **options)
