@@ -71,9 +71,8 @@ def is_above(energy: float, start: float) -> bool:
 def _newton(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, str]:
     """Newton steps on the reduced energy."""
     track = monitor.track(outer)
-    with monitor.budget.during("build"):
-        program = replace(outer.reduced, warm=True)
-    result = solved(program, point.q, lambda i, q, _: track.exact(i, q), NestedSettings())
+    near = replace(outer.reduced, warm=True)
+    result = solved(near, point.q, lambda i, q, _: track.exact(i, q), NestedSettings())
     monitor.work += Work(kkt_factorisations=result.factorised)
     monitor.budget.check()
     return result.q, result.method

@@ -51,11 +51,9 @@ class Nested(NestedSettings, Formulation):
 
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
             watch(0, q, 0.0)
-            result = OuterResult(q, Status.CONVERGED, 0, NEWTON)
+            result = OuterResult(q, Status.CONVERGED, NEWTON)
         else:
-            with monitor.budget.during("build"):
-                program = outer.reduced
-            result = outer_solvers.solved(program, q, watch, self)
+            result = outer_solvers.solved(outer.reduced, q, watch, self)
         monitor.work += Work(kkt_factorisations=result.factorised)
         monitor.budget.check()
         end, status, method = result.q, result.status, result.method

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.kkt_model import ContactPoint
@@ -74,72 +73,30 @@ class Branches:
     def __call__(self, point: ContactPoint) -> BranchLabel:
         """The label at a contact solution."""
         at, still = self._conditions.at(point).over_branches(ZERO), np.zeros(point.q.size)
-        reduced = _reduced(at, self._tolerance)
+        reduced = _reduced(at, self._tolerance, self._unit)
         if reduced is None:
             return BranchLabel("", None, 0.0, still, np.zeros(0, dtype=np.int64))
-        lifted = lift(reduced.mpcc(self._unit))
+        lifted = lift(reduced)
         origin, weight = np.zeros(lifted.nlp.n_x), np.ones(1)
         lin = linearise(lifted, origin, weight, ZERO, ZERO)
         result = stationarity(lifted, lin, self._tolerance / lin.scale)
         direction = None if result.direction is None else descent(lifted, lin)
         if direction is None:
-            return BranchLabel(result.label, result.b_stationary, 0.0, still, reduced.pairs)
+            return BranchLabel(result.label, result.b_stationary, 0.0, still, at.pairs)
         step, decrease = direction.step[: point.q.size], direction.decrease
         size = float(np.max(np.abs(step), initial=0.0)) or 1.0
-        return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, reduced.pairs)
+        return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, at.pairs)
 
 
-@dataclass(frozen=True)
-class _Reduced:
-    """The small MPCC: rows of its parts in d and a, and the bounds that are active."""
-
-    slope: Array  # (n + k,) of the objective
-    second: Array  # (k, n + k): b
-    rows: sp.csr_array  # (r, n + k): active constraints, >= 0, or = 0 where ``equal``
-    equal: NDArray[np.bool_]
-    lower: NDArray[np.bool_]  # (n,) outer variables at bounds
-    upper: NDArray[np.bool_]
-    pairs: IntArray
-
-    def mpcc(self, unit: float) -> MPCC:
-        """As an MPCC in d and in the members a and b, which are scaled to changes of d of one."""
-        k, n = self.pairs.size, self.lower.size
-        own = np.sum(np.abs(self.second[:, :n]), axis=1)
-        first = np.where(own > 0, own, 1.0) / np.maximum(np.abs(np.diag(self.second[:, n:])), 1e-300)
-        first = np.where(np.isfinite(first) & (first < 1e12), first, 1.0)
-        second = own + np.abs(self.second[:, n:]) @ first
-        second[second == 0] = 1.0
-        scale = np.append(np.ones(n), first)
-        rows = sp.csr_array(self.rows @ sp.diags_array(scale))
-        largest = abs(rows).max(axis=1).toarray().ravel() if rows.nnz else np.ones(rows.shape[0])
-        rows = sp.diags_array(1 / np.where(largest > 0, largest, 1.0)) @ rows
-        of_b = sp.eye_array(k, k)
-        equations = sp.hstack([sp.csr_array(self.second * scale / second[:, None]), -of_b])
-        every = sp.vstack([equations, sp.hstack([rows, sp.csr_array((rows.shape[0], k))])])
-        x, free = ca.MX.sym("x", n + 2 * k), np.full(2 * k, np.inf)
-        _, a, b = ca.vertsplit(x, [0, n, n + k, n + 2 * k])
-        return MPCC(
-            x=x,
-            f=ca.dot(ca.DM(np.append(self.slope * scale / unit, np.zeros(k))), x),
-            g=_casadi(sp.csc_array(every)) @ x,
-            G=a,
-            H=b,
-            lbx=np.append(np.where(self.lower, 0.0, -np.inf), -free),
-            ubx=np.append(np.where(self.upper, 0.0, np.inf), free),
-            lbg=np.zeros(k + self.equal.size),
-            ubg=np.append(np.zeros(k), np.where(self.equal, 0.0, np.inf)),
-        )
-
-
-def _reduced(at: KKTPoint, tolerance: float) -> _Reduced | None:
-    """Eliminate the contact problem; None if its KKT conditions are singular or constraints violated."""
+def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
+    """The MPCC in d, a and b; None if the KKT conditions are singular or constraints violated."""
     program, n, first = at.program, at.program.n_q, at.program.n_equations
     g, lower, upper = at.rows[first : program.n_g], program.lower[first:], program.upper[first:]
     violation = np.max(np.maximum(lower - g, g - upper), initial=0.0)
     if violation > tolerance or at.factors is None:
         return None
     low, high = g - lower <= tolerance, upper - g <= tolerance
-    rows = np.flatnonzero(low | high)
+    rows, k = np.flatnonzero(low | high), at.pairs.size
 
     def total(slopes: Array) -> Array:
         return np.concatenate(at.totals(slopes), axis=-1)
@@ -147,16 +104,39 @@ def _reduced(at: KKTPoint, tolerance: float) -> _Reduced | None:
     # those of elements are functions of the outer variables alone
     own = rows[rows < program.constraints.size]
     areas = at.jacobian[first + rows[own.size :]][:, :n]
-    areas = sp.hstack([areas, sp.csr_array((areas.shape[0], at.pairs.size))])
+    areas = sp.hstack([areas, sp.csr_array((areas.shape[0], k))])
     constraints = sp.vstack([sp.csr_array(total(at.jacobian[first + own].toarray())), areas])
-    free, q = program.parts.mesh_map, at.x[:n]
-    bounds = q - free.lower <= tolerance, free.upper - q <= tolerance
-    members = at.jacobian[program.n_g + program.n_pairs + at.pairs].toarray()
-    derivatives = total(at.slope), total(members)
-    if not all(np.all(np.isfinite(part)) for part in (*derivatives, constraints.data)):
+    slope = total(at.slope)
+    second = total(at.jacobian[program.n_g + program.n_pairs + at.pairs].toarray())
+    if not all(np.all(np.isfinite(part)) for part in (slope, second, constraints.data)):
         return None
-    signed = sp.csr_array(sp.diags_array(np.where(low[rows], 1.0, -1.0)) @ constraints)
-    return _Reduced(*derivatives, signed, (low & high)[rows], *bounds, at.pairs)
+    # the members a and b in units of their changes for changes of d of one
+    by_q, by_a = np.sum(np.abs(second[:, :n]), axis=1), np.abs(second[:, n:])
+    unit_a = np.where(by_q > 0, by_q, 1.0) / np.maximum(np.diag(by_a), 1e-300)
+    unit_a = np.where(np.isfinite(unit_a) & (unit_a < 1e12), unit_a, 1.0)
+    unit_b = by_q + by_a @ unit_a
+    unit_b[unit_b == 0] = 1.0
+    scale = np.append(np.ones(n), unit_a)
+    active = sp.csr_array(constraints @ sp.diags_array(scale))
+    largest = abs(active).max(axis=1).toarray().ravel() if active.nnz else np.ones(rows.size)
+    signs = np.where(low[rows], 1.0, -1.0)
+    active = sp.diags_array(signs / np.where(largest > 0, largest, 1.0)) @ active
+    equations = sp.hstack([sp.csr_array(second * scale / unit_b[:, None]), -sp.eye_array(k, k)])
+    every = sp.vstack([equations, sp.hstack([active, sp.csr_array((rows.size, k))])])
+    x, unlimited, q = ca.MX.sym("x", n + 2 * k), np.full(2 * k, np.inf), at.x[:n]
+    _, a, b = ca.vertsplit(x, [0, n, n + k, n + 2 * k])
+    free = program.parts.mesh_map
+    return MPCC(
+        x=x,
+        f=ca.dot(ca.DM(np.append(slope * scale / unit, np.zeros(k))), x),
+        g=_casadi(sp.csc_array(every)) @ x,
+        G=a,
+        H=b,
+        lbx=np.append(np.where(q - free.lower <= tolerance, 0.0, -np.inf), -unlimited),
+        ubx=np.append(np.where(free.upper - q <= tolerance, 0.0, np.inf), unlimited),
+        lbg=np.zeros(k + rows.size),
+        ubg=np.append(np.zeros(k), np.where((low & high)[rows], 0.0, np.inf)),
+    )
 
 
 def _casadi(matrix: sp.csc_array) -> ca.DM:

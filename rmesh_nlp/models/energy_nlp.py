@@ -14,13 +14,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
@@ -219,46 +217,6 @@ def relocation(
         tuple(position_groups),
         length,
     )
-
-
-@dataclass(frozen=True)
-class Blocks:
-    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in q, displacement u and slip s.
-
-    ``gap`` (contact nodes, n_q) and ``slip`` (n_s, n_q) are the derivatives of the gaps and of the slips u_t
-    by q; those of slips are zero where no foundation is curved.
-    """
-
-    qq: sp.csc_array
-    qu: sp.csc_array
-    qs: sp.csc_array
-    gap: sp.csc_array
-    slip: sp.csc_array
-
-
-class SecondDerivatives:
-    """Evaluates the blocks; where they are in the whole is found once."""
-
-    def __init__(self, relocation: Relocation) -> None:
-        self._relocation = rel = relocation
-        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper, first = rel.lagrangian.second.pattern, rel.lagrangian.first.pattern
-        self._qq = Symmetric(upper, rel.n_q)
-        self._qu, self._qs = Block(upper, q, u), Block(upper, q, s)
-        self._gap, self._slip = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
-
-    def __call__(self, x: Array, equilibrium: Equilibrium) -> Blocks:
-        """At unknowns ``x = (q, u, s)`` of a contact solution."""
-        rel = self._relocation
-        rows = np.zeros(rel.n_contact + 2 * rel.n_s)
-        rows[rel.gap_rows] = -equilibrium.normal_force
-        if rel.n_s:
-            rows[rel.slip_rows] = -equilibrium.tangential_force[rel.friction_rows]
-        (values,) = rel.lagrangian.second(x, None, np.ones(1), rows)
-        *_, first = rel.lagrangian.first(x, None)
-        return Blocks(
-            self._qq(values), self._qu(values), self._qs(values), self._gap(first), self._slip(first)
-        )
 
 
 class ElementConstraints:

@@ -28,9 +28,7 @@ from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.fem.numeric import Numeric
 from rmesh_nlp.models.kkt_model import Bilevel, ContactPoint
-
-GIVEN = 1e-12
-"""Largest change of a gap or of a slip by unit displacements that counts as none."""
+from rmesh_nlp.optimize.activity import ZERO
 
 
 class KKTConditions:
@@ -141,6 +139,14 @@ class KKTPoint:
         by_q = slopes[..., : self.program.n_q] + nu @ self.of_q
         return by_q, -nu[..., self.program.n_equations + self.pairs]
 
+    @cached_property
+    def constraints(self) -> tuple[Array, Array]:
+        """The problem's constraints (rows,), and their derivatives (rows, n_q) along contact solutions."""
+        first = self.program.n_equations
+        rows = slice(first, first + self.program.constraints.size)
+        by_q, _ = self.totals(self.jacobian[rows].toarray())
+        return self.rows[rows], by_q
+
     def hessian(self, factor: float = 1.0, constraints: Array | None = None) -> ObjectiveHessian:
         """The second derivative of ``factor F + constraints . c``, c those of the problem, for products."""
         program = self.program
@@ -214,7 +220,7 @@ def held_members(
     n_c, n_s, n_u = program.n_contact, program.friction_rows.size, program.n_u
     of_u = abs(jacobian[program.n_g : program.n_g + G.size, program.n_q : program.n_q + n_u])
     moves = (
-        np.asarray(of_u.max(axis=1).todense()).ravel() > GIVEN if G.size and n_u else np.zeros(G.size, bool)
+        np.asarray(of_u.max(axis=1).todense()).ravel() > ZERO if G.size and n_u else np.zeros(G.size, bool)
     )
     zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
     biactive = zero_G & zero_H & (zero >= G)

@@ -13,8 +13,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.models.descent import descend
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
-from rmesh_nlp.models.reduced_nlp import ReducedNLP, lifted, with_hessian
+from rmesh_nlp.models.reduced_model import ReducedEnergy
+from rmesh_nlp.models.reduced_nlp import ReducedProblem, reduced_nlp
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
@@ -57,7 +57,7 @@ class NestedSettings(Settings):
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     ipopt: Mapping[str, Any] = field(default_factory=dict)
 
-    def exact(self, problem: ReducedNLP) -> dict[str, Any]:
+    def exact(self, problem: ReducedProblem) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""
         names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         return {
@@ -66,7 +66,7 @@ class NestedSettings(Settings):
             "tol": problem.tolerance**2,
             "max_iter": self.iterations or 500,
             "nlp_scaling_method": "none",
-            "obj_scaling_factor": problem.scale / problem.residual.unit,
+            "obj_scaling_factor": 1 / problem.residual.unit,
             **self.ipopt,
         }
 
@@ -77,59 +77,52 @@ class OuterResult:
 
     q: Array
     status: Status
-    iterations: int
     method: str = ""
     factorised: int = 0
 
 
-def interior(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Ipopt with second derivatives; it does not end above a feasible start.
+def interior(
+    problem: ReducedProblem, start: Array, monitor: Monitor, settings: NestedSettings
+) -> OuterResult:
+    """Ipopt with second derivatives; it does not end above the start.
 
     Those of the energy are sparse in outer variables and displacements together
     (:mod:`rmesh_nlp.models.reduced_nlp`), those of other objectives a dense matrix. It ends as soon as the
     outer variables are stationary by the first-order residual: Ipopt's own test is of its multipliers, and
     where rounding keeps them from its tolerance it would go on for dozens of contact solves.
     """
-    function = problem.function
-    nlp = lifted(problem) if isinstance(function, ReducedEnergy) else with_hessian(problem)
+    function, nlp = problem.function, reduced_nlp(problem)
     n, stationary = start.size, False
-    first = function(start)
-    most = first.value + ROUNDING * abs(first.value)
-    bounds = problem.constraints
-    feasible_first = bounds is None or bounds.violation(first) <= problem.tolerance
-
-    def is_better(point: ReducedPoint) -> bool:
-        if bounds is not None and bounds.violation(point) > problem.tolerance:
-            return False
-        return point.value <= most or not feasible_first
+    violation, value = problem.merit(function(start))
+    most = violation, value + ROUNDING * abs(value)
 
     def clipped(x: Array) -> Array:
-        return np.asarray(np.clip(x[:n], problem.nlp.lbx, problem.nlp.ubx))
+        return np.asarray(np.clip(x[:n], nlp.lbx[:n], nlp.ubx[:n]))
 
     def watch(iteration: int, x: Array, f: float) -> bool:
         nonlocal stationary
         stop, q = bool(monitor(iteration, x[:n], f)), clipped(x)
         if not stop and iteration > 0 and problem.is_valid(q):
             point = function(q)
-            stationary = is_better(point) and problem.residual(point) <= problem.tolerance
+            stationary = problem.merit(point) <= most and problem.residual(point) <= problem.tolerance
         return stop or stationary
 
     result = Solver(nlp, options=settings.exact(problem), monitor=watch)(
         np.append(start, np.zeros(nlp.n_x - n))
     )
     q = clipped(result.x)
-    if not (np.isfinite(result.f) and is_better(function(q))):
+    if not (np.isfinite(result.f) and problem.merit(function(q)) <= most):
         status = Status.STALLED if result.converged else result.status
-        return OuterResult(start, status, result.iterations, INTERIOR, result.iterations)
+        return OuterResult(start, status, INTERIOR, result.iterations)
     status = Status.CONVERGED if result.converged or stationary else result.status
-    return OuterResult(q, status, result.iterations, INTERIOR, result.iterations)
+    return OuterResult(q, status, INTERIOR, result.iterations)
 
 
-def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
+def solved(problem: ReducedProblem, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
     """Projected Newton-CG where move limits alone keep the elements valid, else an interior point."""
     function, constraints = problem.function, problem.constraints
     is_part = settings.enough is not None and constraints is None
-    has_rows = problem.nlp.n_g > 0 or function.objective.has_barrier
+    has_rows = problem.n_g > 0 or function.objective.has_barrier
     is_small = isinstance(function, ReducedEnergy) or start.size <= LARGEST_DENSE or constraints is not None
     if has_rows and is_small and not is_part:
         return interior(problem, start, monitor, settings)
@@ -144,4 +137,4 @@ def solved(problem: ReducedNLP, start: Array, monitor: Monitor, settings: Nested
         max_iterations=settings.iterations or 200,
         settings=settings.newton,
     )
-    return OuterResult(result.x, result.status, result.iterations, NEWTON)
+    return OuterResult(result.x, result.status, NEWTON)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -17,14 +15,6 @@ from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import at_design
 
 
-@dataclass(frozen=True)
-class ConstraintPoint:
-    """Values (rows,) and derivatives (rows, n_q) of the constraints at a contact solution."""
-
-    value: Array
-    jacobian: Array
-
-
 class ReducedConstraints:
     """The rows ``lower <= c(q) <= upper`` of a problem's constraints, in units of their bounds.
 
@@ -33,22 +23,15 @@ class ReducedConstraints:
 
     def __init__(self, conditions: KKTConditions) -> None:
         self._conditions, self.rows = conditions, conditions.program.constraints
-        self._last: tuple[ContactPoint, ConstraintPoint] | None = None
 
-    def at(self, point: ContactPoint) -> ConstraintPoint:
-        """The rows at a contact solution."""
-        if self._last is not None and self._last[0].equilibrium is point.equilibrium:
-            return self._last[1]
-        at, first = self._conditions.at(point), self._conditions.program.n_equations
-        rows = slice(first, first + self.rows.size)
-        jacobian, _ = at.totals(at.jacobian[rows].toarray())
-        self._last = point, ConstraintPoint(at.rows[rows], jacobian)
-        return self._last[1]
+    def at(self, point: ContactPoint) -> tuple[Array, Array]:
+        """Values (rows,) and derivatives (rows, n_q) at a contact solution."""
+        return self._conditions.at(point).constraints
 
     def values(self, point: ContactPoint) -> list[tuple[str, float, float, float]]:
         """Text, value, lower and upper bound of each constraint of the problem, in its own units."""
         parts, names = self._conditions.program.parts, np.array(self.rows.names)
-        reached = self.at(point).value
+        reached, _ = self.at(point)
         design = parts.mesh_map.design(point.q).tolist()
         named = dict(zip(parts.problem.start, design, strict=True))
         values, used = [], dict.fromkeys(self.rows.names, 0)
@@ -69,13 +52,12 @@ class ReducedConstraints:
 
     def violation(self, point: ContactPoint) -> float:
         """Largest violation, in units of the bounds."""
-        value = self.at(point).value
+        value, _ = self.at(point)
         return float(np.max(np.maximum(self.rows.lower - value, value - self.rows.upper), initial=0.0))
 
     def linearised(self, point: ContactPoint) -> Linearised:
         """All finite bounds as rows ``c >= 0``."""
-        evaluated, lower, upper = self.at(point), self.rows.lower, self.rows.upper
+        (value, jacobian), lower, upper = self.at(point), self.rows.lower, self.rows.upper
         low, high = np.isfinite(lower), np.isfinite(upper)
-        slack = np.concatenate([(evaluated.value - lower)[low], (upper - evaluated.value)[high]])
-        jacobian = np.vstack([evaluated.jacobian[low], -evaluated.jacobian[high]])
-        return Linearised(slack, sp.csr_array(jacobian))
+        slack = np.concatenate([(value - lower)[low], (upper - value)[high]])
+        return Linearised(slack, sp.csr_array(np.vstack([jacobian[low], -jacobian[high]])))

@@ -1,12 +1,12 @@
 """The outer problem as an NLP in the outer variables alone, whose objective is a contact solve.
 
-Its second derivatives are a dense matrix (:func:`with_hessian`): one column is one product, a
+Its second derivatives are a dense matrix: one column is one product, a
 back-substitution with the stiffness of the contact solve. Up to a few thousand outer variables all columns
 together cost less than what solvers without them spend in more iterations. The NLP is smooth but for jumps of
 the second derivative where contact changes.
 
 For the energy L'' is a Schur complement of a sparse matrix in outer variables and displacements
-(:meth:`rmesh_nlp.models.second_derivatives.Hessian.lifted`). So :func:`lifted` gives the NLP additional
+(:meth:`rmesh_nlp.models.second_derivatives.Hessian.lifted`). So its NLP has additional
 unknowns w, one per displacement, of which its objective does not depend, and that matrix in place of the
 Hessian:
 
@@ -22,7 +22,7 @@ itself, and dw has no effect. One factorisation takes the place of one back-subs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -30,18 +30,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
-
-COLUMNS = 256
-"""Columns of the Hessian that are computed at a time; it bounds the memory for changes of displacement."""
 
 STIFF = 1e8
 """Size of the stiffness's diagonal in the units of w, relative to the block of the outer variables: multiples
@@ -49,112 +46,85 @@ of the identity that a solver adds to make the matrix positive definite then act
 
 
 @dataclass(frozen=True)
-class ReducedNLP:
-    """The outer problem: its NLP in the outer variables q and the function behind its objective.
+class ReducedProblem:
+    """``min F(q)`` in the outer variables q alone, within limits, element areas and constraints.
 
-    A solver should end with a first-order ``residual`` of at most ``tolerance``. The objective of the NLP is
-    in units of ``scale``, its size on the given mesh. ``warm`` says that the start is likely to be close to a
-    minimiser.
+    A solver should end with a first-order ``residual`` of at most ``tolerance``. ``merit`` is what points are
+    compared by: the violation of constraints, then the value. ``warm`` says that the start is likely to be
+    close to a minimiser.
     """
 
-    nlp: NLP
     function: Reduced
     is_valid: Callable[[Array], bool]
     residual: OuterResidual
-    scale: float
+    merit: Callable[[ReducedPoint], tuple[float, float]]
     tolerance: float
     constraints: ReducedConstraints | None = None
     warm: bool = False
 
+    @property
+    def relocation(self) -> Relocation:
+        """The energy NLP of its discretisation."""
+        return self.function.energy.relocation
 
-def reduced_nlp(
-    rel: Relocation,
-    function: Reduced,
-    is_valid: Callable[[Array], bool],
-    residual: OuterResidual,
-    tolerance: float,
-    constraints: ReducedConstraints | None = None,
-) -> ReducedNLP:
-    """The NLP ``min F(q)`` within limits, element areas and constraints; its objective is a contact solve."""
-    q, p, areas, bound = rel.validity.q, ca.MX(0, 1), rel.validity.assembled, rel.validity.bound
-    scale = abs(function(np.zeros(rel.n_q)).value) or 1.0
-    oracle = _Oracle(function, rel, scale)
-    value, gradient = oracle(q)
-    nlp = NLP(
-        x=q,
+    @property
+    def n_g(self) -> int:
+        """Number of rows: element areas and constraints."""
+        return self.relocation.n_valid + (0 if self.constraints is None else self.constraints.rows.size)
+
+
+def reduced_nlp(problem: ReducedProblem) -> NLP:
+    """The NLP in ``(q, w)``, its objective a contact solve; only the energy has a w, which starts at 0."""
+    rel, second = problem.relocation, _lifted if problem.function.objective.collapses else _dense
+    areas, free, constraints = rel.validity.assembled, rel.mesh_map, problem.constraints
+    first, hessian = _First(problem), _Second(problem, *second(problem))
+    n_w = hessian.size1_out(0) - rel.n_q
+    q, w, unlimited = rel.validity.q, ca.MX.sym("w", n_w), np.full(n_w, np.inf)
+    x, p, lam_f, lam_g = ca.vertcat(q, w), ca.MX(0, 1), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem.n_g)
+    value, gradient, rows, of_rows = first(q)
+    g, jacobian = ca.vertcat(areas.g, rows), ca.vertcat(areas.derivatives.jac_g(q, p)[1], of_rows)
+    lower, upper = rel.validity.bound, np.full(rel.n_valid, np.inf)
+    if constraints is not None:
+        lower, upper = np.append(lower, constraints.rows.lower), np.append(upper, constraints.rows.upper)
+    slope, jacobian = ca.vertcat(gradient, ca.MX.zeros(n_w)), ca.horzcat(jacobian, ca.MX(problem.n_g, n_w))
+    return NLP(
+        x=x,
         p=p,
         f=value,
-        g=areas.g,
-        lbx=rel.mesh_map.lower,
-        ubx=rel.mesh_map.upper,
-        lbg=bound,
-        ubg=np.full(bound.size, np.inf),
+        g=g,
+        lbx=np.append(free.lower, -unlimited),
+        ubx=np.append(free.upper, unlimited),
+        lbg=lower,
+        ubg=upper,
         derivatives=Derivatives(
-            grad_f=ca.Function("nlp_grad_f", [q, p], [value, gradient]),
-            jac_g=areas.derivatives.jac_g,
-            hess_lag=None,
-            kernels=(*areas.derivatives.kernels, oracle),
+            grad_f=ca.Function("nlp_grad_f", [x, p], [value, slope]),
+            jac_g=ca.Function("nlp_jac_g", [x, p], [g, jacobian]),
+            hess_lag=ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian(q, lam_f, lam_g)]),
+            kernels=(*areas.derivatives.kernels, first, hessian),
         ),
     )
-    if constraints is not None:
-        nlp = _constrained(nlp, _Rows(function, constraints, rel), constraints)
-    return ReducedNLP(nlp, function, is_valid, residual, scale, tolerance, constraints)
 
 
-def _constrained(nlp: NLP, rows: _Rows, constraints: ReducedConstraints) -> NLP:
-    """The NLP with the rows of constraints after its own."""
-    assert nlp.derivatives is not None
-    value, jacobian = rows(nlp.x)
-    of_areas, by_q = nlp.derivatives.jac_g(nlp.x, nlp.p)
-    outputs = [ca.vertcat(of_areas, value), ca.vertcat(by_q, jacobian)]
-    jac_g = ca.Function("nlp_jac_g", [nlp.x, nlp.p], outputs)
-    kernels = (*nlp.derivatives.kernels, rows)
-    return replace(
-        nlp,
-        g=ca.vertcat(nlp.g, value),
-        lbg=np.append(nlp.lbg, constraints.rows.lower),
-        ubg=np.append(nlp.ubg, constraints.rows.upper),
-        derivatives=replace(nlp.derivatives, jac_g=jac_g, kernels=kernels),
-        _of=(0, 0),
-    )
+class _First(PythonFunction):
+    """F(q) and its gradient, the constraints (rows,) and their derivatives (rows, n_q)."""
 
-
-class _Rows(PythonFunction):
-    """The constraints (rows,) and their derivatives (rows, n_q)."""
-
-    def __init__(self, function: Reduced, constraints: ReducedConstraints, relocation: Relocation) -> None:
-        self._function, self._constraints, self._relocation = function, constraints, relocation
-        n, rows = relocation.n_q, constraints.rows.size
-        outputs = [ca.Sparsity.dense(rows), ca.Sparsity.dense(rows, n)]
-        super().__init__("reduced_constraints", [ca.Sparsity.dense(n)], outputs)
+    def __init__(self, problem: ReducedProblem) -> None:
+        self._problem, n = problem, problem.relocation.n_q
+        self._rows = problem.n_g - problem.relocation.n_valid
+        shapes = (1,), (n,), (self._rows,), (self._rows, n)
+        super().__init__("reduced", [ca.Sparsity.dense(n)], [ca.Sparsity.dense(*shape) for shape in shapes])
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
-        q, rel = arg[0].full().ravel(), self._relocation
-        if not is_upright(rel.problem, rel.nodes(q)):
-            return [
-                np.full(self._constraints.rows.size, np.nan),
-                np.zeros((self._constraints.rows.size, q.size)),
-            ]
-        evaluated = self._constraints.at(self._function(q))
-        return [evaluated.value, evaluated.jacobian]
-
-
-class _Oracle(PythonFunction):
-    """F(q) and its gradient in units of ``|F(0)|``: a squared error may be small."""
-
-    def __init__(self, function: Reduced, relocation: Relocation, scale: float) -> None:
-        self._function, self._scale, self._relocation = function, scale, relocation
-        scalar, n = ca.Sparsity.dense(1), ca.Sparsity.dense(relocation.n_q)
-        super().__init__("reduced_objective", [n], [scalar, n])
-
-    def eval(self, arg: list[ca.DM]) -> list[Any]:
-        q, rel = arg[0].full().ravel(), self._relocation
+        q, rel, function = arg[0].full().ravel(), self._problem.relocation, self._problem.function
+        of_rows = np.zeros((self._rows, q.size))
         # the contact problem of a mesh with inverted elements has no meaning
-        upright = not rel.n_valid or is_upright(rel.problem, rel.nodes(q))
-        if not (upright and self._function.is_defined(q)):
-            return [np.nan, np.full(q.size, np.nan)]  # Ipopt then takes a shorter step
-        point = self._function(q)
-        return [point.value / self._scale, point.gradient / self._scale]
+        upright = self._problem.n_g == 0 or is_upright(rel.problem, rel.nodes(q))
+        if not (upright and function.is_defined(q)):  # Ipopt then takes a shorter step
+            return [np.nan, np.full(q.size, np.nan), np.full(self._rows, np.nan), of_rows]
+        point = function(q)
+        if self._problem.constraints is None:
+            return [point.value, point.gradient, np.zeros(0), of_rows]
+        return [point.value, point.gradient, *self._problem.constraints.at(point)]
 
 
 Values = Callable[[Array, float, sp.csc_array | None, Array], Array]
@@ -162,50 +132,42 @@ Values = Callable[[Array, float, sp.csc_array | None, Array], Array]
 there are any, and those of constraints with their multipliers."""
 
 
-class _SecondOracle(PythonFunction):
-    """Upper triangle of the Hessian of ``lam_f f + lam_g^T g``, f in the units of the NLP."""
+class _Second(PythonFunction):
+    """Upper triangle of the Hessian of ``lam_f f + lam_g^T g`` in the unknowns of the NLP."""
 
-    def __init__(self, problem: ReducedNLP, upper: ca.Sparsity, values: Values) -> None:
-        self._function, self._scale, self._upper, self._values = (
-            problem.function,
-            problem.scale,
-            upper,
-            values,
-        )
-        self._n_valid = problem.function.energy.relocation.n_valid
-        inputs = [ca.Sparsity.dense(size) for size in (problem.nlp.n_x, 1, problem.nlp.n_g)]
+    def __init__(self, problem: ReducedProblem, upper: ca.Sparsity, values: Values) -> None:
+        self._problem, self._upper, self._values = problem, upper, values
+        inputs = [ca.Sparsity.dense(size) for size in (problem.relocation.n_q, 1, problem.n_g)]
         super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
-        q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]) / self._scale, arg[2].full().ravel()
-        areas, own = np.split(lam_g, [self._n_valid])
-        rows = self._function.energy.validity.hessian(q, areas) if areas.size else None
+        q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
+        areas, own = np.split(lam_g, [self._problem.relocation.n_valid])
+        rows = self._problem.function.energy.validity.hessian(q, areas) if areas.size else None
         return [ca.DM(self._upper, self._values(q, lam_f, rows, own).tolist())]
 
 
-def with_hessian(problem: ReducedNLP) -> NLP:
-    """The NLP of another objective than the energy, with its second derivatives as a dense matrix."""
+def _dense(problem: ReducedProblem) -> tuple[ca.Sparsity, Values]:
+    """Second derivatives of another objective than the energy, a dense matrix."""
     function = problem.function
     assert isinstance(function, ReducedObjective)
-    n, conditions = problem.nlp.n_x, function.conditions
+    n, conditions = problem.relocation.n_q, function.conditions
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, multiples: Array) -> Array:
-        hessian = dense(conditions.at(function(q)).hessian(factor * conditions.program.value, multiples), n)
+        product = conditions.at(function(q)).hessian(factor * conditions.program.value, multiples)
+        hessian = product(np.eye(n))
+        hessian = 0.5 * (hessian + hessian.T)  # symmetric up to rounding
         return np.asarray((hessian if rows is None else hessian + rows)[at])
 
-    return _with(problem.nlp, _SecondOracle(problem, upper, values), n)
+    return upper, values
 
 
-def lifted(problem: ReducedNLP) -> NLP:
-    """The NLP of a reduced energy in ``(q, w)``, whose solution in q is that of the reduced one.
-
-    The unknowns w start at zero.
-    """
+def _lifted(problem: ReducedProblem) -> tuple[ca.Sparsity, Values]:
+    """Second derivatives of the energy, a sparse matrix in ``(q, w)``."""
     function = problem.function
-    if not isinstance(function, ReducedEnergy):
-        raise TypeError("only the energy's second derivatives are lifted")
+    assert isinstance(function, ReducedEnergy)
     curvature, pattern = Curvature(function), _pattern(function.relocation)
     columns = np.repeat(np.arange(pattern.shape[1], dtype=np.int64), np.diff(pattern.indptr))
     entries = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order
@@ -219,11 +181,7 @@ def lifted(problem: ReducedNLP) -> NLP:
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
         return np.asarray(np.bincount(place[inside], data[inside], entries.size), dtype=float)
 
-    n_w = function.relocation.n_u
-    free = np.full(n_w, np.inf)
-    larger = problem.nlp.extended(x=ca.MX.sym("w", n_w), lbx=-free, ubx=free)
-    sparsity = ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist())
-    return _with(larger, _SecondOracle(problem, sparsity, values), problem.nlp.n_x)
+    return ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist()), values
 
 
 def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[Index, Array]:
@@ -246,73 +204,26 @@ def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[I
     return places[:, upper], values[upper]
 
 
-def _with(nlp: NLP, oracle: _SecondOracle, n_q: int) -> NLP:
-    """The NLP with the Hessian of a callback in its first ``n_q`` unknowns."""
-    assert nlp.derivatives is not None
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", nlp.n_g)
-    hessian = oracle(nlp.x[:n_q], lam_f, lam_g)
-    hess_lag = ca.Function("nlp_hess_l", [nlp.x, nlp.p, lam_f, lam_g], [hessian])
-    kernels = (*nlp.derivatives.kernels, oracle)
-    return replace(nlp, derivatives=replace(nlp.derivatives, hess_lag=hess_lag, kernels=kernels))
-
-
-def dense(model: Callable[[Array], Array], n: int) -> Array:
-    """The matrix of a model, symmetric up to rounding and made so."""
-    matrix, unit = np.empty((n, n)), np.eye(n)
-    for first in range(0, n, COLUMNS):
-        columns = np.arange(first, min(first + COLUMNS, n))
-        matrix[:, columns] = model(unit[:, columns])
-    return np.asarray(0.5 * (matrix + matrix.T))
-
-
 def _pattern(relocation: Relocation) -> sp.csc_array:
     """Upper triangle of where the lifted Hessian may have entries, whatever is active.
 
-    Unknowns meet if their nodes meet in an element. A touching node follows the outer variables that its gap
-    and its slip depend on.
+    It is that of the energy NLP, in which slips, and displacements at touching nodes, follow w and the outer
+    variables that gap and slip there depend on. In the coordinates of contact the displacements of a node are
+    turned into each other.
     """
-    space, positions = relocation.discretisation.space, relocation.mesh_map.positions.index
-    meet = _elements(space)
-    at_nodes = np.full((len(positions), space.n_nodes), -1)
-    at_nodes[:, space.number[: space.n_vertices]] = positions
-    to_outer = _to_unknowns(at_nodes, relocation.n_q) + _followed(relocation)
-    to_others = _to_unknowns(relocation.displacement.index - relocation.n_q, relocation.n_u)
-    moved = meet @ to_outer
-    outer = to_outer.T @ moved + sp.eye_array(relocation.n_q)
-    mixed = to_others.T @ moved
-    others = to_others.T @ meet @ to_others + sp.eye_array(relocation.n_u)
-    pattern = sp.csc_array(sp.triu(sp.block_array([[outer, mixed.T], [mixed, others]])))
-    pattern.sum_duplicates()
+    rel, q = relocation, slice(0, relocation.n_q)
+    u, index = slice(rel.n_q, rel.n_q + rel.n_u), rel.displacement.index - rel.n_q
+    component, node = np.nonzero(index >= 0)
+    places = index[component, node], node
+    of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.n_u, index.shape[1]))
+    turned, first = of_node @ of_node.T, sp.csr_array(rel.lagrangian.first.pattern, dtype=float)
+    gaps, slips = first[rel.gap_rows], first[rel.slip_rows]
+    follows = turned @ (gaps[:, u].T @ gaps[:, q] + slips[:, u].T @ slips[:, q])
+    unknowns = sp.block_array(
+        [[sp.eye_array(rel.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]
+    )
+    upper = rel.lagrangian.second.pattern
+    whole = unknowns.T @ (upper + upper.T) @ unknowns + sp.eye_array(rel.n_q + rel.n_u)
+    pattern = sp.csc_array(sp.triu(whole))
     pattern.sort_indices()
     return pattern
-
-
-def _incidence(rows: Index, columns: Index, *shape: int) -> sp.csr_array:
-    """A sparse matrix with ones at these places."""
-    return sp.csr_array((np.ones(rows.size), (rows, columns)), shape=shape)
-
-
-def _elements(space: DisplacementSpace) -> sp.csr_array:
-    """(nodes, nodes) Whether two nodes are of one element, or the same."""
-    elements, n = space.elements, space.n_nodes
-    element = np.tile(np.arange(elements.shape[1]), len(elements))
-    belongs = _incidence(elements.ravel(), element, n, elements.shape[1])
-    return sp.csr_array(belongs @ belongs.T + sp.eye_array(n))
-
-
-def _followed(relocation: Relocation) -> sp.csr_array:
-    """(nodes, n_q) Which outer variables the gap and the slip of a node depend on."""
-    space, n_contact = relocation.discretisation.space, relocation.n_contact
-    node = np.zeros(n_contact, dtype=np.int64)
-    for part in space.contact_sets:
-        node[part.rows] = part.nodes
-    nodes = np.concatenate([node, node[relocation.friction_rows]])
-    first, n_q = relocation.lagrangian.first.pattern, relocation.n_q
-    rows = sp.vstack([first[relocation.gap_rows, :n_q], first[relocation.slip_rows, :n_q]])
-    return sp.csr_array(_incidence(nodes, np.arange(nodes.size), space.n_nodes, nodes.size) @ abs(rows))
-
-
-def _to_unknowns(index: Index, n: int) -> sp.csr_array:
-    """(nodes, n) Which unknowns a field has at each node; ``index`` is (components, nodes)."""
-    component, node = np.nonzero(index >= 0)
-    return _incidence(node, index[component, node], index.shape[1], n)

@@ -15,14 +15,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.contact.sensitivity import TangentResponse
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.fields import Index
-from rmesh_nlp.models.energy_nlp import Blocks, SecondDerivatives
 from rmesh_nlp.models.kkt_point import ObjectiveHessian, positive
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
 
@@ -31,17 +31,42 @@ DENSE = 200
 than the products of a step one by one (7 against 25 on Example 6.1 with 126 of them; as much with 286)."""
 
 
+@dataclass(frozen=True)
+class Blocks:
+    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in q, displacement u and slip s.
+
+    ``gap`` (contact nodes, n_q) and ``slip`` (n_s, n_q) are the derivatives of the gaps and of the slips u_t
+    by q; those of slips are zero where no foundation is curved.
+    """
+
+    qq: sp.csc_array
+    qu: sp.csc_array
+    qs: sp.csc_array
+    gap: sp.csc_array
+    slip: sp.csc_array
+
+
 class Curvature:
-    """Evaluates L'' at contact solutions of one problem."""
+    """Evaluates L'' at contact solutions of one problem; where blocks are in the whole is found once."""
 
     def __init__(self, energy: ReducedEnergy) -> None:
-        self._energy, self._derivatives = energy, SecondDerivatives(energy.relocation)
+        self._energy, rel = energy, energy.relocation
+        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
+        upper, first = rel.lagrangian.second.pattern, rel.lagrangian.first.pattern
+        self._second = Symmetric(upper, rel.n_q), Block(upper, q, u), Block(upper, q, s)
+        self._first = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
-        x = self._energy.unknowns(point.q, point.equilibrium.u)
-        rows = self._energy.relocation.friction_rows
-        return Hessian(point, self._derivatives(x, point.equilibrium), rows)
+        rel, solved = self._energy.relocation, point.equilibrium
+        x, rows = self._energy.unknowns(point.q, solved.u), np.zeros(rel.n_contact + 2 * rel.n_s)
+        rows[rel.gap_rows] = -solved.normal_force
+        if rel.n_s:
+            rows[rel.slip_rows] = -solved.tangential_force[rel.friction_rows]
+        (second,) = rel.lagrangian.second(x, None, np.ones(1), rows)
+        *_, first = rel.lagrangian.first(x, None)
+        blocks = [block(second) for block in self._second] + [block(first) for block in self._first]
+        return Hessian(point, Blocks(*blocks), rel.friction_rows)
 
 
 @dataclass(frozen=True)

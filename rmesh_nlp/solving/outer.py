@@ -24,7 +24,7 @@ from rmesh_nlp.models.kkt_model import Bilevel, in_units_of
 from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
-from rmesh_nlp.models.reduced_nlp import ReducedNLP, reduced_nlp
+from rmesh_nlp.models.reduced_nlp import ReducedProblem
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import Level
@@ -136,12 +136,10 @@ class Outer:
         return KKTConditions(in_units_of(self.discretisation, self.objective, self.energy.start))
 
     @property
-    def reduced(self) -> ReducedNLP:
-        """The NLP in the outer variables alone, whose objective is a contact solve."""
-        program = reduced_nlp(
-            self.relocation, self.function, self.is_valid, self.residual, self.tolerance, self.constraints
-        )
-        return replace(program, warm=self.is_near)
+    def reduced(self) -> ReducedProblem:
+        """The problem in the outer variables alone, whose objective is a contact solve."""
+        measures = self.is_valid, self.residual, self.merit
+        return ReducedProblem(self.function, *measures, self.tolerance, self.constraints, self.is_near)
 
     @property
     def kkt(self) -> Bilevel:

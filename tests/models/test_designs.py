@@ -59,7 +59,7 @@ def test_rows_of_constraints_are_those_of_the_kkt_model(limited: tuple[Outer, np
     rows = Evaluator(program.mpcc.derivatives.jac_g)(x, [])[0]
     n, size = program.n_equations, constraints.rows.size
     np.testing.assert_allclose(rows[:n], 0, atol=1e-9)
-    np.testing.assert_allclose(rows[n : n + size], constraints.at(point).value, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(rows[n : n + size], constraints.at(point)[0], rtol=1e-9, atol=1e-12)
 
 
 def test_derivatives_of_constraints(limited: tuple[Outer, np.ndarray]) -> None:
@@ -70,12 +70,12 @@ def test_derivatives_of_constraints(limited: tuple[Outer, np.ndarray]) -> None:
 
     def gradient(at: np.ndarray) -> np.ndarray:
         point = outer.function(at)
-        return point.gradient + constraints.at(point).jacobian.T @ multiples
+        return point.gradient + constraints.at(point)[1].T @ multiples
 
     def values(at: np.ndarray) -> np.ndarray:
-        return constraints.at(outer.function(at)).value
+        return constraints.at(outer.function(at))[0]
 
-    by_d = constraints.at(outer.function(q)).jacobian @ d
+    by_d = constraints.at(outer.function(q))[1] @ d
     assert difference_order(values, by_d, q, d, 1e-3) == pytest.approx(2, abs=0.05)
     conditions = outer.conditions
     curvature = conditions.at(outer.function(q)).hessian(conditions.program.value, multiples)
@@ -87,7 +87,7 @@ def test_rows_of_the_largest_pressure_are_pressures() -> None:
     constraints, point = ReducedConstraints(outer.conditions), outer.function(q)
     weights = outer.discretisation.space.weights(outer.nodes(q))
     excess = point.equilibrium.normal_force - 200 * weights
-    np.testing.assert_allclose(constraints.at(point).value * constraints.rows.unit, excess, atol=1e-9)
+    np.testing.assert_allclose(constraints.at(point)[0] * constraints.rows.unit, excess, atol=1e-9)
 
 
 def test_shapes_keep_straight_sides_and_their_own_motion() -> None:

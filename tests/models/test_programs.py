@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
+import scipy.sparse as sp
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
@@ -15,7 +16,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.reduced_nlp import STIFF, ReducedNLP, dense, lifted, reduced_nlp, with_hessian
+from rmesh_nlp.models.reduced_nlp import STIFF, ReducedProblem, reduced_nlp
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
@@ -107,9 +108,8 @@ ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.ite
 ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
 
 
-def nlp_of(problem: ContactProblem, objective: str = "energy") -> ReducedNLP:
-    outer = Outer.of(problem, objective)
-    return reduced_nlp(outer.relocation, outer.function, outer.is_valid, outer.residual, outer.tolerance)
+def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedProblem:
+    return Outer.of(problem, objective).reduced
 
 
 def whole(upper: ca.DM) -> Array:
@@ -120,14 +120,12 @@ def whole(upper: ca.DM) -> Array:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
-    problem = nlp_of(replace(EXAMPLES["6.1"](4), order=order), "error-l2")
-    nlp, rng = with_hessian(problem), np.random.default_rng(4)
+    problem = reduced(replace(EXAMPLES["6.1"](4), order=order), "error-l2")
+    nlp, rng = reduced_nlp(problem), np.random.default_rng(4)
     derivatives, n = nlp.derivatives, nlp.n_x
     q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
     lam_f, lam_g = 1.5, rng.uniform(-1, 0, nlp.n_g)
-    # in units of its value on the given mesh
-    assert abs(float(derivatives.grad_f(0 * q, [])[0])) == pytest.approx(1.0)
-    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value / problem.scale)
+    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value)
 
     def gradient(x: Array) -> Array:
         slope = derivatives.grad_f(x, [])[1].full().ravel()
@@ -141,11 +139,11 @@ def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
 
 @pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
-    problem = nlp_of(ENERGIES[name]())
-    larger, n, rng = lifted(problem), problem.nlp.n_x, np.random.default_rng(7)
-    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.nlp.n_g)
+    problem = reduced(ENERGIES[name]())
+    larger, n, rng = reduced_nlp(problem), problem.relocation.n_q, np.random.default_rng(7)
+    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.n_g)
     function = problem.function
-    curvature = dense(curvature_of(function)(function(q)), n) / problem.scale
+    curvature = curvature_of(function)(function(q))(np.eye(n))
     areas = function.energy.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
     for factor in (1.5, 0.0):
         matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
@@ -157,23 +155,15 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
         np.testing.assert_allclose(np.diag(corner), STIFF * np.max(np.abs(matrix[:n, :n])), rtol=1e-9)
 
 
-def test_other_objectives_and_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(TypeError, match="energy"):
-        lifted(nlp_of(EXAMPLES["6.1"](3), "error-l2"))
-    problem, followed = nlp_of(bumpy(0.0)), module._followed
-    monkeypatch.setattr(module, "_followed", lambda relocation: 0 * followed(relocation))
-    larger = lifted(problem)
+def test_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_pattern", lambda rel: sp.csc_array(sp.eye_array(rel.n_q + rel.n_u)))
+    larger = reduced_nlp(reduced(bumpy(0.0)))
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
 
 
-def test_columns_in_one_block_or_in_many_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    A = np.random.default_rng(0).standard_normal((7, 7))
-    monkeypatch.setattr(module, "COLUMNS", 3)
-    np.testing.assert_allclose(dense(lambda d: A @ d, 7), (A + A.T) / 2, rtol=1e-14)
-
-
 def test_meshes_with_inverted_elements_have_no_energy() -> None:
-    problem = nlp_of(EXAMPLES["6.1"](3, 0.9))
-    q = np.random.default_rng(0).uniform(-1, 1, problem.nlp.n_x)
-    assert np.isnan(float(problem.nlp.derivatives.grad_f(q, [])[0]))
+    problem = reduced(EXAMPLES["6.1"](3, 0.9))
+    nlp, q = reduced_nlp(problem), np.random.default_rng(0).uniform(-1, 1, problem.relocation.n_q)
+    x = np.append(q, np.zeros(nlp.n_x - q.size))
+    assert np.isnan(float(nlp.derivatives.grad_f(x, [])[0]))
