@@ -1,8 +1,8 @@
 """What counts as active: every tolerance of it, with the reason for its size.
 
 Distances have no unit: outer variables are parts of their move limits, validity rows parts of an element's
-area on the given mesh, gaps and forces parts of the largest displacement and of the loads. Four tolerances
-are needed because four kinds of solver leave a point near a bound in four ways.
+area on the given mesh, gaps and forces parts of the largest displacement and of the loads. Three tolerances
+are needed because three kinds of solver leave a point near a bound in three ways.
 """
 
 from __future__ import annotations
@@ -17,9 +17,6 @@ ZERO = 1e-6
 
 Descents put variables onto their bounds exactly, and active sets put gaps, slips and forces to zero exactly:
 only rounding must fit in between."""
-
-ROW_OF_A_STEP = 1e-7
-"""Linearised row below which it holds a step. A Newton step on the projection ends at violations of 1e-10."""
 
 BOUND_OF_AN_NLP = 1e-5
 """Distance, relative to ``1 + |bound|``, at which an interior-point method may leave an active bound or row.

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import signal
-import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from types import FrameType
-from typing import Any, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import casadi as ca
 
 from rmesh_nlp.evaluation import Array, flat
-from rmesh_nlp.optimize.budget import SIGNALS
+from rmesh_nlp.optimize.budget import signals_to
 
 Monitor = Callable[[int, Array, float], bool | None]
 """Called as ``monitor(iteration, x, f)`` after each accepted iteration; True stops the solver."""
@@ -76,38 +76,30 @@ class IterationCallback(PythonFunction):
         return [int(self.stop)]
 
 
-class SignalWatch:
-    """Raises KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
+@contextmanager
+def interruptible(callback: IterationCallback | None) -> Iterator[None]:
+    """Raise KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
 
     CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and reports an
     ordinary failure. Where there is a callback the signal asks it to stop the solver at the next iteration
     instead, because an exception inside a Python function would only be a failed evaluation.
     """
+    interrupted = False
 
-    def __init__(self, callback: IterationCallback | None) -> None:
-        self._callback, self._interrupted = callback, False
-        self._before: dict[int, Any] = {}
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+        if callback is None:
+            signal.default_int_handler(number, frame)
+        else:
+            callback.stop = True
 
-    def __enter__(self) -> None:
-        if threading.current_thread() is threading.main_thread():  # only there may handlers be set
-            handlers = {number: signal.getsignal(number) for number in SIGNALS}
-            self._before = {number: handler for number, handler in handlers.items() if callable(handler)}
-        for number in self._before:
-            signal.signal(number, self._handle)
-
-    def __exit__(self, *exception: object) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        interrupted, callback = self._interrupted, self._callback
+    try:
+        with signals_to(note):
+            yield
+    finally:
         if callback is not None:
             interrupted = interrupted or callback.interrupted
             callback.stop = callback.interrupted = False  # it may serve another solve
         if interrupted:
             raise KeyboardInterrupt from None
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        self._interrupted = True
-        if self._callback is None:
-            self._before[number](number, frame)
-        else:
-            self._callback.stop = True

@@ -1,12 +1,12 @@
 """One step of projected Newton-CG: a quadratic model minimised approximately in a box.
 
-A Cauchy point, then rounds of conjugate gradients on the face of the set where the step is, each with a
-projected search, all on the same model (:mod:`rmesh_nlp.optimize.trust_region`).
+A Cauchy point, by a projected search along the gradient, then rounds of conjugate gradients on the face of
+the set where the step is, each with a projected search, all on the same model
+(:mod:`rmesh_nlp.optimize.trust_region`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -22,10 +22,7 @@ OVERSHOOT = 2.0
 """How far beyond the trust region, in its widths, a direction is followed before it is projected."""
 
 DECREASE = 0.01
-"""Least part of the slope that a Cauchy point and a projected search give: mu_0 of Lin and Moré."""
-
-SHORTEN, SEARCHES = 0.5, 30
-"""Factor of the steps that are tried for a Cauchy point and in a projected search, and most tries of that."""
+"""Least part of the slope that a projected search gives: mu_0 of Lin and Moré."""
 
 
 class Model(Protocol):
@@ -39,24 +36,19 @@ class Model(Protocol):
 
 
 @dataclass(frozen=True)
-class Operator:
-    """A model made of its product and its diagonal."""
+class Scaled:
+    """A model in units of the widths of a trust region."""
 
-    product: Callable[[Array], Array]
-    scale: Callable[[], Array]
+    model: Model
+    width: Array
 
     def __call__(self, d: Array) -> Array:
         """Hessian times ``d``."""
-        return self.product(d)
+        return self.width * self.model(self.width * d)
 
     def diagonal(self) -> Array:
         """A positive diagonal."""
-        return self.scale()
-
-
-def scaled(model: Model, width: Array) -> Operator:
-    """A model in units of the widths of a trust region."""
-    return Operator(lambda d: width * model(width * d), lambda: width**2 * model.diagonal())
+        return self.width**2 * self.model.diagonal()
 
 
 class BoxStep:
@@ -72,7 +64,7 @@ class BoxStep:
     def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
         """A step within the box, and the decrease that the model predicts."""
         self._lower, self._upper = lower, upper
-        s, Hs = self._cauchy()
+        s, Hs = self._projected_search(np.zeros_like(self._g), self._g, -self._g / self.scale)  # Cauchy point
         while self.products < self.max_products:
             free = (s > self._lower) & (s < self._upper)
             gradient = self._g + Hs
@@ -97,22 +89,6 @@ class BoxStep:
     def _dual_norm(self, r: Array) -> float:
         return float(np.sqrt(np.maximum(r @ (r / self.scale), 0.0)))
 
-    def _clip(self, s: Array) -> Array:
-        return np.clip(s, self._lower, self._upper)
-
-    def _cauchy(self) -> tuple[Array, Array]:
-        """Generalised Cauchy point along the projected scaled gradient."""
-        direction = -self._g / self.scale
-        alpha = 1.0
-        s = self._clip(direction)
-        while np.any(s):
-            Hs = self._product(s)
-            if self._g @ s + 0.5 * s @ Hs <= DECREASE * (self._g @ s):
-                return s, Hs
-            alpha *= SHORTEN
-            s = self._clip(alpha * direction)
-        return s, np.zeros_like(s)
-
     def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
         far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
@@ -136,12 +112,11 @@ class BoxStep:
 
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
-        beta = 1.0
-        for _ in range(SEARCHES):
-            moved = self._clip(s + beta * w) - s
+        while self.products < self.max_products and np.any(w):
+            moved = np.clip(s + w, self._lower, self._upper) - s
             H_moved = self._product(moved)
             slope = gradient @ moved
             if slope + 0.5 * moved @ H_moved <= DECREASE * np.minimum(slope, 0.0):
                 return moved, H_moved
-            beta *= SHORTEN
+            w = 0.5 * w
         return np.zeros_like(s), np.zeros_like(s)

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.optimize.budget import Budget
-from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, SignalWatch
+from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, interruptible
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
 
@@ -171,7 +171,7 @@ class Solver:
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
         watch = Budget()
-        with SignalWatch(self._callback):
+        with interruptible(self._callback):
             solution = self._function(x0=start, p=p, **{**bounds, **others})
         stats = self._function.stats()
         word = str(stats["return_status"])

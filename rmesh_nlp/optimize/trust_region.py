@@ -21,12 +21,9 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton_step import BoxStep, Model, scaled
+from rmesh_nlp.optimize.newton_step import BoxStep, Model, Scaled
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
-
-NOTHING = 1e-16
-"""Predicted decrease, relative to the value, below which no step follows."""
 
 
 @dataclass(frozen=True)
@@ -156,14 +153,14 @@ def minimise(
         width = np.ones_like(x) if local is None else local.widths(x)
         low, high = (lower - x) / width, (upper - x) / width
         while True:
-            step = BoxStep(scaled(model, width), width * g, use.max_products)
+            step = BoxStep(Scaled(model, width), width * g, use.max_products)
             if not radius:
                 gradient_step = np.clip(-g / step.scale, low, high) if local is None else 1.0
                 radius = use.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
             y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius), use.forcing)
             products += step.products
             enough = stationary and predicted <= gain_tolerance * (reference - current.value)
-            if enough or predicted <= NOTHING * size:
+            if enough or predicted <= np.finfo(float).eps * size:
                 status = Status.CONVERGED if stationary else Status.STALLED
                 return NewtonResult(x, current.value, status, iteration, products)
             part = 1.0 if local is None else local.longest(x, width * y)
