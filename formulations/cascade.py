@@ -16,7 +16,8 @@ corrected.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -68,17 +69,6 @@ class Descent(Formulation):
         )
         monitor.budget.check()
         return Outcome(outer, descent.x, descent.status)
-
-
-@dataclass(frozen=True)
-class Level:
-    """What was done on one mesh; ``energy`` is that at the end, without the distortion."""
-
-    nodes: int
-    triangles: int
-    energy: float
-    iterations: int
-    contact_solves: int
 
 
 @dataclass(frozen=True)
@@ -139,7 +129,7 @@ class Levels(Formulation):
     settings: Cascade = field(default_factory=Cascade)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[Level]()
+        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[dict[str, Any]]()
 
         def descend() -> None:
             with budget.during("build"):
@@ -149,7 +139,7 @@ class Levels(Formulation):
                     level = (
                         outer if problem is outer.problem else Outer.of(problem, tolerance=outer.tolerance)
                     )
-                first, solves = monitor.budget.iterations, monitor.spent.contact_solves
+                first, solves = budget.iterations, monitor.spent.contact_solves
                 if ends:
                     outcome = self._corrected(level, ends[-1], monitor)
                 else:
@@ -157,10 +147,14 @@ class Levels(Formulation):
                 if outcome.outer.gain is None:  # stopped before there was a map
                     return
                 ends.append(outcome)
-                sizes = problem.mesh.p.shape[1], problem.mesh.t.shape[1]
-                reached = outcome.outer.energy(outcome.q).equilibrium.energy
-                spent = monitor.budget.iterations - first, monitor.spent.contact_solves - solves
-                levels.append(Level(*sizes, reached, *spent))
+                done = {
+                    "nodes": problem.mesh.p.shape[1],
+                    "triangles": problem.mesh.t.shape[1],
+                    "energy": outcome.outer.energy(outcome.q).equilibrium.energy,  # without the distortion
+                    "iterations": budget.iterations - first,
+                    "contact_solves": monitor.spent.contact_solves - solves,
+                }
+                levels.append(done)
                 budget.check()
 
         monitor.attempt(descend)
@@ -174,14 +168,14 @@ class Levels(Formulation):
                 q = 0.5 * q
             outcome = Outcome(end, q, monitor.end)
         gain, weight = outcome.outer.gain or 0.0, chosen.regularisation
-        remark = f"over meshes of {', '.join(str(level.nodes) for level in levels)} nodes"
+        nodes = ", ".join(str(level["nodes"]) for level in levels)
         return outcome.having(
             {
                 **weights_of(weight, chosen.distortion, weight, gain),
                 "outer": "newton",
-                "cascade": [asdict(level) for level in levels],
+                "cascade": levels,
             },
-            remarks=(remark, *outcome.remarks),
+            remarks=(f"over meshes of {nodes} nodes", *outcome.remarks),
         )
 
     def _searched(self, level: Outer, monitor: Monitor) -> Outcome:

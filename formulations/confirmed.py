@@ -14,9 +14,10 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.state import ACCURATE
 
-FIRST, LAST = 6, 20
-"""Degrees of the quadrature rule that are tried in turn; the last one is that of the assessment."""
+FIRST = 6
+"""Degree of the quadrature rule that is tried before that of the assessment."""
 
 AGREEMENT = 0.01
 """Largest error of the gain by the rule, in parts of the assessed gain."""
@@ -37,14 +38,14 @@ class Confirmed(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         outcome, problem = monitor.run(self.inner, outer, q), outer.problem
         rules = [problem.quadrature]
-        if monitor.budget.is_over() or (isinstance(problem.rule, int) and problem.rule >= LAST):
+        if monitor.budget.is_over() or (isinstance(problem.rule, int) and problem.rule >= ACCURATE):
             return outcome.having({"rules": tuple(rules)})
         with monitor.budget.during("audit"):
             confirmed = agrees(outcome)
         if not confirmed:
-            rules.append(LAST)
+            rules.append(ACCURATE)
             with monitor.budget.during("build"):
-                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=LAST))
+                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=ACCURATE))
             outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
         return outcome.having({"rules": tuple(rules)})
 

@@ -37,7 +37,6 @@ OPTIONS: Mapping[str, Any] = {
     "t0": 1e-2,
     "factor": 1e-2,
     "t_final": 1e-9,
-    "crossover": 1e-2,
     "warm_duals": True,
     # Hundreds of move limits are weakly active at the end: an active-set Newton method does not find which.
     "newton_finish": False,

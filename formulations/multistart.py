@@ -13,6 +13,7 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome, continuous_energy
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import plain
 
 
 @dataclass(frozen=True)
@@ -29,38 +30,30 @@ class MultiStart(Wrapper):
     begins_by_itself: ClassVar[tuple[str, ...]] = ("seed",)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        ends: list[tuple[float, Outcome]] = []
+        ends, energies, merits = list[Outcome](), list[float](), list[tuple[float, float]]()
         seeds: list[int | None] = [None, *range(1, self.starts + 1)]
         for seed in seeds:
             outcome = monitor.run(self.inner, outer, q if seed is None else outer.variables(seed=seed))
-            ends.append((continuous_energy(outcome), outcome))
+            ends.append(outcome)
+            energies.append(continuous_energy(outcome))
+            merits.append((0.0, energies[-1]) if outer.objective.collapses else _merit(outcome))
             if monitor.budget.is_over():
                 break
-        energies = [energy for energy, _ in ends]
-        collapses = outer.objective.collapses
-        merits = [(0.0, e) for e in energies] if collapses else [_merit(outcome) for _, outcome in ends]
-        values = energies if collapses else [value for _, value in merits]
         finite = [energy for energy in energies if np.isfinite(energy)]
-        best = min(zip(map(_known_first, merits), range(len(ends)), strict=True))[1]
+        values = [value for _, value in merits]
+        # ends with a value before those without
+        best = min(range(len(ends)), key=lambda k: (not np.isfinite(values[k]), merits[k]))
         starts = {
             "start_seeds": tuple(seeds[: len(ends)]),
-            "start_energies": _finite(energies),
+            "start_energies": tuple(map(plain, energies)),
             "start_spread": max(finite) - min(finite) if finite else None,
-            **({} if values is energies else {"start_values": _finite(values)}),
         }
-        return ends[best][1].having(starts)
-
-
-def _finite(values: list[float]) -> tuple[float | None, ...]:
-    return tuple(value if np.isfinite(value) else None for value in values)
+        if not outer.objective.collapses:
+            starts["start_values"] = tuple(map(plain, values))
+        return ends[best].having(starts)
 
 
 def _merit(outcome: Outcome) -> tuple[float, float]:
     """Violation and objective at the end of a run; NaN of an invalid mesh."""
     outer, q = outcome.outer, outcome.q
     return outer.merit(outer.function(q)) if outer.is_valid(q) else (0.0, float("nan"))
-
-
-def _known_first(merit: tuple[float, float]) -> tuple[bool, tuple[float, float]]:
-    """Ends with a value before those without."""
-    return not np.isfinite(merit[1]), merit

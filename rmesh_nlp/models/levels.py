@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
@@ -22,6 +21,7 @@ from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.contact_problem import renumbered
 from rmesh_nlp.problem.lines import line_facets, on_curve, sliding_directions
 from rmesh_nlp.problem.rigid import rigid_motions
 
@@ -74,22 +74,12 @@ def _on(problem: ContactProblem, mesh: MeshTri, nodes: Index, least: int) -> Con
     n, size = problem.mesh.p.shape[1], mesh.p.shape[1]
     if size < least or WORTHWHILE * size > n:
         return None
-    number = {int(old): new for new, old in enumerate(nodes)}
-    motion, triangles = problem.motion, f"{mesh.t.shape[1]} triangles"
-    places: dict[str, Any] = {
-        name: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, name))
-        for name in ("pinned", "slides", "free")
-    }
-    tied = tuple((number[a], number[b]) for a, b in motion.tied)
-    delta = motion.delta
+    delta = problem.motion.delta
     if isinstance(delta, Relative):
         delta = Relative(delta.fraction * np.sqrt(size / n))
-    motion = replace(motion, delta=delta, tied=tied, **places)
-    loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
+        problem = replace(problem, motion=replace(problem.motion, delta=delta))
     try:
-        coarser = replace(
-            problem, mesh=mesh, motion=motion, point_loads=loads, size=triangles, reference=None
-        )
+        coarser = renumbered(problem, mesh, {int(old): new for new, old in enumerate(nodes)})
     except ProblemError:
         return None  # too coarse for what the problem says
     return coarser if Body(coarser, coarser.mesh.p).is_upright() else None  # too coarse for its curves
@@ -136,9 +126,6 @@ def _decimated(problem: ContactProblem) -> tuple[MeshTri, Index]:
 CANDIDATES = 16
 """Elements with the nearest centres that are looked at first."""
 
-OUTSIDE = -1e-9
-"""Barycentric coordinate below which a point is outside an element."""
-
 
 def interpolated(nodes: Array, triangles: NDArray, values: Array, points: Array) -> Array:
     """Piecewise linear interpolation of nodal ``values`` (components, nodes) at ``points`` (2, points).
@@ -161,7 +148,7 @@ def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[NDArray[np
     best = np.argmax(weights.min(axis=0), axis=1)
     rows = np.arange(points.shape[1])
     element, weights = near[rows, best], weights[:, rows, best]
-    for number in np.flatnonzero(weights.min(axis=0) < OUTSIDE):
+    for number in np.flatnonzero(weights.min(axis=0) < -ROUNDING):
         everywhere = _barycentric(corner, points[:, number, None])
         element[number] = int(np.argmax(everywhere.min(axis=0)))
         weights[:, number] = everywhere[:, element[number]]

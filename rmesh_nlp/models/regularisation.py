@@ -8,7 +8,6 @@ part of that error (:func:`gain_estimate`), which also makes one number suit eve
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,45 +15,31 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.error_reduction import on_refined
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
 
 EXTRAPOLATION = 4 / 3
 """Error of the energy over its decrease by one uniform refinement, if the error falls by four."""
 
-LEAST_GAIN = 1e-9
-"""Least error of the energy, in parts of the energy, that a weight is made of."""
 
-
-@dataclass(frozen=True)
-class GainEstimate:
-    """Energy of the continuous problem on a mesh, and its error: the most that relocation can gain."""
-
-    energy: float
-    value: float
-
-
-ESTIMATE_SOLVES = 2
-"""Contact solves of an estimate."""
-
-
-def gain_estimate(problem: ContactProblem | ContactSolver) -> GainEstimate:
+def gain_estimate(solver: ContactSolver) -> float:
     """Estimate the error of the continuous energy of the mesh as given, by two contact solves.
+
+    It is the most that relocation can gain, and positive, as weights are made of it.
 
     Where the contact problem cannot be solved on the refined mesh, or its energy does not fall, the error of
     interpolation by recovered derivatives estimates it.
     """
-    solver = problem if isinstance(problem, ContactSolver) else ContactSolver(problem)
     given = admissible(solver.discretisation, start=solver.given.active)
     refined = _refined(given)
-    floor = LEAST_GAIN * max(abs(given.energy), 1e-300)
+    least = ROUNDING * max(abs(given.energy), 1e-300)
     if refined is not None and refined.status is Status.CONVERGED and refined.energy < given.energy:
-        return GainEstimate(given.energy, max(EXTRAPOLATION * (given.energy - refined.energy), floor))
-    return GainEstimate(given.energy, max(Solved(solver, solver.given).error, floor))
+        return max(EXTRAPOLATION * (given.energy - refined.energy), least)
+    return max(Solved(solver, solver.given).error, least)
 
 
 def _refined(given: Admissible) -> Admissible | None:

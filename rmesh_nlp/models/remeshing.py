@@ -7,9 +7,8 @@ it can gain.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -29,9 +28,8 @@ from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.contact_problem import on_mesh
+from rmesh_nlp.problem.contact_problem import renumbered
 from rmesh_nlp.problem.lines import bent, line_facets
-from rmesh_nlp.problem.motion import RULES
 
 ROUNDS = 3
 """Rounds: with two the estimated error is 2 to 8 % larger, with more it hardly changes."""
@@ -220,18 +218,9 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactPro
 
 def _carried_over(problem: ContactProblem, new: MeshTri, numbers: Index) -> ContactProblem:
     """The problem on a new mesh, which has the nodes of the old one with these ``numbers``."""
-    motion, nodes = problem.motion, np.zeros(0, dtype=np.int64)
-    if numbers.size:
-        nodes = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)[1]
-    number = dict(zip(numbers.tolist(), map(int, nodes), strict=True))
-    places: dict[str, Any] = {
-        rule: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, rule))
-        for rule in RULES
-    }
-    tied = tuple((number[a], number[b]) for a, b in motion.tied)
-    loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
-    motion = replace(motion, tied=tied, **places)
-    return on_mesh(problem, bent(new, motion.curves), motion, point_loads=loads)
+    _, nodes = cKDTree(new.p.T).query(problem.mesh.p[:, numbers].T)
+    number = dict(zip(numbers.tolist(), nodes.tolist(), strict=True))
+    return renumbered(problem, bent(new, problem.motion.curves), number)
 
 
 def sagitta(problem: ContactProblem) -> float:

@@ -23,7 +23,7 @@ from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tupl
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
 from rmesh_nlp.problem.lines import harmonic_motions, onto_curves
-from rmesh_nlp.problem.motion import Motion, Relative
+from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
 
@@ -232,6 +232,18 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     }
     mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, new.subdomains)
     return on_mesh(problem, mesh, problem.motion)
+
+
+def renumbered(problem: ContactProblem, mesh: MeshTri, number: Mapping[int, int]) -> ContactProblem:
+    """The problem on another mesh of its domain, ``number`` the new numbers of nodes that it names."""
+    motion = problem.motion
+    places: dict[str, Any] = {
+        rule: tuple(place if isinstance(place, str) else number[place] for place in getattr(motion, rule))
+        for rule in RULES
+    }
+    tied = tuple((number[a], number[b]) for a, b in motion.tied)
+    loads = tuple(replace(load, node=number[load.node]) for load in problem.point_loads)
+    return on_mesh(problem, mesh, replace(motion, tied=tied, **places), point_loads=loads)
 
 
 def on_mesh(problem: ContactProblem, mesh: MeshTri, motion: Motion, **changes: Any) -> ContactProblem:

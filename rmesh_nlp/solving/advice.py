@@ -8,6 +8,7 @@ What moving the nodes gains is measured on a coarse mesh: the best positions are
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -150,20 +151,27 @@ def advise(problem: ContactProblem) -> Advice:
     motion = replace(problem.motion, delta=None)
     given = replace(with_edge_gaps(problem), motion=motion, quadrature="auto")
     prospect, moved = _Prospect.of(given), _moved(given)
-    uniform = 4**prospect.rate
-    if prospect.agrees:
+    chosen, predicted = "refine", {"refine": 4**prospect.rate, "relocate": moved or 1.0}
+    if prospect.remeshed is not None:
         chosen = recommended(prospect.remeshed, moved or 1.0)
-        predicted = {"remesh": prospect.remeshed, "relocate": moved or 1.0, "refine": uniform}[chosen]
-        factors = prospect.best, moved, prospect.refinement, prospect.remeshed
-        advice = Advice(prospect.error, prospect.rate, *factors, chosen, predicted)
-    else:
-        advice = Advice(prospect.error, prospect.rate, None, moved, None, None, "refine", uniform)
-    if problem.order > 1:
-        return advice
-    second = _Prospect.of(replace(given, order=2))
-    factor = prospect.error / second.error if second.error > 0 else 1.0
-    remeshed = factor * second.remeshed if second.agrees else None
-    return replace(advice, second_order_factor=factor, second_order_remeshing_factor=remeshed)
+        predicted["remesh"] = prospect.remeshed
+    factor = remeshed = None
+    if problem.order == 1:
+        second = _Prospect.of(replace(given, order=2))
+        factor = prospect.error / second.error if second.error > 0 else 1.0
+        remeshed = None if second.remeshed is None else factor * second.remeshed
+    return Advice(
+        prospect.error,
+        prospect.rate,
+        attainable_factor=prospect.best,
+        attainable_same_connectivity=moved,
+        attainable_by_refinement=prospect.refinement,
+        remeshing_factor=prospect.remeshed,
+        recommended=chosen,
+        predicted_factor=predicted[chosen],
+        second_order_factor=factor,
+        second_order_remeshing_factor=remeshed,
+    )
 
 
 def _moved(problem: ContactProblem) -> float | None:
@@ -182,16 +190,15 @@ class _Prospect:
     """Error of the energy of a mesh, and factors by which other meshes lower it.
 
     ``rate``: the error falls like (number of nodes)^-rate; ``best`` is the factor of any mesh of as many
-    triangles, ``remeshed`` that of a metric start and relocation, ``refinement`` that of local refinement;
-    ``agrees`` whether the two meshes do about the first of these.
+    triangles, ``remeshed`` that of a metric start and relocation, ``refinement`` that of local refinement.
+    All three are None where the two meshes do not agree about the first of these.
     """
 
     error: float
     rate: float
-    best: float
-    remeshed: float
-    refinement: float
-    agrees: bool
+    best: float | None = None
+    remeshed: float | None = None
+    refinement: float | None = None
 
     @staticmethod
     def of(given: ContactProblem) -> _Prospect:
@@ -208,8 +215,7 @@ class _Prospect:
         rate = float(order)
         if error > fall:
             rate = float(np.clip(np.log(error / (error - fall)) / np.log(4), 0.0, order))
-        best, remeshed, refinement, agrees = _factors(coarse, finer, error)
-        return _Prospect(error, rate, best, remeshed, refinement, agrees)
+        return _Prospect(error, rate, *_factors(coarse, finer, error))
 
 
 def _has_curved_data(problem: ContactProblem) -> bool:
@@ -219,22 +225,22 @@ def _has_curved_data(problem: ContactProblem) -> bool:
     return any(degree is None or degree > 1 for degree in degrees)
 
 
-def _factors(here: Solved, finer: Solved, error: float) -> tuple[float, float, float, bool]:
+def _factors(here: Solved, finer: Solved, error: float) -> Sequence[float]:
     """By the best mesh, by a metric start and relocation, by local refinement; 1 at least.
 
-    And whether the two meshes agree about the best mesh.
+    Empty where the two meshes do not agree about the best mesh.
     """
     triangles = here.problem.mesh.t.shape[1]
     coarse, fine = (
         LeastErrors.of(np.asarray(first.problem.mesh.p), first.regions, triangles) for first in (here, finer)
     )
+    if not AGREE[0] * coarse.any_mesh <= fine.any_mesh <= AGREE[1] * coarse.any_mesh:
+        return ()
     order, pairs = here.problem.order, zip(vars(coarse).values(), vars(fine).values(), strict=True)
     any_mesh, equilateral, isotropic = (_limit(a, b, order) for a, b in pairs)
     made = SHARE * (1 + ROUGH / np.sqrt(triangles)) * equilateral ** (1 - BEST) * any_mesh**BEST
     least = any_mesh, max(made, any_mesh), isotropic
-    first, two, three = (max(1.0, error / value) if value > 0 else 1.0 for value in least)
-    agrees = AGREE[0] * coarse.any_mesh <= fine.any_mesh <= AGREE[1] * coarse.any_mesh
-    return first, two, three, agrees
+    return [max(1.0, error / value) if value > 0 else 1.0 for value in least]
 
 
 def _limit(coarse: float, fine: float, order: int) -> float:

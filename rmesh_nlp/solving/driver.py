@@ -21,7 +21,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.exploited import End, back, is_spurious, never_worse, once_more
+from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
 from rmesh_nlp.solving.formulation import Chooser, Formulation, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
@@ -30,6 +30,8 @@ from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.start import Start, beginning
+
+HIGHER = "the mesh is as it was given: the energy of the one that was reached is higher"
 
 
 def solve(
@@ -91,11 +93,13 @@ def solve(
     end, safe = _ended(plan, plan.problem, monitor), None
     if is_spurious(end.assessment):
         end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
-    stopped = monitor.budget.stopped
+    stopped, reached = monitor.budget.stopped, end.assessment
     if stopped is not None:
-        end = monitor.finish(lambda: back(end, stopped))
-    elif plan.why:  # what chooses by itself hands nothing back that is worse
-        end = monitor.finish(lambda: never_worse(end))
+        if not reached.success and reached.solver_status is stopped:
+            end = monitor.finish(lambda: as_given(end, stopped))
+    elif plan.why and reached.status in (Status.WORSE, Status.EXPLOITED):
+        # what chooses by itself hands nothing back that is worse
+        end = monitor.finish(lambda: as_given(end, Status.STALLED, HIGHER))
     return _made(plan, end, safe, monitor, certify)
 
 

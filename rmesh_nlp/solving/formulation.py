@@ -189,27 +189,18 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
-    known = options(formulation)
-    for name, value in given.items():
-        if name not in known:
-            raise untaken(formulation, name, value)
-    composed(formulation, {name: value for name, value in given.items() if name not in KEYWORDS})
+    composed(formulation, given)
     Limits.of(given.get("limits"))
     parse_objective(given.get("objective", "energy"))
     return dict(given)
 
 
-def untaken(formulation: str, name: str, value: Any) -> BadInputError:
-    """The error for an option that a formulation does not take."""
-    said = f"the formulation {formulation!r} takes no {name} = {value!r}"
-    return BadInputError(said + nearest(name, sorted(options(formulation))))
-
-
 def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
     """A formulation by name with settings, within those that other options ask for; None is a default.
 
-    Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do. A
-    BadInputError names an option that is neither.
+    Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do;
+    ``KEYWORDS`` of a solve have no part in it. A BadInputError names an option that the formulation does not
+    take.
     """
     asked = {key: value for key, value in given.items() if value is not None}
     if not isinstance(formulation, str):
@@ -220,10 +211,12 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     kind, known = kind_of(formulation), options(formulation)
     for key, value in asked.items():
         if key not in known and value not in (0, False):
-            raise untaken(formulation, key, value)
+            said = f"the formulation {formulation!r} takes no {key} = {value!r}"
+            raise BadInputError(said + nearest(key, sorted(known)))
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
-    around = [key for key, value in asked.items() if key not in own and value not in (0, False)]
+    wrappers = available(WRAPPERS)
+    around = [key for key, value in asked.items() if key in wrappers and value not in (0, False)]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
         made = find(key, WRAPPERS)(made, asked[key])
     return made

@@ -7,7 +7,6 @@ it. What was reached until then is kept here, so that no formulation has to look
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
@@ -18,7 +17,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.reduced_model import ReducedPoint
-from rmesh_nlp.models.regularisation import ESTIMATE_SOLVES, gain_estimate
+from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.mpcc import Iterate
 from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, deferred
 from rmesh_nlp.optimize.status import Status
@@ -27,9 +26,6 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step, Work
 
 NAN = float("nan")
-
-KEPT = 10
-"""Last iterates of an all-at-once solver among which a valid mesh is looked for."""
 
 OnStep = Callable[[Step], object]
 """Called after each iteration, for progress."""
@@ -110,8 +106,8 @@ class Monitor:
         if outer.gain is not None:
             return outer.gain
         if outer.contact not in self._gains:
-            self._gains[outer.contact] = gain_estimate(outer.contact).value
-            self.work += Work(ESTIMATE_SOLVES)
+            self._gains[outer.contact] = gain_estimate(outer.contact)
+            self.work += Work(contact_solves=2)
         return self._gains[outer.contact]
 
     def note(self, step: Step, q: Array | None = None, *, shown: bool = True) -> bool:
@@ -191,7 +187,7 @@ class Track:
         self._lam_g: Array | None = None
         mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
         self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
-        self._recent: deque[Array] = deque(maxlen=KEPT)
+        self._last: Array | None = None
         self._best: tuple[tuple[float, float], Array] | None = None
 
     @property
@@ -248,7 +244,9 @@ class Track:
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
         q, value = x[: self.outer.n], f * self._unit
-        self._recent.append(np.array(q))
+        inside = self.outer.clipped(q)
+        if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
+            self._last = inside
         energy = value if self.outer.objective.is_energy else NAN
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
@@ -266,13 +264,13 @@ class Track:
             steps[number] = replace(steps[number], primal_residual=violation)
 
     def best(self, start: Array) -> Array:
-        """The best outer variables that give a valid mesh: at worst those it started with."""
+        """The best outer variables that give a valid mesh: at worst those it started with.
+
+        Of an all-at-once solver only the last valid ones are known.
+        """
         if self._best is not None:
             return self._best[1]
-        outer, merit = self.outer, self.outer.merit
-        for q in reversed(self._recent):
-            inside = outer.clipped(q)
-            if np.all(np.isfinite(inside)) and outer.is_valid(inside):
-                first = merit(outer.function(start))
-                return inside if merit(outer.function(inside)) < first else start
-        return start
+        if self._last is None:
+            return start
+        first, last = (self.outer.merit(self.outer.function(q)) for q in (start, self._last))
+        return self._last if last < first else start

@@ -20,8 +20,8 @@ from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.attained import Attained, attained
 from rmesh_nlp.solving.state import objective_value
 
-SMALL = 0.5
-"""Surviving share below which a record warns."""
+SURVIVES = 0.5
+"""Least part of a gain by a formulation's own measure that must be left by an accurate one."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class SurvivingGain:
     @property
     def warnings(self) -> tuple[str, ...]:
         """One, if the share is small."""
-        if self.share >= SMALL:
+        if self.share >= SURVIVES:
             return ()
         said = f"only {max(self.share, 0):.0%} of the gain in {self.objective} is left on refined meshes: "
         return (said + "the rest is an error of the discretisation",)

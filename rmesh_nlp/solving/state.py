@@ -32,7 +32,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Constrained
 
 ACCURATE = 20
-"""Degree of the rule by which other objectives than the energy are assessed."""
+"""Degree of the rule by which other objectives than the energy are assessed, and of a safe discretisation."""
 
 NAN = float("nan")
 

@@ -9,22 +9,19 @@ import numpy as np
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, Shown
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objective import Fields, Objective
+from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.reduced_model import Reduced, ReducedObjective
+from rmesh_nlp.meshes.geometry import relocated_mesh
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.state import ACCURATE
+from rmesh_nlp.solving.state import ACCURATE, objective_value
 
 LEAST_ORDER = 1.9
 """What counts as second order; 1.9 is also what cashocs and dolfin-adjoint ask for."""
 
 FIRST_STEP, HALVINGS = 1e-2, 5
 """Lengths of the steps, in units of the move limits in which nodes move."""
-
-INSIDE = 0.6
-"""Part of the move limits from which the point is drawn, so that all steps stay inside."""
 
 LEAST_REMAINDER = 1e-13
 """Remainders below this part of the objective are rounding and say nothing of the gradient."""
@@ -113,7 +110,7 @@ def verify_gradient(
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
     rng = np.random.default_rng(seed)
-    q, direction = INSIDE * outer.variables(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
+    q, direction = (1 - FIRST_STEP) * outer.variables(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
     while not outer.is_valid(q + FIRST_STEP * direction):
         direction /= 2
     point = function(q)
@@ -137,29 +134,13 @@ def error_terms(problem: ContactProblem, nodes: Array) -> dict[str, float]:
     exact = problem.exact
     if exact is None or not np.isfinite(exact.energy):
         return {}
-    accurate = replace(problem, quadrature=ACCURATE)
-    model = ContactSolver(accurate)
-    state = model.solve(nodes)
-    positions, displacement, slip = (
-        constant_field(values)
-        for values in (nodes, model.displacement.values(state.u), _slips(model, state.u))
-    )
-    fields = Fields(accurate, positions, displacement, slip)
+    moved = replace(problem, mesh=relocated_mesh(problem.mesh, nodes), quadrature=ACCURATE)
+    energy = ReducedEnergy(ContactSolver(moved))
+    state, q = energy.model.given, np.zeros(energy.relocation.n_q)
 
     def term(name: str) -> float:
-        return parse_objective(name).on(fields).evaluate()(np.zeros(0))
+        return objective_value(energy, parse_objective(name), q, state)
 
     friction = term("friction") if problem.frictional else 0.0
     terms = {"I1": term("error-energy"), "I2": term("contact"), "I3": friction}
     return {**terms, "energy_above_exact": state.energy - exact.energy}
-
-
-def _slips(model: ContactSolver, u: Array) -> Array:
-    """Sizes of the slips (obstacles, nodes), zero off the contact boundaries."""
-    space = model.discretisation.space
-    field = np.zeros((max(len(space.contact_sets), 1), space.n_nodes))
-    if model.problem.frictional:
-        slip = np.abs(model.tangents @ u)
-        for part in space.contact_sets:
-            field[part.number, part.nodes] = slip[part.rows]
-    return field

@@ -97,5 +97,5 @@ def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedEnergy
 
 def with_distortion(problem: ContactProblem, weight: float = 0.01) -> ReducedEnergy:
     """The energy with a distortion, weighted relative to what is to be gained."""
-    objective = regularised(gain_estimate(problem).value, weight)
+    objective = regularised(gain_estimate(ContactSolver(problem)), weight)
     return ReducedEnergy(ContactSolver(problem), objective)
