@@ -6,6 +6,9 @@ import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
+Place = tuple[str | int, ...]
+"""Names of nested tables of a file and numbers in lists, from 0, down to a value."""
+
 INTERRUPTED = 130
 """Exit code after Ctrl-C."""
 
@@ -52,12 +55,12 @@ def located(place: object) -> Iterator[None]:
 class ProblemError(BadInputError):
     """A problem that contradicts itself.
 
-    ``part`` names the part of the problem that is at fault: order, quadrature, mesh, law, subdomain,
-    dirichlet, boundary (of an obstacle), obstacle, friction, coulomb, motion, curves, tractions, point_loads
-    or design. ``name`` says which of several: of a region or a boundary, a rule of the motion, or the number
-    of an obstacle or a load.
+    ``place`` says where its cause stands in a problem file, as far as that is known: the name of a table
+    alone, or with what is inside of it, such as ``("contact", 0, "friction")`` for the first obstacle.
+    ``part`` is the table.
     """
 
-    def __init__(self, part: str, message: str, name: str | int | None = None) -> None:
+    def __init__(self, place: str | Place, message: str) -> None:
         super().__init__(message)
-        self.part, self.name = part, name
+        self.place = (place,) if isinstance(place, str) else place
+        self.part = self.place[0]

@@ -14,9 +14,10 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Edges, Index, gradients
-from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points, polynomial_degree
+from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
 from rmesh_nlp.problem.laws import Laplace, Law
 from rmesh_nlp.problem.obstacle import Obstacle
+from rmesh_nlp.problem.quadrature import polynomial_degree
 
 
 def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:

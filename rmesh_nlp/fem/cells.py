@@ -20,13 +20,12 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.special import roots_jacobi
-from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
-from rmesh_nlp.evaluation import Array, Expression, Kind
+from rmesh_nlp.evaluation import Expression, Kind
 from rmesh_nlp.fem.bernstein import SIDES, size, slopes
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.problem.quadrature import line_rule, triangle_rule
 
 Density = Callable[[Expression, Expression, Expression, Expression], Expression]
 """``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
@@ -209,34 +208,3 @@ def affine(X: Expression, u: Expression) -> tuple[Expression, Expression]:
     det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
     adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
     return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate
-
-
-def line_rule(degree: int) -> tuple[Array, Array]:
-    """Gauss rule on an edge: barycentric coordinates (2, points) and weights (points,), summing to 1."""
-    points, weights = get_quadrature_line(degree)
-    return np.vstack([1 - points.ravel(), points.ravel()]), weights
-
-
-def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
-    """Barycentric coordinates (3, points) and weights (points,), summing to 1.
-
-    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree.
-    """
-    if quadrature == "midpoint":
-        return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
-    assert isinstance(quadrature, int)
-    if quadrature <= 19:  # the highest degree of scikit-fem's
-        points, weights = get_quadrature_tri(quadrature)
-    else:
-        points, weights = _conical_product_rule(quadrature)
-    return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
-
-
-def _conical_product_rule(degree: int) -> tuple[Array, Array]:
-    """Gauss-Jacobi times Gauss-Legendre on the reference triangle, for any degree (Stroud 1971)."""
-    n = degree // 2 + 1
-    r, weight_r = roots_jacobi(n, 1, 0)
-    s, weight_s = roots_jacobi(n, 0, 0)
-    x, z = (1 + r) / 2, (1 + s) / 2
-    points = np.vstack([np.repeat(x, n), np.outer(1 - x, z).ravel()])
-    return points, np.outer(weight_r / 4, weight_s / 2).ravel()

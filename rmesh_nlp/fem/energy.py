@@ -15,7 +15,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import functions
-from rmesh_nlp.fem.cells import Arc, Blended, Cell, Rule, Straight, line_rule, triangle_rule
+from rmesh_nlp.fem.cells import Arc, Blended, Cell, Rule, Straight
 from rmesh_nlp.fem.element import NO_ROWS, vector
 from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
@@ -24,12 +24,8 @@ from rmesh_nlp.problem import ContactProblem, PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
+from rmesh_nlp.problem.quadrature import line_rule, traction_degree, triangle_rule
 from rmesh_nlp.problem.switches import switches
-
-TRACTION_DEGREE = 4
-"""Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
-higher one of the load is taken for tractions too."""
-
 
 MOST_BREAKS = 4
 """Pieces of an edge are as many and one."""
@@ -112,7 +108,7 @@ def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
 def load_terms(space: DisplacementSpace, rule: str | int) -> list[ElementTerm]:
     """Minus the work of source or body force, tractions and point loads, of positions and displacement."""
     problem, terms = space.problem, []
-    degree = TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
+    degree = traction_degree(rule)
     for law, straight, beside in _elements(problem):
         if any(is_nonzero(component) for component in law.load):
             terms.append(_load_term(space, law, rule, problem.triangles[:, straight]))

@@ -96,7 +96,7 @@ def _term(text: str, whole: str) -> Objective:
         return Objective(((1.0, TERMS[text]),))
     kind, bracket, rest = text.partition("(")
     if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
-        return QUANTITIES[kind.strip()](text, _split(rest[:-1], ","))
+        return _quantity(kind.strip(), rest[:-1], text)
     choices = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
     raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(choices)}")
 
@@ -121,97 +121,75 @@ def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) ->
     return density
 
 
-def _body(text: str, arguments: list[str]) -> Objective:
-    (expression,) = _take(text, arguments, "body(EXPR)")
-    return body_integral(_density(text, expression, SLOPES), name=text)
+def _body(expression: str, *, name: str) -> Objective:
+    return body_integral(_density(name, expression, SLOPES), name=name)
 
 
-def _boundary(text: str, arguments: list[str], *, mean: bool = False) -> Objective:
-    name, expression = _take(text, arguments, f"{'mean' if mean else 'boundary'}(NAME, EXPR)")
-    return boundary_integral(name, _density(text, expression, NORMAL), name=text, mean=mean)
+def _boundary(boundary: str, expression: str, *, name: str, mean: bool = False) -> Objective:
+    return boundary_integral(boundary, _density(name, expression, NORMAL), name=name, mean=mean)
 
 
-def _node(text: str, arguments: list[str]) -> Objective:
-    x, y, expression = _take(text, arguments, "node(X, Y, EXPR)")
-    return at_point((_number(text, x), _number(text, y)), _density(text, expression, {}), name=text)
+def _node(x: float, y: float, expression: str, *, name: str) -> Objective:
+    return at_point((x, y), _density(name, expression, {}), name=name)
 
 
-def _peak_pressure(text: str, arguments: list[str]) -> Objective:
-    if len(arguments) == 2:
-        arguments = [*arguments, "8"]
-    name, reference, exponent = _take(text, arguments, "peak-pressure(NAME, P) or peak-pressure(NAME, P, K)")
-    power = _number(text, exponent)
-    if power != int(power):
-        raise ValueError(f"{text}: the exponent must be a whole number, got {exponent}")
-    return peak_pressure(name, _number(text, reference), exponent=int(power), name=text)
+def _peak_pressure(boundary: str, reference: float, exponent: float = 8.0, *, name: str) -> Objective:
+    if exponent != int(exponent):
+        raise ValueError(f"{name}: the exponent must be a whole number, got {exponent:g}")
+    return peak_pressure(boundary, reference, exponent=int(exponent), name=name)
 
 
-def _on_boundary(make: Callable[..., Objective], kind: str, text: str, arguments: list[str]) -> Objective:
-    (name,) = _take(text, arguments, f"{kind}(NAME)")
-    return make(name, name=text)
-
-
-def _contact_length(text: str, arguments: list[str]) -> Objective:
-    name, reference = _take(text, arguments, "contact-length(NAME, P)")
-    return contact_length(name, _number(text, reference), name=text)
-
-
-def _largest(text: str, arguments: list[str]) -> Objective:
-    (boundary,) = _take(text, arguments, "max-pressure(NAME)")
-    return largest_pressure(boundary, name=text)
-
-
-def _square(text: str, arguments: list[str]) -> Objective:
-    inside = ", ".join(arguments)
+def _square(inside: str, *, name: str) -> Objective:
     for place in _places(inside, "+-"):
         try:
             value = float(inside[place:].replace(" ", ""))
         except ValueError:
             continue
-        return square(parse_objective(inside[:place].strip()), -value, name=text)
-    return square(parse_objective(inside), name=text)
+        return square(parse_objective(inside[:place].strip()), -value, name=name)
+    return square(parse_objective(inside), name=name)
 
 
-def _design(text: str, arguments: list[str]) -> Objective:
-    (expression,) = _take(text, arguments, "design(EXPR)")
+def _design(expression: str, *, name: str) -> Objective:
     used = set(re.findall(r"\b[A-Za-z_]\w*", expression)) - {*FUNCTIONS, "pi"}
-    with located(text):
-        value = ca.SX(value_of(expression, {name: symbol(name) for name in sorted(used)}))
-    return of_design(value, name=text)
+    with located(name):
+        value = ca.SX(value_of(expression, {variable: symbol(variable) for variable in sorted(used)}))
+    return of_design(value, name=name)
 
 
-def _fit(text: str, arguments: list[str]) -> Objective:
-    (path,) = _take(text, arguments, "fit(FILE)")
-    return fit_file(path, name=text)
+QUANTITIES: Mapping[str, tuple[str, Callable[..., Objective]]] = {
+    "body": ("EXPR", _body),
+    "boundary": ("NAME, EXPR", _boundary),
+    "mean": ("NAME, EXPR", partial(_boundary, mean=True)),
+    "node": ("X, Y, EXPR", _node),
+    "peak-pressure": ("NAME, P, [K]", _peak_pressure),
+    "level-pressure": ("NAME", level_pressure),
+    "resultant": ("NAME", resultant),
+    "shear": ("NAME", shear),
+    "contact-length": ("NAME, P", contact_length),
+    "square": ("SUM - VALUE", _square),
+    "max-pressure": ("NAME", largest_pressure),
+    "design": ("EXPR", _design),
+    "fit": ("FILE", fit_file),
+}
+"""Quantities of interest by the word before their bracket: what stands in it, and what makes them of that."""
+
+NUMBERS = ("X", "Y", "P", "[K]")
+"""Which of these are numbers."""
+
+
+def _quantity(kind: str, inside: str, text: str) -> Objective:
+    form, make = QUANTITIES[kind]
+    words, arguments = form.split(", "), _split(inside, ",")
+    needed = [word for word in words if not word.startswith("[")]
+    if not (len(needed) <= len(arguments) <= len(words) and all(arguments)):
+        raise ValueError(f"{text}: expected {kind}({form})")
+    read = [_number(text, a) if word in NUMBERS else a for word, a in zip(words, arguments, strict=False)]
+    return make(*read, name=text)
 
 
 def beside(text: str, folder: Path) -> str:
     """The text with relative files of measurements taken to be in a folder, that of the file it stands in."""
     return re.sub(r"\bfit\(\s*([^()]*?)\s*\)", lambda match: f"fit({folder / match[1]})", text)
-
-
-QUANTITIES: dict[str, Callable[[str, list[str]], Objective]] = {
-    "body": _body,
-    "boundary": _boundary,
-    "mean": partial(_boundary, mean=True),
-    "node": _node,
-    "peak-pressure": _peak_pressure,
-    "level-pressure": partial(_on_boundary, level_pressure, "level-pressure"),
-    "resultant": partial(_on_boundary, resultant, "resultant"),
-    "shear": partial(_on_boundary, shear, "shear"),
-    "contact-length": _contact_length,
-    "square": _square,
-    "max-pressure": _largest,
-    "design": _design,
-    "fit": _fit,
-}
-"""Quantities of interest by the word before their bracket."""
-
-
-def _take(text: str, arguments: list[str], form: str) -> list[str]:
-    if len(arguments) != form.split(" or ")[-1].count(",") + 1 or not all(arguments):
-        raise ValueError(f"{text}: expected {form}")
-    return arguments
 
 
 def _number(text: str, value: str) -> float:

@@ -18,6 +18,7 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.element import NO_ROWS
@@ -34,6 +35,7 @@ from rmesh_nlp.fem.pressure import (
     shear,
 )
 from rmesh_nlp.fem.space import Index, outward_edges
+from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in, substituted, symbol
 
@@ -172,7 +174,6 @@ def at_point(
     function: Callable[[Expression, Expression, Expression], Expression],
     *,
     name: str = "value at a point",
-    tolerance: float = 1e-6,
 ) -> Objective:
     """A function of the displacement at the node that is at ``point`` on the initial mesh.
 
@@ -183,8 +184,6 @@ def at_point(
         ``function(x, y, u)`` with the node's position after the relocation. A node that is not
         pinned may move away from the point.
     name : str
-    tolerance : float
-        Largest distance of the node, relative to the extent of the mesh.
 
     Raises
     ------
@@ -194,12 +193,8 @@ def at_point(
 
     @_quantity(name)
     def quantity(on: Fields) -> Functional:
-        p = on.problem.mesh.p
-        distance = np.linalg.norm(p - np.array(point)[:, None], axis=0)
-        node = int(np.argmin(distance))
-        if not distance[node] <= tolerance * float(np.max(np.ptp(p, axis=1))):
-            near = tuple(float(c) for c in p[:, node])
-            raise ValueError(f"{name}: no node at {tuple(point)}; the nearest is node {node} at {near}")
+        with located(name):
+            node = node_at(on.problem.mesh, point)
         at_node = nodal([node], lambda X, u: function(X[0, 0], X[1, 0], u[:, 0]), name=name)
         return at_node.on(on)
 

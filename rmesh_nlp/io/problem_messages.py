@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from pydantic import BaseModel, ValidationError
 
-from rmesh_nlp.errors import BadInputError, nearest, one_line
+from rmesh_nlp.errors import BadInputError, Place, nearest, one_line
 from rmesh_nlp.problem.design import RESERVED, symbol
 
 
@@ -24,10 +24,6 @@ class ProblemFileError(BadInputError):
     def __init__(self, lines: list[str]) -> None:
         super().__init__("\n".join(lines))
         self.lines = lines
-
-
-Place = tuple[str | int, ...]
-"""Names of nested tables and numbers in lists, from 0, down to a value: as pydantic's errors have them."""
 
 
 def value_at(data: Any, place: Place) -> Any:

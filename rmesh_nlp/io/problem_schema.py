@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from inspect import Parameter, signature
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -21,6 +23,7 @@ from pydantic import (
 )
 from skfem import MeshTri
 
+from rmesh_nlp.expressions import value_of
 from rmesh_nlp.io.problem_messages import Source
 from rmesh_nlp.io.problem_values import (
     KINDS,
@@ -34,13 +37,13 @@ from rmesh_nlp.io.problem_values import (
     Scalar,
     Seed,
     Text,
-    Triple,
     Vector,
     among,
     as_list,
     source_of,
 )
 from rmesh_nlp.meshes import shapes
+from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline
 from rmesh_nlp.problem import (
     DesignVariable,
     Elastic,
@@ -48,13 +51,14 @@ from rmesh_nlp.problem import (
     Law,
     Motion,
     Obstacle,
+    PiecewiseLinear,
     PlaneStrain,
     PlaneStress,
     PointLoad,
     Shape,
     Units,
 )
-from rmesh_nlp.problem.obstacle import GAPS
+from rmesh_nlp.problem.obstacle import GAPS, unit
 
 SHAPES: Mapping[str, Callable[..., MeshTri]] = {
     "rectangle": shapes.rectangle,
@@ -66,19 +70,44 @@ SHAPES: Mapping[str, Callable[..., MeshTri]] = {
 }
 """The function that makes each shape."""
 
-LAWS: Mapping[str, list[Callable[..., Law]]] = {
-    "laplace": [Laplace],
-    "plane-strain": [PlaneStrain.from_young, PlaneStrain],
-    "plane-stress": [PlaneStress.from_young, PlaneStress],
+LAWS: Mapping[str, tuple[Callable[..., Law], ...]] = {
+    "laplace": (Laplace,),
+    "plane-strain": (PlaneStrain.from_young, PlaneStrain),
+    "plane-stress": (PlaneStress.from_young, PlaneStress),
 }
 """What may make each law."""
 
-FOUNDATIONS = ("offset", "line", "circle", "curve", "height", "points")
-"""Keys of a contact that say where the foundation is."""
+FOUNDATIONS: Mapping[str, tuple[Callable[..., Obstacle], str]] = {
+    "interior": (Obstacle.interior, "psi"),
+    "line": (Obstacle.line, ""),
+    "circle": (Obstacle.circle, ""),
+    "curve": (Obstacle.curve, "level"),
+    "height": (Obstacle.graph, "height"),
+    "points": (Obstacle.graph, "height"),
+    "offset": (Obstacle, "offset"),
+}
+"""Keys of a contact that say where the foundation is: what makes it, and the argument that the key is; empty
+for a table of arguments."""
 
 FORCES = ("friction", "coulomb")
 """Keys of a contact that say which friction there is."""
 
+
+def _circle(circle: tuple[float, float, float]) -> Circle:
+    x, y, radius = circle
+    return Circle((x, y), radius)
+
+
+def _spline(spline: list[tuple[float, float]], closed: bool = False) -> Spline:
+    return Spline(tuple(spline), closed)
+
+
+def _parametrised(x: str, y: str, t: tuple[float, float], closed: bool = False) -> Parametrised:
+    return Parametrised(lambda at: value_of(x, {"t": at}), lambda at: value_of(y, {"t": at}), t, closed)
+
+
+CURVES: tuple[Callable[..., Curve], ...] = (_circle, _spline, _parametrised)
+"""What may make a curve."""
 
 T = TypeVar("T", bound="Table")
 
@@ -101,10 +130,10 @@ class Table(BaseModel):
         """Which of these keys have a value."""
         return [name for name in names if getattr(self, name) is not None]
 
-    def entries(self, *names: str) -> dict[str, Any]:
-        """The keys that the file has, with their values: all, or those among some names."""
+    def entries(self, *without: str) -> dict[str, Any]:
+        """The keys that the file has, with their values, but for some."""
         keys = [name for name in type(self).model_fields if name in self.model_fields_set]
-        return {name: getattr(self, name) for name in keys if not names or name in names}
+        return {name: getattr(self, name) for name in keys if name not in without}
 
 
 def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
@@ -132,6 +161,23 @@ def taking(*makes: Callable[..., Any], without: tuple[str, ...] = ()) -> Callabl
     return extended
 
 
+M = TypeVar("M")
+
+
+def made(what: str, makes: Sequence[Callable[..., M]], given: Mapping[str, Any]) -> M:
+    """The first of some functions that takes the given arguments, called with them."""
+    forms, known = [], set[str]()
+    for make in makes:
+        takes = arguments(make)
+        needs = {name for name, argument in takes.items() if argument.default is Parameter.empty}
+        if needs <= given.keys() <= takes.keys():
+            return make(**given)
+        forms.append(", ".join(name if name in needs else f"[{name}]" for name in takes))
+        known |= takes.keys()
+    head = next((f"{name} is not taken: " for name in given if name not in known), "")
+    raise ValueError(f"{head}{what} takes {', or '.join(forms)}")
+
+
 @taking(*SHAPES.values())
 class MeshTable(Table):
     """``[mesh]``: a file, or a shape with the arguments of its function."""
@@ -146,6 +192,10 @@ class MaterialTable(Table):
     """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
     law: Annotated[str, among(LAWS)]
+
+
+BrokenLine = Annotated[Points, AfterValidator(lambda points: PiecewiseLinear(*zip(*points, strict=True)))]
+"""The points of a graph."""
 
 
 @taking(Obstacle.line, without=("boundary", *FORCES))
@@ -169,7 +219,7 @@ class ContactTable(Table):
     circle: CircleTable | None = None
     curve: Scalar | None = None
     height: Scalar | None = None
-    points: Points | None = None
+    points: BrokenLine | None = None
     interior: Scalar | None = None
     friction: Scalar | None = None
     coulomb: Scalar | None = None
@@ -178,13 +228,24 @@ class ContactTable(Table):
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
         kinds = self.given(*FOUNDATIONS)
-        if len(kinds) > 1 or (kinds and self.interior is not None):
+        if len(kinds) > 1:
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
         if self.normal is not None and kinds not in ([], ["offset"]):
             raise ValueError("expected normal only together with offset")
         if self.interior is not None and self.given(*FORCES):
             raise ValueError("friction needs contact on a boundary")
         return self
+
+    def obstacle(self, components: int) -> Obstacle:
+        """The foundation for a body with so many components of the displacement."""
+        given = self.entries("gap", *FOUNDATIONS)
+        (kind,) = self.given(*FOUNDATIONS) or ["offset"]
+        make, argument = FOUNDATIONS[kind]
+        value = getattr(self, kind)
+        given |= value.entries() if isinstance(value, Table) else {} if value is None else {argument: value}
+        if kind == "offset":
+            given["normal"] = (1.0,) if components == 1 else unit(self.normal or (0.0, 1.0))
+        return replace(make(**given), gap=self.gap)
 
 
 @taking(PointLoad, without=("node",))
@@ -235,23 +296,9 @@ class MotionTable(Table):
     """``[motion]``."""
 
 
+@taking(*CURVES)
 class CurveTable(Table):
     """One of ``[curves]``: a circle, the points of a spline, or two expressions of t."""
-
-    circle: Triple | None = None
-    spline: Points | None = None
-    x: Text | None = None
-    y: Text | None = None
-    t: Pair | None = None
-    closed: Flag = False
-
-    @model_validator(mode="after")
-    def _one_kind(self) -> CurveTable:
-        if self.given("circle", "spline", "x", "y", "t") not in (["circle"], ["spline"], ["x", "y", "t"]):
-            raise ValueError(
-                "expected circle = [cx, cy, r], spline = [[x, y], ...], or x, y and t = [from, to]"
-            )
-        return self
 
 
 def _curve(value: Any, read: ValidatorFunctionWrapHandler) -> CurveTable | str:

@@ -173,6 +173,7 @@ KINDS: Mapping[Any, Any] = {
     Coefficient: Scalar,
     tuple[float, float]: Pair,
     tuple[float | ca.SX, float | ca.SX]: Annotated[tuple[Designed, Designed], expected(PAIR)],
+    tuple[float, float, float]: Triple,
     tuple[float, ...]: Forces,
     tuple[Coefficient, Coefficient]: Vector,
     list[tuple[float, float]]: Points,

@@ -22,10 +22,7 @@ from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
-
-ON = 1e-6
-"""Part of an edge within which a node lies on it: files are often written with seven digits."""
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, counter_clockwise, signed_areas
 
 NO_AREA = 1e-14
 """Area of an element that is rounding, in units of its longest edge times the extent of the mesh."""
@@ -84,8 +81,10 @@ def _hanging(mesh: MeshTri) -> str | None:
     for edges, chosen in _near(a, b, mesh.p[:, nodes], np.zeros(nodes.size)):
         d, size = mesh.p[:, nodes[chosen]] - a[:, edges], length[edges]
         position = np.sum(d * tangent[:, edges], axis=0)
-        on_line = np.abs(_cross(tangent[:, edges], d)) <= ON * size
-        for which in np.flatnonzero(on_line & (position > ON * size) & (position < (1 - ON) * size)):
+        on_line = np.abs(_cross(tangent[:, edges], d)) <= SEVEN_DIGITS * size
+        for which in np.flatnonzero(
+            on_line & (position > SEVEN_DIGITS * size) & (position < (1 - SEVEN_DIGITS) * size)
+        ):
             edge = edges[which]
             return (
                 f"node {nodes[chosen[which]]} hangs on the edge between nodes {ends[0, edge]} and "

@@ -7,7 +7,7 @@ CasADi symbols, because loads move with the nodes and must be differentiated.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, wraps
 from typing import TypeAlias, TypeGuard, TypeVar
@@ -146,54 +146,3 @@ class PiecewiseLinear:
         for corner, jump in zip(self.x[1:-1], np.diff(slopes), strict=True):
             value = value + jump * ca.fmax(x - corner, 0)
         return value
-
-
-MIDPOINT = "midpoint"
-"""The three edge midpoints, exact to degree 2."""
-
-HIGH = 8
-"""Degree for loads that are no polynomials. Of random problems with loads such as 4 sin(3 x) + x y none of
-those solved with degree 6 had a gain that the audit did not confirm to 10 %; 8 is for faster
-oscillations."""
-
-LARGEST_EXPRESSION = 5_000
-"""Operations in a derivative beyond which it is not looked at further."""
-
-
-def suitable_rule(
-    loads: Sequence[Coefficient], tractions: Sequence[Coefficient], order: int = 1
-) -> str | int:
-    """The cheapest rule that is exact for these loads times functions of an order, or ``HIGH``.
-
-    Tractions are integrated with degree 4 at least, whatever the rule.
-    """
-    degrees = [[polynomial_degree(part) for part in parts] for parts in (loads, tractions)]
-    if None in [*degrees[0], *degrees[1]]:
-        return HIGH
-    body, edge = (max((d + order for d in part if d is not None), default=0) for part in degrees)
-    needed = max(body, edge if edge > 4 else 0)
-    return MIDPOINT if needed <= 2 else needed
-
-
-@once
-def polynomial_degree(coefficient: Coefficient) -> int | None:
-    """Degree in x and y together; None if it is no polynomial up to ``HIGH - 1``, where that is exact."""
-    if not callable(coefficient):
-        return 0
-    if isinstance(coefficient, PiecewiseLinear):
-        return 1 if not coefficient.kinks else None
-    point = ca.SX.sym("point", 2)
-    try:
-        derivatives = ca.SX(at(coefficient, point[0], point[1]))
-    except (NotImplementedError, RuntimeError, TypeError, ValueError):
-        return None  # a function of MX alone, or one that the assembly refuses with a reason
-    for degree in range(HIGH):
-        if ca.Function("count", [point], [derivatives], OPEN).n_nodes() > LARGEST_EXPRESSION:
-            return None
-        highest = derivatives
-        derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))
-        derivatives = ca.vertcat(*{hash(e): e for e in ca.vertsplit(derivatives) if e.nnz()}.values())
-        if derivatives.shape[0] == 0:
-            # that of a branch, such as |x|, depends on the point by its condition
-            return None if ca.depends_on(highest, point) else degree
-    return None

@@ -120,7 +120,7 @@ class ContactProblem(Shown, ProblemData):
         for support in self.supports:
             if used := names_in(support):
                 said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
-                raise ProblemError("dirichlet", said, support.boundary)
+                raise ProblemError(("dirichlet", support.boundary), said)
         for obstacle in self.obstacles:
             if obstacle.boundary in self.motion.curves and (used := names_in(obstacle)):
                 said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"

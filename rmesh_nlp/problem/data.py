@@ -11,22 +11,20 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
-from rmesh_nlp.problem.coefficients import on_points, suitable_rule
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import LOCKING, Law, PlaneStrain
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
+from rmesh_nlp.problem.quadrature import suitable_rule
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
 BY_VALIDITY = Motion()
 """Motion limited by element validity alone."""
-
-CLASH = 1e-12
-"""Relative difference of two displacements given at one node that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +174,7 @@ class ProblemData:
                     continue
                 given = on_points(coefficient, self.mesh.p[:, nodes], what)
                 scale = max(1.0, float(np.max(np.abs(given), initial=0.0)))
-                clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > CLASH * scale)
+                clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > ROUNDING * scale)
                 for k in np.flatnonzero(clash):
                     raise ProblemError(
                         "dirichlet",

@@ -8,11 +8,8 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.problem.data import ProblemData
-
-NO_MOTION = 1e-9
-"""Displacements smaller than this, of motions of unit size, are none."""
 
 
 def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
@@ -32,7 +29,7 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
         rows = modes[:, held]
         # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
         triangle = np.linalg.qr(rows.T, mode="r")
-        basis = scipy.linalg.null_space(triangle, rcond=NO_MOTION) if rows.size else np.eye(len(modes))
+        basis = scipy.linalg.null_space(triangle, rcond=ROUNDING) if rows.size else np.eye(len(modes))
         motions += list(np.einsum("mk,mcn->kcn", basis, modes))
     return np.array(motions).reshape(-1, *held.shape)
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import Coefficient, as_function, at, once, polynomial_degree
+from rmesh_nlp.problem.coefficients import Coefficient, as_function, at, once
+from rmesh_nlp.problem.quadrature import polynomial_degree
 from rmesh_nlp.vectorised import columnwise
 
 DIFFERENCE = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments

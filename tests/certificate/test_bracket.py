@@ -21,7 +21,7 @@ from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
-from rmesh_nlp.examples.random_problems import Frame, random_problem
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -37,9 +37,10 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.solving.certify import certify
 from support.certificates import distorted, guess_on, of_values, proved
 from support.formulations import fixed, joint
+from support.frames import turned
 from support.orders import ORDERS
 
-TURNED = Frame(np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0]))
+TURN, SHIFT = np.array([[0.8, -0.6], [0.6, 0.8]]), np.array([1.0, -2.0])
 SIDES = ("left", "right", "top", "bottom")
 
 
@@ -167,8 +168,8 @@ def test_bounds_hold_on_finer_meshes(kind, seed, order):
     if kind == "two foundations":
         coarse = block(obstacle=(Obstacle("bottom"), Obstacle("right", (-1.0, 0.0), 0.001)))
     else:
-        frame = {"frame": TURNED} if kind in ("elastic", "rough") and seed else {}
-        coarse = random_problem(seed, kind=kind, **frame)
+        coarse = random_problem(seed, kind=kind)
+        coarse = turned(coarse, TURN, SHIFT) if kind in ("elastic", "rough") and seed else coarse
     coarse = replace(coarse, mesh=distorted(coarse.mesh, 0.2, seed), order=order)
     rough, close = bracket_of(coarse), bracket_of(replace(coarse, mesh=coarse.mesh.refined(2)))
     assert rough.guaranteed_lower

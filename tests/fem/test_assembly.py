@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.cells import Straight, triangle_rule
+from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.element import differentiated, plain
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import (
@@ -30,6 +30,7 @@ from rmesh_nlp.fem.functional import scaled_group
 from rmesh_nlp.fem.sums import Entries, Sums
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
+from rmesh_nlp.problem.quadrature import triangle_rule
 from rmesh_nlp.vectorised import NUMPY_FROM
 from support.contact_geometry import block_along_a_circle
 from support.derivatives import assert_derivatives_are_casadis

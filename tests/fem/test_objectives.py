@@ -166,7 +166,7 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
     r"expected contact-length\(NAME, P\)": ("contact-length(contact)",),
     r"expected level-pressure\(NAME\)": ("level-pressure()", "level-pressure(a, b)"),
     "unknown objective 'x' in 'area - x'": ("square(area - x)",),
-    "unknown objective ''": ("square()",),
+    r"expected square\(SUM - VALUE\)": ("square()",),
     "needs a finite value, got inf": ("square(area - inf)",),
     "must be positive": ("-2*square(area - 1)",),
     "needs an exact or reference solution": ("error-l2", "friction"),

@@ -22,8 +22,9 @@ from rmesh_nlp.problem import (
     ProblemError,
     where,
 )
-from rmesh_nlp.problem.coefficients import is_nonzero, on_points, polynomial_degree, suitable_rule
+from rmesh_nlp.problem.coefficients import is_nonzero, on_points
 from rmesh_nlp.problem.laws import energy_density
+from rmesh_nlp.problem.quadrature import polynomial_degree, suitable_rule
 from support.formulations import fixed
 
 
