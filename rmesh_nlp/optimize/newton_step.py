@@ -89,6 +89,9 @@ class BoxStep:
     def _dual_norm(self, r: Array) -> float:
         return float(np.sqrt(np.maximum(r @ (r / self.scale), 0.0)))
 
+    def _clip(self, s: Array) -> Array:
+        return np.clip(s, self._lower, self._upper)
+
     def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
         far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
@@ -112,11 +115,12 @@ class BoxStep:
 
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
-        while self.products < self.max_products and np.any(w):
-            moved = np.clip(s + w, self._lower, self._upper) - s
+        moved = self._clip(s + w) - s
+        while np.any(np.abs(moved) > 0):  # not so of NaN
             H_moved = self._product(moved)
             slope = gradient @ moved
             if slope + 0.5 * moved @ H_moved <= DECREASE * np.minimum(slope, 0.0):
                 return moved, H_moved
             w = 0.5 * w
+            moved = self._clip(s + w) - s
         return np.zeros_like(s), np.zeros_like(s)
