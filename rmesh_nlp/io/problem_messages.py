@@ -69,7 +69,7 @@ class Source:
             for number, part in enumerate(place)
             if isinstance(part, str) or isinstance(value_at(self.data, place[:number]), list)
         ]
-        return "".join(parts).removeprefix(".")
+        return one_line("".join(parts).removeprefix("."))
 
     def line(self, place: Place, said: str) -> str:
         """The line of an error: place, what stands there, and what is wrong with it."""
