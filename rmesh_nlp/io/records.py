@@ -39,6 +39,19 @@ def has_energy(record: Record) -> bool:
     return not (record.get("design") or of_another)
 
 
+def ends_of(record: Record) -> tuple[float | None, float | None]:
+    """What was minimised at the start and at the end: the audited energy, or another objective."""
+    if objective_of(record) != "energy":
+        return record.get("objective_initial"), record.get("objective_value")
+    start = record.get("energy_initial_audited")
+    return record.get("energy_initial") if start is None else start, record.get("energy_audited")
+
+
+def gain_of(before: float | None, after: float | None) -> float | None:
+    """A fall in per cent of the size at the start."""
+    return None if after is None or not before else 100 * (before - after) / abs(before)
+
+
 class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 

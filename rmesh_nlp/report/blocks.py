@@ -9,7 +9,8 @@ from statistics import median
 from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record, has_energy, objective_of
+from rmesh_nlp.io.records import Record, ends_of, has_energy, objective_of
+from rmesh_nlp.io.results import Result
 
 DEFAULT_RELAXATION = "scholtes"
 LINEAR = "order 1"  # what is only said beside another one
@@ -79,9 +80,8 @@ class Block:
 
     @property
     def best(self) -> Record | None:
-        """The successful record with the lowest audited energy, or value of the only other objective."""
-        of_energy = len(self.objectives) > 1 or objective_of(self.records[0]) == "energy"
-        return min(self.succeeded, key=audited if of_energy else _objective_at_end, default=None)
+        """The successful record with the least value of what was minimised."""
+        return min(self.succeeded, key=end_of, default=None)
 
     @property
     def unit(self) -> float | None:
@@ -109,6 +109,12 @@ def blocks(records: Iterable[Record]) -> list[Block]:
     return [Block(tuple(group)) for group in grouped(records, block_key).values()]
 
 
+def blocks_of(results: Iterable[Result]) -> list[tuple[Block, list[Result]]]:
+    """The same of results, with those of each block."""
+    groups = grouped(results, lambda result: block_key(result.record)).values()
+    return [(Block(tuple(result.record for result in own)), own) for own in groups]
+
+
 def block_key(record: Record) -> Hashable:
     """What records of one block have in common."""
     rule = record.get("quadrature", "midpoint")
@@ -125,28 +131,10 @@ def with_order(name: str, record: Record) -> str:
     return name if order_of(record) == 1 else f"{name}, order {order_of(record)}"
 
 
-def audited(record: Record) -> float:
-    """The energy by which formulations are compared; that of the own rule where no other is known."""
-    value = record.get("energy_audited")
-    return float(record["energy"] if value is None else value)
-
-
-def _objective_at_end(record: Record) -> float:
-    value = record.get("objective_value")
-    return math.inf if value is None else float(value)
-
-
-def ends_of(record: Record) -> tuple[float | None, float | None]:
-    """What was minimised at the start and at the end: the audited energy, or another objective."""
-    if objective_of(record) != "energy":
-        return record.get("objective_initial"), record.get("objective_value")
-    start = record.get("energy_initial_audited")
-    return record["energy_initial"] if start is None else start, record["energy_audited"]
-
-
-def gain_of(before: float | None, after: float | None) -> float | None:
-    """A fall in per cent of the size at the start."""
-    return None if after is None or not before else 100 * (before - after) / abs(before)
+def end_of(record: Record) -> float:
+    """What was minimised, at the end; infinite if that is not known."""
+    end = ends_of(record)[1]
+    return math.inf if end is None else end
 
 
 def label(record: Record) -> str:

@@ -1,16 +1,18 @@
-"""Columns of the tables: what stands in a cell, and with how many digits."""
+"""Columns of the tables, what stands in a cell and with how many digits; and the tables that they make."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rmesh_nlp.io.records import Record
-from rmesh_nlp.report.blocks import Block, contact_units, gain_of, label
-from rmesh_nlp.report.table import MISSING, Groups, Table, latex_heading
+from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
+from rmesh_nlp.report.blocks import Block, contact_units, label
+from rmesh_nlp.report.table import MISSING, Groups, Table
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
+from rmesh_nlp.solving.parts import Constrained
 
 
 def cost(value: float) -> str:
@@ -20,7 +22,7 @@ def cost(value: float) -> str:
 
 def shown(value: float | None, digits: Digits) -> str:
     """A number in a format, or one that it chooses; or what stands for a number that is not known."""
-    if value is None:
+    if value is None or math.isnan(value):
         return MISSING
     form = digits if isinstance(digits, str) else digits(value)
     return "0" if value == 0 and form.endswith("e") else format(value, form)
@@ -30,13 +32,12 @@ def shown(value: float | None, digits: Digits) -> str:
 class Column:
     """One column: its heading, and the entry of a record that it shows or what it makes of the record.
 
-    Lines of the heading are separated by a bar; ``tex`` is a shorter one for LaTeX.
+    Lines of the heading are separated by a bar.
     """
 
     heading: str
     of: str | Callable[[Record], str | float | None]
     digits: Digits = "d"
-    tex: str = ""
 
     def cell(self, record: Record) -> str:
         """The cell of a record."""
@@ -47,7 +48,20 @@ class Column:
 def of(*names: str) -> tuple[Column, ...]:
     """The columns of entries, as they are declared."""
     entries = (ENTRIES[name] for name in names)
-    return tuple(Column(entry.heading, entry.name, entry.digits, entry.tex) for entry in entries)
+    return tuple(Column(entry.heading, entry.name, entry.digits) for entry in entries)
+
+
+def cells(columns: Sequence[Column], records: Sequence[Record]) -> list[list[str]]:
+    """A row for each record."""
+    return [[column.cell(record) for column in columns] for record in records]
+
+
+def table_of(columns: Sequence[Column], groups: Groups, **options: Any) -> Table:
+    """A table of rows that :func:`cells` made, without the columns that none of them fills."""
+    rows = [row for _, own in groups for row in own]
+    filled = [place for place in range(len(columns)) if {row[place] for row in rows} != {MISSING}]
+    kept = [(title, [[row[place] for place in filled] for row in own]) for title, own in groups]
+    return Table([columns[place].heading for place in filled], kept, **options)
 
 
 def _seconds(part: str) -> Callable[[Record], str]:
@@ -100,6 +114,30 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
     return cell
 
 
+def _violation(record: Record) -> float | None:
+    """The largest violation of a constraint over its largest bound; None where nothing is constrained."""
+    quantities = [
+        Constrained(
+            one["value"],
+            -math.inf if one.get("lower") is None else one["lower"],
+            math.inf if one.get("upper") is None else one["upper"],
+        )
+        for one in (record.get("constraints") or {}).values()
+        if one.get("value") is not None
+    ]
+    return max((quantity.violation for quantity in quantities), default=None)
+
+
+def _left(record: Record) -> float | None:
+    share = record.get("gain_surviving")
+    return None if share is None else 100 * float(share)
+
+
+def short_label(record: Record) -> str:
+    """The label below a heading that names the objective."""
+    return label({**record, "objective": "energy"})
+
+
 FORMULATION = Column("formulation", label)
 COST = Column("cost|[contact solves]", contact_units, cost)
 BIACTIVE, LABEL = Column("biactive", _biactive), Column("label", _stationarity)
@@ -108,79 +146,202 @@ GAIN = Column(
     lambda record: gain_of(record.get("energy_initial_audited"), record.get("energy_audited")),
     lambda gain: ".2f" if abs(gain) < 1000 else ".3g",
 )
-
-# what a first reader wants to know: audited energies, work and how each solve ended
-MAIN = (
-    FORMULATION,
-    *of("energy_initial_audited", "energy_audited"),
-    GAIN,
-    *of("iterations", "contact_solves", "wall_time_s", "status"),
-)
-# by the rule of the problem
+GAIN_OF_OBJECTIVE = Column("gain|[%]", lambda record: gain_of(*ends_of(record)), ".4g")
+LEFT = Column("left on refined|meshes [%]", _left, ".3g")
+VIOLATION = Column("violation", _violation, ".1e")
+ENDS = of("objective_initial", "objective_value")
 ENERGIES = (
     FORMULATION,
     *of("energy_initial", "energy", "u_min", "u_max", "resultant", "peak_pressure", "min_area_ratio"),
 )
-# work by one clock, the audit apart
-COSTS = (
-    FORMULATION,
-    *of("start"),
-    Column("contact solves,|cold + warm", _solves),
-    Column("factorisations,|contact; KKT", _factorisations),
-    Column("build|[s]", _seconds("build")),
-    Column("solve|[s]", _seconds("solve")),
-    Column("audit|[s]", _seconds("audit")),
-    COST,
-)
-# of the formulation's own state and of the assessment's contact solve
-RESIDUALS = (
-    FORMULATION,
-    *of("own_equilibrium_residual", "equilibrium_residual"),
-    *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
-    BIACTIVE,
-    LABEL,
-)
-# in contact solves until the level that all formulations reach, and to the end of each
-COMMON = (
-    FORMULATION,
-    Column("J reached|by all", "common_objective", ".7g"),
-    Column("cost to|that J", "cost_to_objective", cost),
-    Column("residual|reached by all", "common_stationarity", ".1e"),
-    Column("cost to|that residual", "cost_to_stationarity", cost),
-    Column("cost to|the end", contact_units, cost),
-)
-# Theorem 4.1: the three errors, and the difference of the energies that their sum is
-ERRORS = (FORMULATION, *of("I1", "I2", "I3"), Column("sum", _sum_of_errors, ".6f"), *of("energy_above_exact"))
-# other than the energy
-OBJECTIVES = (FORMULATION, *of("objective_initial", "objective_value"), BIACTIVE, LABEL, *of("status"))
-# bounds of the least energy, and of the error in the energy norm
-CERTIFICATES = (
-    FORMULATION,
-    *of("energy_lower_bound", "energy_upper_bound"),
-    Column("error before|[%]", _bound("relative_error_bound_initial", "initial")),
-    Column("error after|[%]", _bound("relative_error_bound", "upper")),
-)
 
 
-def table_of(
-    columns: Sequence[Column], groups: Groups, caption: str = "", notes: Sequence[str] = (), **options: Any
-) -> Table:
-    """A table of rows that :func:`body` made."""
-    tex = [latex_heading(column.tex or column.heading) for column in columns]
-    return Table([column.heading for column in columns], groups, caption, notes, tex, **options)
+@dataclass(frozen=True)
+class Kind:
+    """A table with a row for each solve of a block: its title in Markdown, columns and caption.
+
+    ``is_wanted`` says which blocks it has; ``is_detail`` that it is in ``table.md`` and not printed.
+    """
+
+    title: str
+    columns: tuple[Column, ...]
+    caption: str
+    is_wanted: Callable[[Block], bool]
+    is_detail: bool = True
+
+
+def _of_energy(block: Block) -> bool:
+    return block.has_energy
+
+
+def _of_objective(block: Block) -> bool:
+    return not block.has_energy
+
+
+def _with(wanted: Callable[[Record], bool]) -> Callable[[Block], bool]:
+    """Blocks with an energy, and a record that asks for the table."""
+    return lambda block: block.has_energy and any(map(wanted, block.records))
+
+
+LABELS = (
+    "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
+    "a KKT point. Biactive: pairs of gap and contact force that both vanish."
+)
+MAIN = Kind(
+    "",
+    (
+        FORMULATION,
+        *of("energy_initial_audited", "energy_audited"),
+        GAIN,
+        *of("iterations", "contact_solves", "wall_time_s", "status"),
+    ),
+    "Relocation by each formulation. J is the total potential energy of the contact solution on the given "
+    "and on the relocated mesh, as assessed: loads by an adaptive rule, gaps along whole edges, friction and "
+    "curves integrated. Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",
+    _of_energy,
+    is_detail=False,
+)
+KINDS = (
+    MAIN,
+    Kind(
+        "Other objectives",
+        (FORMULATION, *ENDS, BIACTIVE, LABEL, *of("status")),
+        f"Outer objectives other than the energy. {LABELS}",
+        _with(lambda record: objective_of(record) != "energy"),
+        is_detail=False,
+    ),
+    Kind(
+        "Certificates",
+        (
+            FORMULATION,
+            *of("energy_lower_bound", "energy_upper_bound"),
+            Column("error before|[%]", _bound("relative_error_bound_initial", "initial")),
+            Column("error after|[%]", _bound("relative_error_bound", "upper")),
+        ),
+        "Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
+        _with(lambda record: "certificate_remark" in record),
+        is_detail=False,
+    ),
+    Kind(
+        "Outcome",
+        (
+            Column("formulation", short_label),
+            *ENDS,
+            GAIN_OF_OBJECTIVE,
+            LEFT,
+            VIOLATION,
+            LABEL,
+            *of("status"),
+        ),
+        "Objective: with mesh and design at the start and at the end of the solve. Gain: in per cent of its "
+        "size at the start. Left on refined meshes: the part of the gain that is there when both meshes are "
+        f"refined uniformly. Violation: the largest of a constraint, over its bound. {LABELS}",
+        _of_objective,
+        is_detail=False,
+    ),
+    Kind(
+        "Work",
+        (
+            Column("formulation", short_label),
+            *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s"),
+            *of("stationarity_residual"),
+            BIACTIVE,
+        ),
+        "KKT factorisations: at least as many as Ipopt took iterations. Time: build, solve and audit. "
+        "First-order residual: of the outer problem, over that at the start.",
+        _of_objective,
+        is_detail=False,
+    ),
+    Kind(
+        "Energies by the rule of the problem",
+        ENERGIES,
+        "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
+        "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
+        "on the given mesh. The paper truncates its digits.",
+        _of_energy,
+    ),
+    Kind(
+        "Costs",
+        (
+            FORMULATION,
+            *of("start"),
+            Column("contact solves,|cold + warm", _solves),
+            Column("factorisations,|contact; KKT", _factorisations),
+            Column("build|[s]", _seconds("build")),
+            Column("solve|[s]", _seconds("solve")),
+            Column("audit|[s]", _seconds("audit")),
+            COST,
+        ),
+        "Cost: time of build and solve over that of one contact solve on the given mesh, measured in the "
+        "same run. Factorisations of KKT matrices: at least as many as Ipopt took iterations.",
+        lambda block: True,
+    ),
+    Kind(
+        "Costs to a common level",
+        (
+            FORMULATION,
+            Column("J reached|by all", "common_objective", ".7g"),
+            Column("cost to|that J", "cost_to_objective", cost),
+            Column("residual|reached by all", "common_stationarity", ".1e"),
+            Column("cost to|that residual", "cost_to_stationarity", cost),
+            COST,
+        ),
+        "Reached by all: an energy or other objective, and a first-order residual, that all successful "
+        "formulations reach, and the cost until each was there first, in contact solves on the given mesh.",
+        _with(lambda record: record.get("common_objective") is not None),
+    ),
+    Kind(
+        "Residuals",
+        (
+            FORMULATION,
+            *of("own_equilibrium_residual", "equilibrium_residual"),
+            *of("own_complementarity_residual", "complementarity_residual", "stationarity_residual"),
+            BIACTIVE,
+            LABEL,
+        ),
+        "Residuals of equilibrium and complementarity are dimensionless. Own: of the displacement and "
+        "contact forces that the formulation ended with. Assessed: of an independent contact solve on its "
+        f"mesh. First-order residual: of the outer problem, over that on the given mesh. {LABELS}",
+        lambda block: True,
+    ),
+    Kind(
+        "Errors",
+        (
+            FORMULATION,
+            *of("I1", "I2", "I3"),
+            Column("sum", _sum_of_errors, ".6f"),
+            *of("energy_above_exact"),
+        ),
+        "Theorem 4.1: errors in energy (I1), contact (I2) and friction (I3), and the energy above the exact "
+        "one.",
+        _with(lambda record: record.get("I1") is not None),
+    ),
+)
+"""The tables of a comparison, those that are printed first."""
 
 
 def body(columns: Sequence[Column], block: Block) -> list[list[str]]:
     """The rows of a block, those of the paper first where its settings were used."""
     common = {} if block.unit is None else {"contact_time_s": block.unit}
     records = [{**record, **common} if record.get("contact_time_s") else record for record in block.records]
-    rows = [[column.cell(record) for column in columns] for record in records]
+    return cells(columns, [*(_of_paper(block) if columns is ENERGIES else ()), *records])
+
+
+def _of_paper(block: Block) -> list[Record]:
+    """The paper's values as rows, with its digits."""
     paper = block.paper
-    if columns is ENERGIES and paper is not None:
-        given, final = f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}"
-        ends = (paper.u_min_initial, paper.u_max_initial), (paper.u_min_final, paper.u_max_final)
-        first, last = ([shown(value, ".4f") for value in pair] for pair in ends)
-        rest = [MISSING] * (len(columns) - 5)
-        given_grid = ["paper, given grid", given, MISSING, *first, *rest]
-        return [given_grid, ["paper, relocated", given, final, *last, *rest], *rows]
-    return rows
+    if paper is None:
+        return []
+    given, final = f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}"
+    rows = (
+        ("given grid", None, paper.u_min_initial, paper.u_max_initial),
+        ("relocated", final, paper.u_min_final, paper.u_max_final),
+    )
+    return [
+        {
+            **{"formulation": f"paper, {grid}", "objective": "energy", "seed": None},
+            **{"energy_initial": given, "energy": energy},
+            **{"u_min": shown(low, ".4f"), "u_max": shown(high, ".4f")},
+        }
+        for grid, energy, low, high in rows
+    ]

@@ -1,24 +1,37 @@
-"""Curves: convergence of solves, bounds of the energy over the mesh, profiles of a study."""
+"""Curves: convergence of solves and of designs, bounds of the energy over the mesh, profiles of a study."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from textwrap import fill
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter, LogLocator
+from matplotlib.ticker import LogFormatter, LogLocator, MaxNLocator
+from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
-from rmesh_nlp.report.histories import Curve
+from rmesh_nlp.report.histories import Curve, is_feasible
 from rmesh_nlp.report.study_summary import Chart
-from rmesh_nlp.report.style import MARKERS, Page, add_legend, new_figure, pen_of
+from rmesh_nlp.report.style import LETTERS, MARKERS, Page, add_legend, new_figure, pen_of
+from rmesh_nlp.solving.parts import DESIGN
 
 FLOOR = 1e-8  # part of the best objective down to which distances are drawn: the solvers' tolerance
+UNMET = "open markers: constraints not yet met"
+
+History = Sequence[Mapping[str, Any]]
+"""Steps as ``history.csv`` has them."""
+
+PANELS = 8
+"""Design variables that have a panel each; more share one, as parts of the ranges of their bounds."""
+
+SPREAD = 10.0  # objectives, and lengths of solves, that differ by more have a logarithmic axis
 
 
 def convergence_figure(
@@ -43,41 +56,95 @@ def convergence_figure(
     ends_at_zero = abs(reference) < FLOOR * largest
     floor = FLOOR * (largest if ends_at_zero else abs(reference))
     for position, (one, gap) in enumerate(zip(curves, gaps, strict=True), 1):
-        look = pen_of(position if positions is None else positions[one.name])
+        pen = pen_of(position if positions is None else positions[one.name])
         for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
-            _draw(axis, where, np.maximum(gap, floor), one, look)
+            _draw(axis, where, np.maximum(gap, floor), one.feasible, pen, one.name)
     least = f"{reference:.6g}".replace("-", "−")
     drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ "
     drawn_to += "of the largest" if ends_at_zero else f"|{symbol}*|"
     if not all(one.feasible.all() for one in curves):
-        drawn_to += "\nopen markers: constraints not yet met"
+        drawn_to += f"\n{UNMET}"
     axes[-1].set(xscale="log", xlabel="cost: time of build and solve\nover that of one contact solve")
     axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}")
     axes[0].set_xlabel(f"{'iteration' if len(axes) > 1 else 'cost [contact solves]'}\n{drawn_to}")
     for axis in axes:
-        axis.grid(color="0.9", linewidth=0.5)
+        axis.grid(visible=True)
         axis.minorticks_off()
     _label_in_numbers(axes[-1])
     add_legend(figure, [axes[0]])
     return figure
 
 
-def _draw(axis: Axes, where: Array, gap: Array, one: Curve, look: dict[str, Any]) -> None:
-    """A line with some markers, filled where the iterate is feasible."""
-    few = max(1, where.size // MARKERS)
-    marked = sorted({*range(0, where.size, few), where.size - 1})
-    common = {**look, "markersize": 4, "markeredgewidth": 0.8}
-    axis.plot(where, gap, **common, markevery=marked, markerfacecolor="white")
-    feasible = np.where(one.feasible, gap, np.nan)
-    full = {**common, "linestyle": "none", "markerfacecolor": look["color"]}
-    axis.plot(where, feasible, **full, markevery=marked)
-    axis.plot([], [], **{**full, "linestyle": look["linestyle"]}, label=one.name)  # for the legend
+def _draw(
+    axis: Axes, where: Array, values: Array, met: NDArray[np.bool_], pen: dict[str, Any], name: str
+) -> None:
+    """A line over iterations or costs with some markers, filled where an iterate meets its constraints."""
+    marked = sorted({*range(0, where.size, max(1, where.size // MARKERS)), where.size - 1})
+    common = {**pen, "markersize": 4, "markeredgewidth": 0.8}
+    axis.plot(where, values, **common, markevery=marked, markerfacecolor="white")
+    full = {**common, "linestyle": "none", "markerfacecolor": pen["color"]}
+    axis.plot(where, np.where(met, values, np.nan), **full, markevery=marked)
+    axis.plot([], [], **{**full, "linestyle": pen["linestyle"]}, label=name)  # for the legend
 
 
 def _label_in_numbers(axis: Axes) -> None:
     """Labels 1, 2, 5, 10 where an axis spans few decades: powers of ten would leave it without any."""
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 1.5)))
+
+
+def design_figure(
+    curves: Mapping[str, History], bounds: Mapping[str, Sequence[float]], objective: str, page: Page
+) -> Figure | None:
+    """Objective and design variables over the iterations of solves by name; None if no history has a design.
+
+    ``bounds`` (least, largest) by the names of the design variables are dashed lines.
+    """
+    solves = {name: pd.DataFrame(steps, dtype=float) for name, steps in curves.items()}
+    solves = {name: steps for name, steps in solves.items() if DESIGN + next(iter(bounds)) in steps}
+    if not solves:
+        return None
+    panels = {name: ([DESIGN + name], ends) for name, ends in bounds.items()}
+    if len(bounds) > PANELS:
+        for name, (low, high) in bounds.items():
+            for steps in solves.values():
+                steps[DESIGN + name] = (steps[DESIGN + name] - low) / (high - low)
+        parts = [DESIGN + name for name in bounds]
+        panels = {"design variables,\nparts of their bounds": (parts, (0.0, 1.0))}
+    panels = {"objective": (["objective"], ()), **panels}
+    across = 1 + page.columns
+    down = -(-len(panels) // across)
+    figure = new_figure(page.width, 0.6 + 1.55 * down)
+    axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
+    for axis in axes[len(panels) :]:
+        axis.remove()
+    lengths = [len(steps) for steps in solves.values()]
+    for number, (axis, (title, (columns, ends))) in enumerate(zip(axes, panels.items(), strict=False)):
+        for end in ends:
+            axis.axhline(end, color="0.55", linestyle=(0, (4, 3)), linewidth=0.8)
+        for position, (name, steps) in enumerate(solves.items(), 1):
+            for column in columns:
+                _draw(axis, steps["iteration"], steps[column], is_feasible(steps), pen_of(position), name)
+        axis.set_ylabel(title)
+        axis.grid(visible=True)
+        if max(lengths) > SPREAD * min(lengths):
+            axis.set_xscale("symlog", linthresh=1)
+            axis.set_xlim(left=-0.3)
+        else:
+            axis.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+        if number + across >= len(panels):  # the last panel of its column
+            axis.set_xlabel("iteration")
+            axis.tick_params(labelbottom=True)
+    values = pd.concat([steps["objective"] for steps in solves.values()]).dropna()
+    if values.size and values.min() > 0 and values.max() > SPREAD * values.min():
+        axes[0].set_yscale("log")
+    said = fill(objective, int(LETTERS * page.width))
+    if not all(is_feasible(steps).all() for steps in solves.values()):
+        said += f"\n{UNMET}"
+    figure.suptitle(said, fontsize="medium")
+    if len(solves) > 1:
+        add_legend(figure, [axes[0]], "outside lower center")
+    return figure
 
 
 def profile_figure(chart: Chart, page: Page) -> Figure:
@@ -95,7 +162,7 @@ def profile_figure(chart: Chart, page: Page) -> Figure:
     axis.set(ylim=(-0.02, 1.02), xlabel=chart.axis, ylabel="share of problems", xscale="log")
     axis.minorticks_off()
     _label_in_numbers(axis)
-    axis.grid(color="0.9", linewidth=0.5)
+    axis.grid(visible=True)
     add_legend(figure, [axis])
     return figure
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -14,10 +14,9 @@ from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import Fields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, order_of
-from rmesh_nlp.report.curves import bracket_figure, convergence_figure, profile_figure
-from rmesh_nlp.report.design_figure import design_figure
-from rmesh_nlp.report.designs import short_label
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks_of, order_of, variant
+from rmesh_nlp.report.columns import short_label
+from rmesh_nlp.report.curves import bracket_figure, convergence_figure, design_figure, profile_figure
 from rmesh_nlp.report.drawing import (
     Body,
     body_of,
@@ -46,9 +45,8 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
             figure.axes[0].set_title(chart.title)
             yield f"profile-{chart.name}", figure
         return
-    by_record = {id(result.record): result for result in results}
-    for block in blocks(records):
-        yield from block_figures(block, [by_record[id(record)] for record in block.records], page)
+    for block, own in blocks_of(results):
+        yield from block_figures(block, own, page)
     bounds = ("energy_lower_bound", "energy_upper_bound")
     certified = [r for r in records if r.get("nodes") and all(r.get(name) is not None for name in bounds)]
     for example in dict.fromkeys(record["example"] for record in certified):
@@ -80,32 +78,46 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
             yield f"{key}-error", error_figure(fields, record, page)
     if given and not moved:
         yield f"{stem}-grid", grids(given, deformed=given[0].elastic)
-    for objective, records in block.objectives.items():
+    for objective in block.objectives:
         name = stem if objective == "energy" else f"{stem}-{objective}"
         bodies = [body_of(fields, short_label(r)) for r, fields in moved if r["objective"] == objective]
-        stresses = contact_figure([*given, *bodies], page, units) if bodies or not moved else None
-        if stresses is not None:
+        if (bodies or not moved) and (stresses := contact_figure([*given, *bodies], page, units)) is not None:
             yield f"{name}-stress", stresses
+    for objective, what, figure in progress_figures(block, results, page):
+        yield f"{stem if objective == 'energy' else f'{stem}-{objective}'}-{what}", figure
+
+
+def progress_figures(
+    block: Block, results: Sequence[Result], page: Page, positions: Mapping[str, int] | None = None
+) -> Iterator[tuple[str, str, Figure]]:
+    """For each objective of a block the ways of its solves: objective, "convergence" or "design", figure.
+
+    With ``positions``, those of all variants of a folder, a curve has the look of its variant.
+    """
+    name = short_label if positions is None else variant
+    for objective in block.objectives:
         solves = [result for result in results if result.record["objective"] == objective]
-        traced = [curve(result, block.unit, short_label(result.record)) for result in solves]
+        traced = [curve(result, block.unit, name(result.record)) for result in solves]
         curves = [one for one in traced if one is not None]
-        lowest = Block(tuple(records)).best
+        lowest = Block(tuple(result.record for result in solves)).best
         if curves and lowest is not None:
-            yield f"{name}-convergence", convergence_figure(curves, lowest, page)
+            yield objective, "convergence", convergence_figure(curves, lowest, page, positions)
         if (way := figure_of_designs(solves, page)) is not None:
-            yield f"{name}-design", way
+            yield objective, "design", way
 
 
 def figure_of_designs(results: Sequence[Result], page: Page) -> Figure | None:
     """The way of the designs of solves with one objective; None where there is none."""
-    moved = [result for result in results if result.record["formulation"] != RELOCATING_NOTHING]
-    designs = [
-        result for result in moved if result.record.get("design_bounds") and result.record.get("design")
+    moved = [
+        result
+        for result in results
+        if result.record["formulation"] != RELOCATING_NOTHING
+        if result.record.get("design_bounds") and result.record.get("design")
     ]
-    if not designs:
+    if not moved:
         return None
-    curves = {short_label(result.record): result.steps() for result in designs}
-    first = designs[0].record
+    curves = {short_label(result.record): result.steps() for result in moved}
+    first = moved[0].record
     return design_figure(curves, first["design_bounds"], str(first["objective"]), page)
 
 

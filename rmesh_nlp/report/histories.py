@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, block_key, blocks, grouped, label, seconds_of_work
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, blocks_of, grouped, label, seconds_of_work
 
 # up to this primal residual the objective of an iterate means something, and below it first-order residuals
 # are not told apart
@@ -35,6 +36,7 @@ class Curve:
     cost: Array
     energy: Array
     feasible: NDArray[np.bool_]
+    stationarity: Array
 
 
 def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | None:
@@ -45,13 +47,24 @@ def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | 
     record = result.record
     if record["formulation"] == RELOCATING_NOTHING:
         return None
-    steps = _columns(result)
-    value = steps[_minimised(record)]
-    if not np.any(np.isfinite(value)):
+    steps = pd.DataFrame(result.steps(), columns=HISTORY_FIELDS, dtype=float)
+    value = steps["energy" if _is_energy(record) else "objective"]
+    if not value.notna().any():
         return None
     unit = unit or record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
-    cost = np.maximum(steps["seconds"] / unit, 1.0)
-    return Curve(name or label(record), steps["iteration"], cost, value, _feasible(steps))
+    return Curve(
+        name or label(record),
+        steps["iteration"].to_numpy(),
+        np.maximum(steps["seconds"].to_numpy() / unit, 1.0),
+        value.to_numpy(),
+        is_feasible(steps).to_numpy(),
+        steps["stationarity"].to_numpy(),
+    )
+
+
+def is_feasible(steps: pd.DataFrame) -> pd.Series:
+    """Where constraints and contact conditions are met, or nothing is known of them."""
+    return ~(steps["primal_residual"] > FEASIBLE)
 
 
 def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
@@ -69,83 +82,58 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
     ``common_objective`` is audited if it is the energy. Costs, of build and solve until then, are in contact
     solves, whose time is the median of the block.
     """
-    records = [dict(result.record) for result in results]
-    moved = [
-        place
-        for place, record in enumerate(records)
-        if record["success"] and record["formulation"] != RELOCATING_NOTHING
-    ]
-    groups = grouped(moved, lambda place: (block_key(records[place]), records[place]["objective"]))
-    units = {block_key(block.records[0]): block.unit for block in blocks(records)}
-    for (key, _), places in groups.items():
-        unit = units[key]
-        if len(places) > 1 and unit is not None:
-            for place, found in zip(places, _costs([results[p] for p in places], unit), strict=True):
-                records[place].update(found)
-    return records
+    added: dict[int, Record] = {}
+    for block, own in blocks_of(results):
+        good = (result for result in own if result.record["success"])
+        moved = (result for result in good if result.record["formulation"] != RELOCATING_NOTHING)
+        for group in grouped(moved, lambda result: result.record["objective"]).values():
+            if len(group) > 1 and block.unit is not None:
+                added |= zip(map(id, group), _costs(group, block.unit), strict=True)
+    return [{**result.record, **added.get(id(result), {})} for result in results]
 
 
 def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     """The levels of one group, and what each result needs to reach them."""
     records = [result.record for result in results]
-    pairs = [(end, start) for end, start in map(_ends, records) if not math.isnan(end + start)]
-    level = max((end for end, _ in pairs), default=math.nan)
-    level += SLACK * max(0.0, min((start - level for _, start in pairs), default=0.0))
-    residuals = [r["stationarity_residual"] for r in records if r.get("stationarity_residual") is not None]
-    common = max((max(residual, FEASIBLE) for residual in residuals), default=math.nan)
+    ends = pd.DataFrame(map(_ends, records), columns=["start", "end"], dtype=float).dropna()
+    level = ends["end"].max()
+    level += SLACK * max(0.0, (ends["start"] - level).min())
+    residuals = pd.Series([record.get("stationarity_residual") for record in records], dtype=float)
+    common = residuals.clip(lower=FEASIBLE).max()
     rows = []
     for result, record in zip(results, records, strict=True):
-        split = record.get("build_time_s") is not None and record.get("solve_time_s") is not None
-        total = seconds_of_work(record) if split else None
-        # the history is of the first run, the times are medians over all
-        pace = (total or 1.0) / (record.get("first_cost_s") or total or 1.0)
-        steps = _columns(result)
-        low = _feasible(steps) & (steps[_minimised(record)] + shift_to_audited(record) <= level)
+        total = seconds_of_work(record) or math.nan
         # a history may miss the last digits that the end has: all reach the levels at their ends
-        end = math.nan if total is None else total
-        cost, other = (
-            _first(pace * steps["seconds"], where, end) / unit
-            for where in (low, steps["stationarity"] <= common)
-        )
-        rows.append(
-            {
-                "common_objective": level,
-                "common_stationarity": common,
-                "cost_to_objective": None if math.isnan(cost) else cost,
-                "cost_to_stationarity": None if math.isnan(other) else other,
-            }
-        )
+        costs = [total / unit] * 2
+        if (way := curve(result, unit)) is not None:
+            # the history is of the first run, the times are medians over all
+            pace = way.cost * total / (record.get("first_cost_s") or total)
+            low = way.feasible & (way.energy + shift_to_audited(record) <= level)
+            reached = (low, way.stationarity <= common)
+            costs = [_first(pace, where, end) for where, end in zip(reached, costs, strict=True)]
+        cost, other = (None if math.isnan(value) else value for value in costs)
+        levels = {"common_objective": level, "common_stationarity": common}
+        rows.append({**levels, "cost_to_objective": cost, "cost_to_stationarity": other})
     return rows
 
 
 def shift_to_audited(record: Record) -> float:
     """From an energy of the problem's own rule, which histories have, to the audited one."""
     own, audited = record.get("energy"), record.get("energy_audited")
-    return 0.0 if _minimised(record) != "energy" or own is None or audited is None else audited - own
+    return 0.0 if not _is_energy(record) or own is None or audited is None else audited - own
 
 
-def _ends(record: Record) -> tuple[float, float]:
-    """Final and initial audited energy, or objective; NaN where not known."""
-    names = ("energy_audited", "energy_initial_audited")
-    if _minimised(record) != "energy":
-        names = ("objective_value", "objective_initial")
-    end, start = (math.nan if record.get(name) is None else float(record[name]) for name in names)
-    return end, start
+def _ends(record: Record) -> tuple[float | None, ...]:
+    """Initial and final audited energy, or objective."""
+    names = ("objective_initial", "objective_value")
+    if _is_energy(record):
+        names = ("energy_initial_audited", "energy_audited")
+    return tuple(record.get(name) for name in names)
 
 
-def _minimised(record: Record) -> str:
-    """The column of a history that has what was minimised."""
-    return "energy" if record["objective"] == "energy" else "objective"
-
-
-def _columns(result: Result) -> dict[str, Array]:
-    """A history by columns; NaN where a value is not known."""
-    steps = result.steps()
-    return {name: np.array([step.get(name, math.nan) for step in steps]) for name in HISTORY_FIELDS}
-
-
-def _feasible(steps: dict[str, Array]) -> NDArray[np.bool_]:
-    return ~(steps["primal_residual"] > FEASIBLE)
+def _is_energy(record: Record) -> bool:
+    """Whether the energy alone was minimised."""
+    return bool(record["objective"] == "energy")
 
 
 def _first(values: Array, where: NDArray[np.bool_], otherwise: float) -> float:

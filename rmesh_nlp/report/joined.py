@@ -1,95 +1,121 @@
-"""Tables whose rows join several records: ends of several starts, and relocation against refinement."""
+"""Tables whose rows join several records.
+
+Ends of several starts, relocation against refinement, and by name what each solve found: design variables and
+constrained quantities beside their bounds.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from statistics import median
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-from rmesh_nlp.io.records import Record, has_energy
+import pandas as pd
+
+from rmesh_nlp.display import bounds_in_words
+from rmesh_nlp.io.records import Record, ends_of, has_energy
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks,
     contact_units,
-    ends_of,
     grouped,
     label,
     seedless,
     with_order,
 )
-from rmesh_nlp.report.columns import shown
-from rmesh_nlp.report.table import Table
+from rmesh_nlp.report.columns import Column, cells, short_label, shown, table_of
+from rmesh_nlp.report.table import MISSING, Groups, Table
 
-STARTS = ("formulation", "starts", "best", "median", "worst", "failures", "cost [contact solves]")
-MESHES = ("mesh", "formulation", "nodes", "J audited", "gain", "time [s]")
-STARTS_CAPTION = (
-    "Ends of solves from several starts: audited energies, or values of another objective. The cost "
-    "is the median of one start."
+FEW = 6
+"""Names that have a column each; of more each has a row, and so many solves have a column."""
+
+STARTS = (
+    Column("formulation", "formulation"),
+    Column("starts", "starts"),
+    *(Column(end, end, ".7g") for end in ("best", "median", "worst")),
+    Column("failures", "failures"),
+    Column("cost|[contact solves]", "cost", ".3g"),
 )
-MESHES_CAPTION = (
-    "Relocation against uniform refinement: audited energies $J$ and gains over the given mesh, with "
-    "the wall time of each solve."
+MESHES = (
+    Column("mesh", "mesh"),
+    Column("formulation", lambda r: "no motion" if r["formulation"] == RELOCATING_NOTHING else label(r)),
+    Column("nodes", "nodes"),
+    Column("J audited", "energy_audited", ".6g"),
+    Column("gain", "gain", ".4g"),
+    Column("time [s]", "wall_time_s", ".3g"),
 )
+NAMED = {
+    "design": ("Design variables", "Design variables: bounds, first design, and where each solve ended."),
+    "constraints": ("Constrained quantities", "Constrained quantities: bounds, and values of each solve."),
+}
+"""Titles and captions."""
 
 
-def joined_tables(records: Sequence[Record]) -> dict[str, Table]:
-    """Those of the two that have rows, by their titles."""
-    finer = refinement_rows(records), MESHES_CAPTION, refinement_notes(records)
-    tables = {
-        "Several starts": Table(STARTS, multistart_rows(records), STARTS_CAPTION),
-        "Relocation against uniform refinement": Table(MESHES, *finer),
-    }
-    return {title: table for title, table in tables.items() if table.groups}
+def joined_tables(records: Sequence[Record]) -> list[Table]:
+    """Those of several starts and of several meshes that have rows."""
+    tables = (
+        table_of(
+            STARTS,
+            multistart_rows(records),
+            title="Several starts",
+            caption="Ends of solves from several starts: audited energies, or values of another objective. "
+            "The cost is the median of one start.",
+        ),
+        table_of(
+            MESHES,
+            refinement_rows(records),
+            title="Relocation against uniform refinement",
+            caption="Relocation against uniform refinement: audited energies J and gains over the given "
+            "mesh, with the wall time of each solve.",
+            notes=refinement_notes(records),
+        ),
+    )
+    return [table for table in tables if table.groups]
 
 
-def multistart_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
+def multistart_rows(records: Sequence[Record]) -> Groups:
     """Per block, a row for each formulation and objective that was solved from two starts or more."""
     tables = []
     for block in blocks(records):
         groups = grouped((r for r in block.records if r["status"] != "refused"), seedless)
-        rows = [row for name, group in groups.items() if (row := _starts(name, group))]
-        tables.append((block.title, rows))
+        starts = [row for name, group in groups.items() if (row := _starts(name, group))]
+        tables.append((block.title, cells(STARTS, starts)))
     return [(title, rows) for title, rows in tables if rows]
 
 
-def _starts(name: str, group: Sequence[Record]) -> list[str] | None:
+def _starts(name: str, group: Sequence[Record]) -> Record | None:
     """Best, median and worst end of several solves, or of one whose solve had starts of its own."""
-    ends: list[float | None]
-    if len(group) == 1 and group[0].get("start_energies"):
-        ends = list(group[0].get("start_values") or group[0]["start_energies"])
-        costs: list[float] = []
+    first, costs = group[0], []
+    if len(group) == 1 and first.get("start_energies"):
+        ends = first.get("start_values") or first["start_energies"]
     elif len({record["seed"] for record in group}) > 1:
         ends = [ends_of(record)[1] if record["success"] else None for record in group]
-        costs = [cost for r in group if r["success"] and (cost := contact_units(r)) is not None]
+        costs = [contact_units(record) for record in group if record["success"]]
     else:
         return None
-    values = [end for end in ends if end is not None]
-    figures = [shown(f(values) if values else None, ".7g") for f in (min, median, max)]
-    middle = shown(median(costs) if costs else None, ".3g")
-    return [name, str(len(ends)), *figures, str(len(ends) - len(values)), middle]
+    values = pd.Series(ends, dtype=float)
+    return {
+        **{"formulation": name, "starts": values.size, "failures": int(values.isna().sum())},
+        **{"best": values.min(), "median": values.median(), "worst": values.max()},
+        "cost": pd.Series(costs, dtype=float).median(),
+    }
 
 
-def refinement_rows(records: Sequence[Record]) -> list[tuple[str, list[list[str]]]]:
+def refinement_rows(records: Sequence[Record]) -> Groups:
     """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
 
     Gains are those of the audited energy over the given mesh, the one of fewest nodes.
     """
-    return [
-        (
-            name,
-            [
-                [
-                    "as given" if record["nodes"] == own[0]["nodes"] else "refined",
-                    "no motion" if record["formulation"] == RELOCATING_NOTHING else label(record),
-                    f"{record['nodes']}",
-                    f"{record['energy_audited']:.6g}",
-                    f"{own[0]['energy_initial_audited'] - record['energy_audited']:.4g}",
-                    f"{record['wall_time_s']:.3g}",
-                ]
-                for record in own
-            ],
-        )
-        for name, own in _several_meshes(records).items()
-    ]
+    tables = []
+    for name, own in _several_meshes(records).items():
+        given = own[0]
+        rows = [
+            record
+            | {"mesh": "as given" if record["nodes"] == given["nodes"] else "refined"}
+            | {"gain": given["energy_initial_audited"] - record["energy_audited"]}
+            for record in own
+        ]
+        tables.append((name, cells(MESHES, rows)))
+    return tables
 
 
 def refinement_notes(records: Sequence[Record]) -> list[str]:
@@ -106,13 +132,11 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
         if gain <= 0:
             notes.append(f"{name}: no formulation gained on the given mesh.")
             continue
-        ratio, times = (
-            (start - refined["energy_audited"]) / gain,
-            refined["wall_time_s"] / best["wall_time_s"],
-        )
+        ratio = (start - refined["energy_audited"]) / gain
         notes.append(
-            f"{name}: one uniform refinement ({refined['nodes']} nodes) gains {ratio:.2g} times as "
-            f"much as {label(best)} on {coarsest} nodes, in {times:.2g} times its time."
+            f"{name}: one uniform refinement ({refined['nodes']} nodes) gains {ratio:.2g} times as much as "
+            f"{label(best)} on {coarsest} nodes, in {refined['wall_time_s'] / best['wall_time_s']:.2g} times "
+            "its time."
         )
     return notes
 
@@ -128,3 +152,46 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
     problems = grouped(solved, lambda record: with_order(str(record["example"]), record))
     several = {name: own for name, own in problems.items() if len({record["nodes"] for record in own}) > 1}
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}
+
+
+def _designed(record: Record) -> dict[str, tuple[float | None, str]]:
+    """Value and bounds in words of each design variable."""
+    bounds = record.get("design_bounds") or {}
+    return {
+        name: (value, bounds_in_words(*bounds[name]) if name in bounds else MISSING)
+        for name, value in record["design"].items()
+    }
+
+
+def _constrained(record: Record) -> dict[str, tuple[float | None, str]]:
+    """The same of each constrained quantity."""
+    return {
+        name: (one.get("value"), bounds_in_words(one.get("lower"), one.get("upper")))
+        for name, one in record["constraints"].items()
+    }
+
+
+def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[Table]:
+    """Design variables or constrained quantities: bounds, the first design, and where each solve ended."""
+    solved = [record for record in records if record.get(entry)]
+    of_solves = _constrained if entry == "constraints" else _designed
+    known = [of_solves(record) for record in solved]
+    bounds = {name: words for own in known[::-1] for name, (_, words) in own.items()}
+    if not bounds:
+        return
+    names = list(dict.fromkeys(name for own in known for name in own))
+    rows = [["bounds", *(bounds[name] for name in names)]]
+    if start := solved[0].get(f"{entry}_initial"):
+        rows.append(["start", *(shown(start.get(name), ".5g") for name in names)])
+    solves = [
+        [short_label(record), *(shown(own.get(name, (None,))[0], ".5g") for name in names)]
+        for record, own in zip(solved, known, strict=True)
+        if record["formulation"] != RELOCATING_NOTHING or entry == "constraints"
+    ]
+    words: dict[str, Any] = dict(zip(("title", "caption"), NAMED[entry], strict=True))
+    if len(names) <= FEW:
+        yield Table(["formulation", *names], [(title, [*rows, *solves])], **words)
+        return
+    for first in range(0, max(len(solves), 1), FEW):
+        head, *body = zip(["name", *names], *rows, *solves[first : first + FEW], strict=True)
+        yield Table(head, [(title, body)], **words, is_detail=True)

@@ -6,51 +6,16 @@ from collections.abc import Iterator, Sequence
 
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.examples.paper import PRINTED_DIGITS, truncated
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import Units, units_of
-from rmesh_nlp.report.blocks import (
-    RELOCATING_NOTHING,
-    Block,
-    audited,
-    blocks,
-    grouped,
-    label,
-)
-
-TIED = 1e-8  # energies that differ by less than this part are one: two solvers' ends of the same minimum
-
-ENERGY = (
-    "J is the total potential energy of the contact solution on the given and on the relocated mesh, as "
-    "assessed: loads by an adaptive rule, gaps along whole edges, friction and curves integrated."
-)
-LEGEND = (f"{ENERGY} Gain: in per cent of |J| on the given mesh. Time: build, solve and audit.",)
-DESIGN_LEGEND = (
-    "Objective: with mesh and design at the start and at the end of the solve. Gain: in per cent of its size "
-    "at the start. Left on refined meshes: the part of the gain that is there when both meshes are "
-    "refined uniformly. Violation: the largest of a constraint, over its bound. Label: stationarity over the "
-    "branches of the contact; S (KKT) is S-stationarity without a biactive pair, that is, a KKT point. "
-    "Biactive: pairs whose members both vanish. KKT factorisations: at least as many as Ipopt took "
-    "iterations. First-order residual: of the outer problem, over that at the start. Time: build, solve and "
-    "audit."
-)
-DETAILED_LEGEND = (
-    "Own rule: the energy with the quadrature of the problem. Least area ratio: the smallest element area "
-    "over its value on the given mesh.",
-    "Cost: time of build and solve over that of one contact solve on the given mesh, measured in the same "
-    "run. Reached by all: what all successful formulations reach, and the cost until each was there first. "
-    "Factorisations of KKT matrices: at least as many as Ipopt took iterations.",
-    "Residuals are dimensionless. Own: of the displacement and contact forces that the formulation ended "
-    "with. Assessed: of an independent contact solve on its mesh. First-order residual: of the outer "
-    "problem, over that on the given mesh. Biactive: pairs of gap and contact force that both vanish. "
-    "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
-    "a KKT point.",
-)
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, grouped, label
+from rmesh_nlp.report.joined import refinement_notes
+from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, given_statements, reached
 
 
 def main_notes(records: Sequence[Record]) -> list[str]:
-    """What is needed to read the main table: meaning of its columns, units, and how solves ended."""
+    """What is needed to read the main tables: units, what refinement gains, and how solves ended."""
     below = [note for block in blocks(records) for note in below_infimum(block)]
     failures = [
         f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
@@ -58,24 +23,13 @@ def main_notes(records: Sequence[Record]) -> list[str]:
         for record in block.records
         if not record["success"]
     ]
-    return [*legends(records), *units_notes(records), *below, *stopped_early(records), *failures]
-
-
-def legends(records: Sequence[Record]) -> list[str]:
-    """What the columns of the main tables mean: of energies, and of what has none that compare."""
-    every = blocks(records)
-    own = [] if all(block.has_energy for block in every) else [DESIGN_LEGEND]
-    return own if own and not any(block.has_energy for block in every) else [*own, *LEGEND]
-
-
-def detailed_notes(records: Sequence[Record]) -> list[str]:
-    """What is needed to read the other tables, and what they show."""
-    return [*DETAILED_LEGEND, *block_notes(records)]
+    finer = refinement_notes(records)
+    return [*finer, *units_notes(records), *below, *stopped_early(records), *shared_notes(records), *failures]
 
 
 def block_notes(records: Sequence[Record]) -> list[str]:
-    """What the records show: impossible energies, printed values that are met, stick zones, a ranking."""
-    kinds = (below_infimum, paper_notes, stick_zone, ranking)
+    """What the records show: impossible energies, printed values that are met, stick zones."""
+    kinds = (below_infimum, paper_notes, stick_zone)
     return [note for block in blocks(records) for kind in kinds for note in kind(block)]
 
 
@@ -83,6 +37,16 @@ def stopped_early(records: Sequence[Record]) -> list[str]:
     """What a success is whose status is not "converged"."""
     early = {str(record["status"]) for record in records if record["success"]} - {Status.CONVERGED.value}
     return [f"{', '.join(sorted(early))}: a success that is {NOT_STATIONARY_YET}."] if early else []
+
+
+def shared_notes(records: Sequence[Record]) -> list[str]:
+    """How many times are those of solves that had no core alone."""
+    shared = sum(bool(record.get("shared")) for record in records)
+    said = (
+        f"{shared} of {len(records)} solves shared their core with something: compare their costs in contact "
+        "solves, which were measured beside each of them."
+    )
+    return [said] if shared else []
 
 
 def units_notes(records: Sequence[Record]) -> list[str]:
@@ -113,23 +77,6 @@ def stick_zone(block: Block) -> Iterator[str]:
         )
 
 
-def ranking(block: Block) -> Iterator[str]:
-    """The successful formulations by audited energy, of those that minimised it."""
-    rows = [record for record in block.succeeded if objective_of(record) == "energy"]
-    places: list[tuple[float, list[str]]] = []
-    for record in sorted(rows, key=audited):
-        if not places or not _tied(audited(record), places[-1][0]):
-            places.append((audited(record), []))
-        places[-1][1].append(label(record))
-    order = "; ".join(f"{' = '.join(names)} {energy:.6f}" for energy, names in places)
-    if len(rows) > 1 and block.has_energy:
-        yield f"{block.name}: by audited energy {order}."
-
-
-def _tied(energy: float, lower: float) -> bool:
-    return energy - lower <= TIED * max(abs(energy), abs(lower))
-
-
 def below_infimum(block: Block) -> Iterator[str]:
     """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
     for record in block.records:
@@ -153,7 +100,7 @@ def paper_notes(block: Block) -> Iterator[str]:
     if paper is not None:
         notes = [
             *([paper.misprint] if paper.misprint else []),
-            *_initial(block, paper),
+            *_initial(block),
             *_final(block, paper),
         ]
         yield from (f"{block.name}: {note}" for note in notes)
@@ -161,22 +108,12 @@ def paper_notes(block: Block) -> Iterator[str]:
         yield f"{block.title}: not the paper's settings, so not compared with its values."
 
 
-def _initial(block: Block, paper: PaperValues) -> Iterator[str]:
+def _initial(block: Block) -> Iterator[str]:
     given = next((r["energy_initial"] for r in block.records if r["energy_initial"] is not None), None)
-    if given is not None:
-        met = truncated(given) == truncated(paper.energy_initial)
-        yield _met(f"initial energy {paper.energy_initial:.4f}", met, f"{given:.6f}")
-    fixed = next((r for r in block.succeeded if r["formulation"] == RELOCATING_NOTHING), None)
-    if fixed is not None and paper.u_min_initial is not None and paper.u_max_initial is not None:
-        pairs = ((fixed["u_min"], paper.u_min_initial), (fixed["u_max"], paper.u_max_initial))
-        # one unit in the last place: the paper truncates some of its figures and rounds others
-        met = all(abs(ours - printed) < 10.0**-PRINTED_DIGITS for ours, printed in pairs)
-        printed = f"extremes {paper.u_min_initial:.4f}, {paper.u_max_initial:.4f} on the given grid"
-        yield _met(printed, met, f"{fixed['u_min']:.5f}, {fixed['u_max']:.5f}")
-
-
-def _met(printed: str, met: bool, ours: str) -> str:
-    return f"printed {printed}: {'met' if met else 'NOT met'}, here {ours}."
+    fixed = next((r for r in block.succeeded if r["formulation"] == RELOCATING_NOTHING), {})
+    for one in given_statements(block.example, (given, fixed.get("u_min"), fixed.get("u_max"))):
+        outcome = "met" if one.outcome == MET else "NOT met"
+        yield f"printed {one.what} {one.printed}: {outcome}, here {one.ours}."
 
 
 def _final(block: Block, paper: PaperValues) -> Iterator[str]:
@@ -188,16 +125,15 @@ def _final(block: Block, paper: PaperValues) -> Iterator[str]:
     if not moved:
         yield "no formulation relocated the grid here, so the printed final energy is not compared."
         return
-    lowest = min(record["energy"] for record in moved)
-    best = next(record for record in moved if _tied(record["energy"], lowest))
+    best = min(moved, key=lambda record: float(record["energy"]))
     ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
     printed = f"printed final energy {paper.energy_final:.4f}"
-    reached, wanted = truncated(best["energy"]), truncated(paper.energy_final)
-    if reached > wanted:
+    outcome = reached(best["energy"], paper.energy_final)
+    if outcome == NOT_MET:
         yield f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()
         return
-    yield f"{printed} is {'met' if reached == wanted else 'passed'}: {ours}."
-    if reached < wanted and paper.u_min_final is not None and paper.u_max_final is not None:
+    yield f"{printed} is {outcome}: {ours}."
+    if outcome == PASSED and paper.u_min_final is not None and paper.u_max_final is not None:
         yield (
             f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid "
             f"belong to that higher energy and so to another grid; here {best['u_min']:.4f}, "

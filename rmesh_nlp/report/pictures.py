@@ -21,7 +21,7 @@ from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.units import bracketed
-from rmesh_nlp.report.design_figure import design_figure
+from rmesh_nlp.report.curves import design_figure
 from rmesh_nlp.report.drawing import (
     Body,
     Contact,

@@ -9,36 +9,39 @@ never a missing problem.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from statistics import median
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
 from rmesh_nlp.io.results import Result
+from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
-    ends_of,
-    gain_of,
-    grouped,
+    end_of,
     seconds_of_work,
     variant,
     variants_of,
     with_order,
 )
 from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
+from rmesh_nlp.report.notes import shared_notes
 from rmesh_nlp.report.table import MISSING, Table
 
-HEAD = (
-    *("family", "formulation", "solves", "success", "converged", "gain [%]", "of best [%]"),
-    *("iterations", "contact solves", "build + solve [s]", "cost [contact solves]"),
-)
-SHORT = (0, 1, 2, 3, 4, 5, 8, 9)  # columns that a first reader needs
+FIGURES = {
+    **{"gain [%]": ".3g", "of best [%]": ".4g", "iterations": ".0f", "contact solves": ".0f"},
+    **{"build + solve [s]": ".3g", "cost [contact solves]": ".4g"},
+}
+"""Columns of medians with their digits."""
+
+HEAD = ("family", "formulation", "solves", "success", "converged", *FIGURES)
+FURTHER = ("of best [%]", "iterations", "cost [contact solves]")  # columns that a first reader does not need
 RANGES = (
     "Medians over successful solves, in brackets their range. Of best: the gain over the largest one of any "
     "formulation on that problem. Cost: time of build and solve over that of one contact solve on the given "
@@ -59,8 +62,6 @@ COSTS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
     "time_contact_solves": ("build and solve, in contact solves", contact_units),
     "build_and_solve": ("build and solve, in seconds", seconds_of_work),
 }
-
-Instance = tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -96,83 +97,65 @@ def is_study(records: Sequence[Record]) -> bool:
     return any(record.get("variant") and record.get("family") for record in records)
 
 
-def instance(record: Record) -> Instance:
+def instance(record: Record) -> str:
     """What has to agree for two variants to have solved the same."""
     # a variant without a seed, and one that failed before it had move limits, still solve the instance
-    return with_order(str(record["example"]), record), str(record["n"]), objective_of(record)
+    return f"{with_order(str(record['example']), record)}, {record['n']}, {objective_of(record)}"
 
 
 def summary_table(records: Sequence[Record]) -> Table:
-    """By family and variant; repetitions are joined by medians."""
-    best: dict[Instance, float] = {}
-    for record in records:
-        gain = _gain(record)
-        if record["success"] and gain is not None:
-            best[instance(record)] = max(best.get(instance(record), -INF), gain)
-    columns: tuple[tuple[str, Callable[[Record], float | None]], ...] = (
-        (".3g", lambda record: gain_of(*ends_of(record))),
-        (".4g", lambda record: _part(_gain(record), best.get(instance(record)))),
-        (".0f", lambda record: record["iterations"]),
-        (".0f", lambda record: record["contact_solves"]),
-        (".3g", seconds_of_work),
-        (".4g", contact_units),
+    """By family and variant, the variant that relocates nothing first; repetitions are joined by medians."""
+    ends = np.array([ends_of(record) for record in records], dtype=float).reshape(-1, 2)
+    solves = pd.DataFrame(
+        {
+            "family": map(family, records),
+            "relocates": [record["formulation"] != RELOCATING_NOTHING for record in records],
+            "formulation": map(variant, records),
+            "status": [record["status"] for record in records],
+            "instance": map(instance, records),
+            "fall": ends[:, 0] - ends[:, 1],
+            "gain [%]": [gain_of(*ends_of(record)) for record in records],
+            "iterations": [record["iterations"] for record in records],
+            "contact solves": [record["contact_solves"] for record in records],
+            "build + solve [s]": map(seconds_of_work, records),
+            "cost [contact solves]": map(contact_units, records),
+        }
     )
-    groups = grouped(  # the baseline first, then by name
-        (record for record in records if record["status"] != "refused"),
-        lambda record: (family(record), record["formulation"] != RELOCATING_NOTHING, variant(record)),
-    )
+    solves["success"] = [bool(record["success"]) for record in records]
+    good = solves[solves["success"]]
+    best = good.groupby("instance")["fall"].max()
+    solves["of best [%]"] = 100 * solves["fall"] / solves["instance"].map(best.where(best > 0))
     rows = []
-    for (name, _, method), group in sorted(groups.items(), key=lambda item: item[0]):
-        good = [record for record in group if record["success"]]
-        converged = sum(record["status"] == "converged" for record in good)
-        figures = [_range([value(record) for record in good], form) for form, value in columns]
-        rows.append([name, method, str(len(group)), str(len(good)), str(converged), *figures])
-    return Table(HEAD, [("", rows)], texts=2)
+    asked = solves[solves["status"] != "refused"]
+    for (name, _, method), own in asked.groupby(["family", "relocates", "formulation"]):
+        good = own[own["success"]]
+        converged = (good["status"] == Status.CONVERGED.value).sum()
+        figures = [_range(good[column], form) for column, form in FIGURES.items()]
+        rows.append([name, method, str(len(own)), str(len(good)), str(converged), *figures])
+    return Table(HEAD, [("", rows)], RANGES, "Medians with their ranges", is_detail=True, texts=2)
 
 
 def median_table(records: Sequence[Record]) -> Table:
     """The columns of :func:`summary_table` that a first reader needs, without ranges."""
-    rows = [[row[i].split(" [")[0] for i in SHORT] for row in summary_table(records).rows]
-    return Table([HEAD[i] for i in SHORT], [("", rows)])
+    places = [place for place, name in enumerate(HEAD) if name not in FURTHER]
+    rows = [[row[place].split(" [")[0] for place in places] for row in summary_table(records).rows]
+    return Table([HEAD[place] for place in places], [("", rows)], MEDIANS, notes=study_notes(records))
 
 
-def _start(record: Record) -> float | None:
-    """The audited energy of the given mesh, or another objective."""
-    return ends_of(record)[0]
-
-
-def _gain(record: Record) -> float | None:
-    start, end = ends_of(record)
-    return None if start is None or end is None else start - end
-
-
-def _part(gain: float | None, whole: float | None) -> float | None:
-    """Per cent of a whole that is above zero."""
-    return None if gain is None or not whole or whole <= 0 else 100 * gain / whole
-
-
-def _range(values: Sequence[float | None], form: str) -> str:
+def _range(values: pd.Series, form: str) -> str:
     """Median with the range in brackets."""
-    numbers = [value for value in values if value is not None]
-    if not numbers:
+    numbers = values.dropna().astype(float)
+    if numbers.empty:
         return MISSING
-    middle, low, high = (format(f(numbers), form) for f in (median, min, max))
+    middle, low, high = (format(f, form) for f in (numbers.median(), numbers.min(), numbers.max()))
     return middle if low == high else f"{middle} [{low}, {high}]"
 
 
 def study_notes(records: Sequence[Record]) -> list[str]:
     """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
-    shared = sum(bool(record.get("shared")) for record in records)
-    notes = [MEDIANS]
-    if refused:
-        notes.append(f"{refused} solves were refused, since the formulation does not take the objective.")
-    if shared:
-        notes.append(
-            f"{shared} of {len(records)} solves shared their core with something: compare their costs in "
-            "contact solves, which were measured beside each of them."
-        )
-    return notes
+    notes = [f"{refused} solves were refused, since the formulation does not take the objective."]
+    return [*(notes if refused else []), *shared_notes(records)]
 
 
 def charts(results: Sequence[Result]) -> list[Chart]:
@@ -182,36 +165,26 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     """
     rows = [r for r in results if r.record["formulation"] != RELOCATING_NOTHING]
     rows = [r for r in rows if r.record["status"] != "refused"]
-    names = variants_of([r.record for r in rows])
-    instances = grouped((r.record for r in rows), instance)
-    solves = grouped(rows, lambda r: (variant(r.record), instance(r.record)))
+    names, instances = variants_of([r.record for r in rows]), [instance(r.record) for r in rows]
     if len(names) < 2:
         return []
 
-    def typical(value: Callable[[Result], float | None]) -> dict[str, list[float]]:
-        """Medians over repetitions and starts; infinite if most failed or there is none."""
-
-        def cost(one: Result) -> float:
-            cost_of_one = value(one) if one.record["success"] else None
-            return INF if cost_of_one is None else float(cost_of_one)
-
-        return {
-            name: [
-                median(map(cost, solves[name, where])) if (name, where) in solves else INF
-                for where in instances
-            ]
-            for name in names
-        }
+    def typical(value: Callable[[Result], float | None]) -> pd.DataFrame:
+        """Medians (problems, formulations) over repetitions and starts; infinite if most failed."""
+        known = (value(row) if row.record["success"] else None for row in rows)
+        costs = pd.Series([INF if cost is None else float(cost) for cost in known])
+        medians = costs.groupby([instances, [variant(row.record) for row in rows]]).median()
+        return medians.unstack(fill_value=INF)[names]
 
     made = []
     for name, (words, cost) in COSTS.items():
         profiles = performance_profiles(typical(lambda one, cost=cost: cost(one.record)))  # type: ignore[misc]
         made.append(Chart(name, f"Performance profile: {words}", "factor of the cheapest", profiles))
     energies = typical(lambda one: ends_of(one.record)[1])
-    starts = [next((s for r in own if (s := _start(r)) is not None), INF) for own in instances.values()]
-    profiles = quality_profiles(energies, starts)
+    starts = pd.Series([ends_of(row.record)[0] for row in rows], dtype=float).groupby(instances).first()
+    profiles = quality_profiles(energies, starts.fillna(INF))
     made.append(Chart("quality", "Quality: final audited energy", "part of the best gain missed", profiles))
-    lowest = dict(zip(instances, np.min(list(energies.values()), axis=0), strict=True))
+    lowest = energies.min(axis=1)
     for level in LEVELS:
         profiles = data_profiles(typical(partial(_cost_of_level, lowest=lowest, level=level)))
         title = f"Data profile: {100 * level:g} % of the best gain"
@@ -219,10 +192,10 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     return made
 
 
-def _cost_of_level(one: Result, lowest: Mapping[Instance, float], level: float) -> float:
+def _cost_of_level(one: Result, lowest: Mapping[str, float], level: float) -> float:
     """Cost at which a part of the best gain was reached, by the history or, without one, at the end."""
     record = one.record
-    start, best = _start(record), lowest[instance(record)]
+    start, best = ends_of(record)[0], lowest[instance(record)]
     if start is None or not np.isfinite(best):
         return INF
     drawn = curve(one)
@@ -232,21 +205,18 @@ def _cost_of_level(one: Result, lowest: Mapping[Instance, float], level: float) 
         cost = cost_of_gain(energy, drawn.cost, start, best, level)
         if np.isfinite(cost):
             return cost
-    end = ends_of(record)[1]
-    return cost_of_gain([INF if end is None else end], [contact_units(record) or INF], start, best, level)
+    return cost_of_gain([end_of(record)], [contact_units(record) or INF], start, best, level)
 
 
 def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
     """Moré and Wild's profiles over the cost itself, that of a part of the best gain, in contact solves."""
-    return _profiles(costs, _table(costs))
+    return _profiles(pd.DataFrame(costs))
 
 
 def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
     """Dolan and Moré's profiles over the ratio to the cheapest; what all failed is a failure of all."""
-    table = _table(costs)
-    best = np.min(table, axis=0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return _profiles(costs, np.where(best > 0, table / best, np.where(table == 0, 1.0, np.inf)))
+    table = pd.DataFrame(costs)
+    return _profiles(table.div(table.min(axis=1), axis=0).mask(_is_best(table), 1.0))
 
 
 def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
@@ -254,22 +224,21 @@ def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> d
 
     Where no formulation gains anything over the ``initial`` energies, all that did not fail miss nothing.
     """
-    table = _table(energies)
-    best = np.min(table, axis=0)
-    gain, is_best = np.asarray(initial, dtype=float) - best, np.isfinite(table) & (table <= best)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return _profiles(energies, np.where(gain > 0, (table - best) / gain, np.where(is_best, 0.0, np.inf)))
+    table = pd.DataFrame(energies)
+    best = table.min(axis=1)
+    gain = initial - best
+    missed = table.sub(best, axis=0).div(gain.where(gain > 0), axis=0)
+    return _profiles(missed.mask(_is_best(table), 0.0))
 
 
-def _table(values: Mapping[str, ArrayLike]) -> Array:
-    """(formulations, problems) values; a failure is infinite."""
-    return np.array([np.asarray(row, dtype=float) for row in values.values()])
+def _is_best(table: pd.DataFrame) -> pd.DataFrame:
+    return table.eq(table.min(axis=1), axis=0) & np.isfinite(table)
 
 
-def _profiles(names: Iterable[str], table: Array) -> dict[str, Profile]:
-    """The distributions of rows of values; what is not finite is never reached."""
+def _profiles(table: pd.DataFrame) -> dict[str, Profile]:
+    """The distributions of columns of values; what is not finite is never reached."""
     profiles = {}
-    for name, values in zip(names, table, strict=True):
+    for name, values in table.items():
         at, counts = np.unique(values[np.isfinite(values)], return_counts=True)
-        profiles[name] = Profile(at, np.cumsum(counts) / max(values.size, 1))
+        profiles[str(name)] = Profile(at, np.cumsum(counts) / max(values.size, 1))
     return profiles

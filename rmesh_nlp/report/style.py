@@ -38,6 +38,8 @@ SETTINGS: Any = {
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
     "legend.frameon": False,
     "figure.dpi": 150,  # of PNG; vectors are for papers
     "pdf.fonttype": 42,  # text stays text: publishers ask for it

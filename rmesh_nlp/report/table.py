@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
@@ -20,7 +20,17 @@ LABEL = 60.0  # points that the first column keeps at least; longer labels are s
 _NUMBER = re.compile(r"[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 _SPECIAL = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 _ESCAPED = str.maketrans(_SPECIAL | {character: "\\" + character for character in "&%$#_{}"})
-_TWO_LINES = r"\begin{tabular}[b]{@{}r@{}}", r"\end{tabular}"
+_SYMBOLS = {
+    r"\|J\|": "$|J|$",
+    r"(?<!\|)\bJ\b(?![-(])": "$J$",
+    r"\bI([123])\b": r"$I_\1$",
+    r"\bu (min|max)\b": r"$u_{\\\1}$",
+    r"\bn = ": "$n$ = ",
+    r"\bdelta = ": r"$\\delta$ = ",
+    r"(?<=\d) ?x ?(?=\d)": r" $\\times$ ",
+    r"(?<![\w.])-(?=\d)": "$-$",
+}
+"""Symbols and signs in words, and how LaTeX sets them."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +44,13 @@ class Table:
     groups : sequence of (title, rows)
         Rows of cells, one for each heading.
     caption : str
-        In LaTeX.
+        What it shows and how to read it.
+    title : str
+        Its heading in Markdown; empty for none.
     notes : sequence of str
-        What stands below.
-    tex : sequence of str
-        Headings in LaTeX, where they are not those in plain text.
-    is_long : bool
-        Whether it has a row for each of many names.
+        What stands below it in LaTeX.
+    is_detail : bool
+        Whether it is in ``table.md`` alone, and not among what is printed.
     texts : int
         How many columns from the first on are texts, in HTML.
     failed : set of int
@@ -50,9 +60,9 @@ class Table:
     head: Sequence[str]
     groups: Groups
     caption: str = ""
+    title: str = ""
     notes: Sequence[str] = ()
-    tex: Sequence[str] = ()
-    is_long: bool = False
+    is_detail: bool = False
     texts: int = 1
     failed: Set[int] = frozenset()
 
@@ -77,33 +87,40 @@ class Table:
         marks = [":" + "-" * (widths[0] + 1), *("-" * (width + 1) + ":" for width in widths[1:])]
         return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
 
+    def section(self) -> str:
+        """Markdown with the title, a table for each group below the group's own, and the caption."""
+        parts = [f"## {self.title}\n"] if self.title else []
+        for title, rows in self.groups:
+            parts += [f"### {title}\n"] if title else []
+            parts.append(replace(self, groups=[("", rows)]).markdown())
+        return "\n".join([*parts, f"{self.caption}\n"])
+
     def latex(self) -> str:
         r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as the text.
 
         A ``table`` becomes a ``table*`` if its columns need more than ``COLUMN``; where pages have one column
         the two are the same. A table of more than ``LINES`` lines is continued in a second one.
         """
-        head = self.tex or [latex_text(text) for text in self.headings]
-        columns = range(len(head))
-        widths = [max(map(_width, (*_lines(head[i]), *(row[i] for row in self.rows)))) for i in columns]
+        columns = [*zip(self.head, *self.rows, strict=True)]
+        widths = [max(map(_width, (*head.split("|"), *cells))) for head, *cells in columns]
         room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
         first = max(LABEL, room)
         whole = min(widths[0], first) + PAGE - room
         place = "table" if whole <= COLUMN else "table*"
         size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
-        # a hyphen before a number is a minus sign
-        said = re.sub(r"(?<![\w.])-(?=\d)", "$-$", " ".join(latex_text(note) for note in self.notes))
+        caption = latex_words(self.caption)
         tables = []
         for number, part in enumerate(_parts(self.groups)):
             again = (r"\addtocounter{table}{-1}", " (continued)") if number else ("", "")
             lines = [
                 rf"\begin{{{place}}}[tbp]",
                 r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
-                rf"{again[0]}\caption{{{self.caption}{again[1]}}}",
+                rf"{again[0]}\caption{{{caption}{again[1]}}}",
                 rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
-                *_tabular(head, part, first if widths[0] > first else None),
+                *_tabular(self.head, part, first if widths[0] > first else None),
             ]
             if self.notes:
+                said = " ".join(map(latex_words, self.notes))
                 lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
             tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
         return "\n".join(tables)
@@ -131,11 +148,11 @@ def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[s
     lines = [
         rf"\begin{{tabular*}}{{\linewidth}}{{@{{\extracolsep{{\fill}}}}l{'r' * (len(head) - 1)}@{{}}}}",
         r"\toprule",
-        " & ".join(head) + r" \\",
+        " & ".join(map(latex_heading, head)) + r" \\",
     ]
     for title, rows in groups:
         # without a width of its own a title does not widen the columns below it
-        text = rf"\raggedright\emph{{{_latex_title(title)}}}\strut"
+        text = rf"\raggedright\emph{{{latex_words(title)}}}\strut"
         box = rf"\makebox[0pt][l]{{\parbox[t]{{\linewidth}}{{{text}}}}}"
         lines += [r"\midrule", rf"\multicolumn{{{len(head)}}}{{@{{}}l@{{}}}}{{{box}}} \\"]
         for row in rows:
@@ -147,17 +164,11 @@ def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[s
 
 
 def latex_heading(text: str) -> str:
-    """A heading whose lines are separated by a bar; a J of its own is a symbol."""
-    lines = [re.sub(r"\bJ\b(?![-(])", "$J$", line.replace("%", r"\%")) for line in text.split("|")]
-    if len(lines) == 1:
-        return lines[0]
-    return rf"{_TWO_LINES[0]}{lines[0]}\\ {{{lines[1]}}}{_TWO_LINES[1]}"
-
-
-def _lines(head: str) -> list[str]:
-    """The lines of a heading without LaTeX's commands."""
-    inside = head.removeprefix(_TWO_LINES[0]).removesuffix(_TWO_LINES[1])
-    return re.sub(r"\\(?!\\)\w+|[{}$]", "", inside).split(r"\\")
+    """A heading whose two lines are separated by a bar."""
+    first, *second = map(latex_words, text.split("|"))
+    return (
+        rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{first}\\ {{{second[0]}}}\end{{tabular}}" if second else first
+    )
 
 
 def _width(text: str) -> float:
@@ -179,10 +190,12 @@ def latex_cell(text: str) -> str:
     return f"${mantissa}$" if not exponent else rf"${mantissa}\cdot 10^{{{int(exponent)}}}$"
 
 
-def _latex_title(title: str) -> str:
-    """Settings in words, their symbols as formulas."""
-    text = re.sub(r"(?<=\d) ?x ?(?=\d)", r" $\\times$ ", latex_text(title))
-    return text.replace("n = ", "$n$ = ").replace("delta = ", r"$\delta$ = ")
+def latex_words(text: str) -> str:
+    """Plain text whose symbols and minus signs are set as such."""
+    text = latex_text(text)
+    for symbol, formula in _SYMBOLS.items():
+        text = re.sub(symbol, formula, text)
+    return text
 
 
 def latex_text(text: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,122 +10,77 @@ import pandas as pd
 
 from rmesh_nlp.display import for_markdown, for_spreadsheet
 from rmesh_nlp.io.folder import write_text
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import (
-    Block,
-    blocks,
-    contact_units,
-    grouped,
-    names_of_solves,
-    order_of,
-)
-from rmesh_nlp.report.columns import (
-    CERTIFICATES,
-    COMMON,
-    COSTS,
-    ENERGIES,
-    ERRORS,
-    FORMULATION,
-    MAIN,
-    OBJECTIVES,
-    RESIDUALS,
-    Column,
-    body,
-    table_of,
-)
-from rmesh_nlp.report.designs import design_tables
-from rmesh_nlp.report.joined import joined_tables
-from rmesh_nlp.report.notes import ENERGY, detailed_notes, main_notes, stopped_early, units_notes
-from rmesh_nlp.report.study_summary import RANGES, is_study, median_table, study_notes, summary_table
-from rmesh_nlp.report.table import Groups, Table
+from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, order_of
+from rmesh_nlp.report.columns import KINDS, MAIN, body, table_of
+from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
+from rmesh_nlp.report.notes import block_notes, main_notes, stopped_early, units_notes
+from rmesh_nlp.report.study_summary import is_study, median_table, study_notes, summary_table
+from rmesh_nlp.report.table import Table
 from rmesh_nlp.solving.parts import DESIGN
 
-DETAILS = "## Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
-
-# of the tables that LaTeX has; the others are in ``table.md`` and ``table.csv``
-CAPTIONS = {
-    MAIN: f"Relocation by each formulation. {ENERGY.replace('J is', '$J$ is')} The gain is in per cent of "
-    r"$|J|$ on the given mesh. Times are wall times of build, solve and audit.",
-    ENERGIES: r"Energies by the quadrature rule of the problem, extremes of the displacement $u$, the "
-    r"contact on the relocated mesh, and the least element area over the given one.",
-    COMMON: r"Cost, in contact solves on the given mesh, until each formulation reached what all of them "
-    r"reach: an energy or other objective, and a first-order residual.",
-    RESIDUALS: r"Dimensionless residuals of equilibrium and complementarity, of the state that the "
-    r"formulation ended with and of an independent contact solve on its mesh, and the first-order residual "
-    r"of the outer problem over that on the given mesh.",
-    ERRORS: r"Theorem 4.1: errors in energy ($I_1$), contact ($I_2$) and friction ($I_3$), and the energy "
-    r"above the exact one.",
-    OBJECTIVES: r"Outer objectives other than the energy.",
-    CERTIFICATES: r"Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
-}
-
-# tables that a block of records has only where one of its records asks for it
-WANTED: dict[tuple[Column, ...], Callable[[Record], bool]] = {
-    COMMON: lambda record: record.get("common_objective") is not None,
-    ERRORS: lambda record: record.get("I1") is not None,
-    OBJECTIVES: lambda record: objective_of(record) != "energy",
-    CERTIFICATES: lambda record: "certificate_remark" in record,
-}
+DETAILS = "# Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
 
-def _is_wanted(columns: tuple[Column, ...], block: Block) -> bool:
-    """Whether a record of the block asks for these columns."""
-    return any(map(WANTED.get(columns, lambda _: True), block.records))
+def sections_of(records: Sequence[Record]) -> dict[str, Block]:
+    """Blocks by their titles, one for each objective where energies do not compare."""
+    sections: dict[str, Block] = {}
+    for block in blocks(records):
+        parts = {"": list(block.records)} if block.has_energy else block.objectives
+        for objective, own in parts.items():
+            sections[f"{block.title}: {objective}" if objective else block.title] = Block(tuple(own))
+    return sections
 
 
-def _of(columns: tuple[Column, ...], block: Block) -> str:
-    return table_of(columns, [(block.title, body(columns, block))]).markdown()
+def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
+    """The tables of a comparison; ``named`` solves of all blocks stand in one main table."""
+    sections = sections_of(records)
+    units, early = units_notes(records), stopped_early(records)
+    made = []
+    for kind in KINDS:
+        wanted = {title: block for title, block in sections.items() if kind.is_wanted(block)}
+        groups = [(title, body(kind.columns, block)) for title, block in wanted.items()]
+        if kind is MAIN and named:
+            names = names_of_solves([record for block in wanted.values() for record in block.records])
+            rows = [row for _, own in groups for row in own]
+            groups = [("", [[name, *row[1:]] for name, row in zip(names, rows, strict=True)])]
+        if wanted:
+            table = table_of(
+                kind.columns,
+                groups,
+                title=kind.title,
+                caption=kind.caption,
+                notes=units if kind.is_detail else [*units, *early],
+                is_detail=kind.is_detail,
+            )
+            made.append(replace(table, head=["solve", *table.head[1:]]) if kind is MAIN and named else table)
+    for title, block in sections.items():
+        for entry in () if block.has_energy else NAMED:
+            made += named_tables(title, block.records, entry)
+    return made + joined_tables(records)
 
 
 def markdown(records: Sequence[Record]) -> str:
     """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
-    parts = [short_markdown(records), f"{DETAILS}\n"]
-    if is_study(records):
-        return for_markdown("\n".join([*parts, f"{summary_table(records).markdown()}- {RANGES}\n"]))
-    parts += _designs(records, is_long=True)
-    for block in blocks(records):
-        every = (ENERGIES, COSTS, COMMON, RESIDUALS, ERRORS) if block.has_energy else (COSTS, RESIDUALS)
-        tables = (_of(columns, block) for columns in every if _is_wanted(columns, block))
-        parts += [f"### {block.title}\n", *tables]
-    parts.append(f"### Notes\n\n{_items(detailed_notes(records))}")
-    return for_markdown("\n".join(parts))
-
-
-def _designs(records: Sequence[Record], *, is_long: bool) -> Iterator[str]:
-    """The tables of blocks whose energies do not compare, by titles: the long ones, or all others."""
-    for block in blocks(records):
-        for title, tables in () if block.has_energy else design_tables(block):
-            shown = [table.markdown() for table in tables if table.is_long is is_long]
-            yield from [f"### {title}\n", *shown] if shown else []
+    study = is_study(records)
+    every = [summary_table(records)] if study else tables(records)
+    sections = [table.section() for table in every if table.is_detail]
+    notes = [] if study else [f"## Notes\n\n{_items(block_notes(records))}"]
+    details = for_markdown("\n".join([f"{DETAILS}\n", *sections, *notes]))
+    return f"{short_markdown(records)}\n{details}"
 
 
 def short_markdown(records: Sequence[Record]) -> str:
     """One row per solve, what else was asked for, and what is needed to read it."""
     if is_study(records):
-        return for_markdown(f"# Study\n\n{median_table(records).markdown()}\n{_items(study_notes(records))}")
-    parts, of_energy = ["# Comparison of formulations\n"], [b for b in blocks(records) if b.has_energy]
-    if of_energy or not records:
-        parts.append(_main(of_energy) if records else "No solve has ended yet.\n")
-    for columns in (OBJECTIVES, CERTIFICATES):
-        wanted = (block for block in of_energy if _is_wanted(columns, block))
-        parts += [f"### {block.title}\n\n{_of(columns, block)}" for block in wanted]
-    parts += _designs(records, is_long=False)
-    notes: list[str] = []
-    for title, table in joined_tables(records).items():
-        notes += table.notes
-        for name, rows in table.groups:
-            parts.append(f"## {title}: {name}\n\n{replace(table, groups=[(name, rows)]).markdown()}")
-    parts.append(_items([*notes, *main_notes(records)]))
-    return for_markdown("\n".join(parts))
-
-
-def _main(groups: Sequence[Block]) -> str:
-    """Audited energies, work and status, one row per solve."""
-    records = [record for block in groups for record in block.records]
-    rows = [row for block in groups for row in body(MAIN, block)]
-    named = [[name, *row[1:]] for name, row in zip(names_of_solves(records), rows, strict=True)]
-    return table_of((replace(FORMULATION, heading="solve"), *MAIN[1:]), [("", named)]).markdown()
+        parts, notes = ["# Study\n", median_table(records).section()], study_notes(records)
+    else:
+        parts, notes = ["# Comparison of formulations\n"], main_notes(records)
+        parts += [table.section() for table in tables(records, named=True) if not table.is_detail]
+    if not records:
+        parts.append("No solve has ended yet.\n")
+    return for_markdown("\n".join([*parts, _items(notes)]))
 
 
 def _items(notes: Sequence[str]) -> str:
@@ -134,29 +89,16 @@ def _items(notes: Sequence[str]) -> str:
 
 def latex(records: Sequence[Record]) -> str:
     r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``."""
-    tables = (table.latex() for table in _latex_tables(records))
-    return "\n".join(["% made by rmesh table; needs \\usepackage{booktabs}\n", *tables])
-
-
-def _latex_tables(records: Sequence[Record]) -> Iterator[Table]:
-    if is_study(records):
+    if not is_study(records):
+        every = tables(records)
+    else:
         medians = median_table(records)
         families = grouped(medians.rows, lambda row: row[0])
-        groups: Groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
-        yield Table(medians.head[1:], groups, "Results of the study.", study_notes(records))
-        return
-    units, every = units_notes(records), blocks(records)
-    printed = ["The paper truncates its digits."] if any(block.paper for block in every) else []
-    below = {MAIN: [*units, *stopped_early(records)], ENERGIES: [*printed, *units]}
-    for columns, caption in CAPTIONS.items():
-        wanted = (block for block in every if block.has_energy and _is_wanted(columns, block))
-        examples = [(block.title, body(columns, block)) for block in wanted]
-        if examples:
-            yield table_of(columns, examples, caption, below.get(columns, ()))
-    for block in every:
-        for _, tables in () if block.has_energy else design_tables(block):
-            yield from tables
-    yield from joined_tables(records).values()
+        groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
+        every = [replace(medians, head=medians.head[1:], groups=groups)]
+    return "\n".join(
+        ["% made by rmesh table; needs \\usepackage{booktabs}\n", *(table.latex() for table in every)]
+    )
 
 
 def frame(records: Sequence[Record]) -> pd.DataFrame:

@@ -8,14 +8,14 @@ outcome; their declarations have no value of a Solution.
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.contact_results import ContactResult, of_all
+from rmesh_nlp.assessment.contact_results import of_all
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
@@ -28,14 +28,13 @@ from rmesh_nlp.solving.entry import (
     Named,
     Number,
     Text,
+    attribute,
     of_energies,
     of_seconds,
 )
 
 Solution = Any
 """A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
-
-Results = Mapping[str, ContactResult]
 
 
 def _widths(value: Any) -> object:
@@ -46,7 +45,7 @@ def _widths(value: Any) -> object:
     return value
 
 
-def _seconds(name: str, meaning: str, of: Callable[[Solution], float] | None, **options: Any) -> Entry:
+def _seconds(name: str, meaning: str, of: str | None, **options: Any) -> Entry:
     def check(value: float | None) -> float | None:
         if value is not None and value < 0:
             raise ValueError("expected seconds, at least 0")
@@ -78,10 +77,6 @@ def _error_reduction(solution: Solution) -> object:
     return solution.error_reduction and solution.error_reduction.record()
 
 
-def _attained(solution: Solution) -> dict[str, float]:
-    return vars(solution.reduced_error.attained) if solution.reduced_error.attained else {}
-
-
 def _exploits(solution: Solution) -> str | None:
     return solution.assessment.costliest if solution.assessment.is_exploited else None
 
@@ -97,68 +92,68 @@ def _remark(solution: Solution) -> str | None:
 
 
 # fmt: off
-def _contact(suffix: str, where: str, of: Callable[[Solution], Results]) -> tuple[Entry, ...]:
+def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
     """Results of the contact on one of the meshes."""
 
-    def on(value: Callable[[ContactResult], float]) -> Callable[[Solution], float | None]:
-        return lambda s: None if (every := of_all(of(s))) is None else value(every)
+    def on(name: str) -> Callable[[Solution], float | None]:
+        return lambda solution: attribute(of_all(attribute(solution, path)), name)
 
     return (
         Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
-              on(lambda its: its.peak_pressure), unit="force/length^2", heading="peak|pressure",
+              on("peak_pressure"), unit="force/length^2", heading="peak|pressure",
               digits=".4g"),
         Entry(f"resultant{suffix}", Number,
               f"Integral of the contact pressure on {where}: the sum of all normal forces.",
-              on(lambda its: its.normal_force), unit="force/length", heading="normal|force", digits=".4g"),
+              on("normal_force"), unit="force/length", heading="normal|force", digits=".4g"),
         Entry(f"contact_length{suffix}", Number,
               f"Length of the boundary that presses on {where}; of an interior obstacle an area.",
-              on(lambda its: its.contact_length), unit="length"),
+              on("contact_length"), unit="length"),
     )
 
 
 SECTIONS: dict[str, tuple[Entry, ...]] = {
     "What was solved": (
         Entry("key", str, "Name of the solve, and of its files in `solutions/`."),
-        Entry("example", str, "Name of the problem.", lambda s: s.problem.name, EVERY),
-        Entry("formulation", str, "That solved it.", lambda s: s.formulation, EVERY),
-        Entry("objective", str, "What was minimised.", lambda s: s.objective, EVERY),
-        Entry("n", str, "Size of the mesh, as the problem gives it.", lambda s: s.problem.size, EVERY),
+        Entry("example", str, "Name of the problem.", "problem.name", EVERY),
+        Entry("formulation", str, "That solved it.", "formulation", EVERY),
+        Entry("objective", str, "What was minimised.", "objective", EVERY),
+        Entry("n", str, "Size of the mesh, as the problem gives it.", "problem.size", EVERY),
         Entry("delta", Any, "Move limits along x and y, a part of the shortest edge, or null for none.",
               lambda s: s.problem.motion.delta_record(), EVERY, unit="length", check=_widths),
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
-              lambda s: s.problem.order, SOLVED, heading="order"),
+              "problem.order", SOLVED, heading="order"),
         Entry("nodes", Count, "Vertices of the mesh.", lambda s: int(s.mesh.p.shape[1]), SOLVED),
         Entry("triangles", Count, "Of the mesh.", lambda s: int(s.mesh.t.shape[1]), SOLVED),
         Entry("unknowns", Count, "Of the displacement.", _unknowns, SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
-              lambda s: s.problem.rule, SOLVED),
+              "problem.rule", SOLVED),
         Entry("units", Named | dict[str, str], "Of the problem, if it names any.", _units, SOLVED),
         Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "
-              "whose solution it was.", lambda s: s.start, SOLVED, heading="start"),
-        Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", lambda s: s.seed,
+              "whose solution it was.", "start", SOLVED, heading="start"),
+        Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", "seed",
               EVERY, heading="seed"),
         Entry("settings", dict[str, Any], "That differ from the defaults.", lambda s: dict(s.settings),
               SOLVED),
         Entry("limits", dict[str, Any], "Of time and iterations.", lambda s: s.limits.changed() or None),
-        Entry("tolerance", Number, "Of the first-order residual.", lambda s: s.assessment.tolerance, SOLVED),
-        Entry("chosen_by", Text, "`auto`, where it chose the formulation.", lambda s: s.chosen_by),
-        Entry("chosen", Text, "Why it chose that.", lambda s: s.chosen),
+        Entry("tolerance", Number, "Of the first-order residual.", "assessment.tolerance", SOLVED),
+        Entry("chosen_by", Text, "`auto`, where it chose the formulation.", "chosen_by"),
+        Entry("chosen", Text, "Why it chose that.", "chosen"),
         Entry("safe", Text, "What followed an exploited end, see [the assessment](assessment.md).",
-              lambda s: s.safe),
+              "safe"),
         Entry("versions", Any, "Of Python and of the packages that decide the figures.", lambda s: versions(),
               EVERY),
     ),
     "How it ended": (
         Entry("status", str, "That of the assessment; `refused` and `failed` are solves that raised.",
-              lambda s: s.status.value, EVERY, heading="status"),
-        Entry("success", bool, "Valid and improved.", lambda s: s.success, EVERY),
+              "status.value", EVERY, heading="status"),
+        Entry("success", bool, "Valid and improved.", "success", EVERY),
         Entry("valid", bool, "Whether the contact problem is solved on the final mesh, see [the "
-              "assessment](assessment.md).", lambda s: s.valid, SOLVED),
+              "assessment](assessment.md).", "valid", SOLVED),
         Entry("improved", bool, "Whether the minimised objective is not above its value on the given mesh.",
-              lambda s: s.assessment.improved, SOLVED),
-        Entry("message", Text, "The status in words.", lambda s: s.message, SOLVED),
+              "assessment.improved", SOLVED),
+        Entry("message", Text, "The status in words.", "message", SOLVED),
         Entry("solver_status", Text, "How the solver says that it ended.",
-              lambda s: s.assessment.solver_status.value, SOLVED),
+              "assessment.solver_status.value", SOLVED),
         Entry("exploits", Text, "Kind of the discretisation error that the optimiser found: `quadrature`, "
               "`penetration`, `friction` or `geometry`.", _exploits, SOLVED),
         Entry("warnings", list[str], "Signs of a wrong set-up, and of gains that are discretisation errors.",
@@ -166,72 +161,71 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "Energies and objectives": (
         Entry("energy_initial", Number, "J on the given mesh with the problem's own quadrature.",
-              lambda s: s.energy_initial, EVERY, "energy", is_measured=True, heading="J given,|own rule",
+              "energy_initial", EVERY, "energy", is_measured=True, heading="J given,|own rule",
               digits=of_energies),
-        Entry("energy", Number, "The same on the final mesh.", lambda s: s.energy, EVERY, "energy",
+        Entry("energy", Number, "The same on the final mesh.", "energy", EVERY, "energy",
               is_measured=True, heading="J relocated,|own rule", digits=of_energies),
         Entry("energy_initial_audited", Number, "Least continuous energy of an admissible displacement on "
-              "the given mesh.", lambda s: s.energy_initial_audited, SOLVED, "energy", heading="J|given",
+              "the given mesh.", "energy_initial_audited", SOLVED, "energy", heading="J|given",
               digits=of_energies),
-        Entry("energy_audited", Number, "The same on the final mesh.", lambda s: s.energy_audited, EVERY,
+        Entry("energy_audited", Number, "The same on the final mesh.", "energy_audited", EVERY,
               "energy", is_measured=True, heading="J|relocated", digits=of_energies),
-        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", lambda s: s.gain, EVERY, "energy",
+        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", "gain", EVERY, "energy",
               is_measured=True),
-        Entry("gain_audited", Number, "Fall of the audited energy.", lambda s: s.gain_audited, SOLVED,
+        Entry("gain_audited", Number, "Fall of the audited energy.", "gain_audited", SOLVED,
               "energy"),
         Entry("objective_initial", Number, "The minimised objective on the given mesh; absent where a new "
-              "mesh was made.", _objective_initial, heading="initial", digits=".6e"),
+              "mesh was made.", _objective_initial, heading="objective|at start",
+              digits=".6e"),
         Entry("objective_value", Number, "The same on the final mesh.",
-              lambda s: s.assessment.final.objective, SOLVED, heading="final", digits=".6e"),
+              "assessment.final.objective", SOLVED, heading="objective|at end", digits=".6e"),
         Entry("gain_surviving", Number, "Gain in a quantity of the displacement on uniform refinements of "
               "the two meshes, over the gain found; a small share means that a discretisation error was "
-              "minimised.", lambda s: s.surviving_gain and s.surviving_gain.share),
+              "minimised.", "surviving_gain.share"),
         Entry("error_reduction", dict[str, Any], "Bounds of the error of the energy before and after and of "
               "their ratio, what they rest on (`source`: `exact`, `refinement` or `certified`), and the "
               "contact solves that the relocation took.", _error_reduction),
         Entry("attainable_factor", Number, "By how much less the error of the best mesh of as many triangles "
-              "is than that of the given mesh, estimated.", lambda s: _attained(s).get("attainable_factor")),
+              "is than that of the given mesh, estimated.", "reduced_error.attained.attainable_factor"),
         Entry("share_of_attainable", Number, "That least error over the one of the final mesh.",
-              lambda s: _attained(s).get("share_of_attainable")),
+              "reduced_error.attained.share_of_attainable"),
         Entry("I1", Number, "Error of the energy, a term of Theorem 4.1, where the exact solution is known.",
-              unit="energy", heading="I1", digits=".6f", tex="$I_1$"),
-        Entry("I2", Number, "The same of the contact.", unit="energy", heading="I2", digits=".2e",
-              tex="$I_2$"),
-        Entry("I3", Number, "The same of the friction.", unit="energy", heading="I3", digits=".2e",
-              tex="$I_3$"),
+              unit="energy", heading="I1", digits=".6f"),
+        Entry("I2", Number, "The same of the contact.", unit="energy", heading="I2", digits=".2e"),
+        Entry("I3", Number, "The same of the friction.", unit="energy", heading="I3", digits=".2e"),
         Entry("energy_above_exact", Number, "What the terms sum to.", unit="energy",
-              heading="J audited - J exact", digits=".6f", tex="$J-J(u)$,|audited"),
+              heading="J above|exact", digits=".6f"),
     ),
     "Displacement and mesh": (
         Entry("u_min", Number, "Least displacement component.", lambda s: float(s.displacement.min()), EVERY,
-              "length", is_measured=True, heading="u min", digits=".4g", tex=r"$u_{\min}$"),
+              "length", is_measured=True, heading="u min", digits=".4g"),
         Entry("u_max", Number, "Largest displacement component.", lambda s: float(s.displacement.max()),
-              EVERY, "length", is_measured=True, heading="u max", digits=".4g", tex=r"$u_{\max}$"),
+              EVERY, "length", is_measured=True, heading="u max", digits=".4g"),
         Entry("min_area_ratio", Number, "Least element area over its initial value.",
-              lambda s: s.assessment.final.min_area_ratio, EVERY, is_measured=True,
+              "assessment.final.min_area_ratio", EVERY, is_measured=True,
               heading="least|area ratio", digits=".3f"),
         Entry("domain_area_change", Number, "Relative, where nodes slide along curves.",
-              lambda s: s.assessment.domain_area_change),
+              "assessment.domain_area_change"),
         Entry("penetration", Number, "Deepest penetration between contact nodes.",
-              lambda s: s.assessment.final.penetration, SOLVED, "length"),
+              "assessment.final.penetration", SOLVED, "length"),
     ),
     "Contact": (
-        *_contact("_initial", "the given mesh", lambda s: s.assessment.given.contact),
-        *_contact("", "the final mesh", lambda s: s.assessment.final.contact),
-        *_contact("_refined", "its refinement", lambda s: s.reduced_error.contact),
+        *_contact("_initial", "the given mesh", "assessment.given.contact"),
+        *_contact("", "the final mesh", "assessment.final.contact"),
+        *_contact("_refined", "its refinement", "reduced_error.contact"),
         Entry("contact", dict[str, dict[str, dict[str, Number]]],
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
               "tangents), `peak_pressure` and `contact_length`, each for the mesh `given`, the one "
               "`relocated` and, where that was solved, its refinement, `refined`.",
               lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
-              lambda s: s.assessment.final.sticking_nodes),
-        Entry("sliding_nodes", Count, "The same that slide.", lambda s: s.assessment.final.sliding_nodes),
+              "assessment.final.sticking_nodes"),
+        Entry("sliding_nodes", Count, "The same that slide.", "assessment.final.sliding_nodes"),
         Entry("coulomb_residual_initial", Number, "How far Coulomb's law is from holding along whole contact "
               "edges of the given mesh, as a part of the contact force "
-              "([theory](theory.md#coulomb-friction)).", lambda s: s.assessment.given.coulomb_residual),
+              "([theory](theory.md#coulomb-friction)).", "assessment.given.coulomb_residual"),
         Entry("coulomb_residual", Number, "The same on the final mesh.",
-              lambda s: s.assessment.final.coulomb_residual),
+              "assessment.final.coulomb_residual"),
     ),
     "Designs": (
         Entry("design", Named, "Of a [design](own_problems.md#designs): its variables at the end. Energies "
@@ -246,9 +240,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               _constraints),
     ),
     "Work": (
-        Entry("iterations", Count, "Of the solver.", lambda s: s.iterations, EVERY, is_measured=True,
+        Entry("iterations", Count, "Of the solver.", "iterations", EVERY, is_measured=True,
               heading="iterations"),
-        Entry("contact_solves", Count, "Of the formulation.", lambda s: s.contact_solves, EVERY,
+        Entry("contact_solves", Count, "Of the formulation.", "contact_solves", EVERY,
               is_measured=True, heading="contact|solves"),
         Entry("cold_contact_solves", Count, "Those without an active set to start from.",
               lambda s: s.work.cold_contact_solves or None),
@@ -256,32 +250,31 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: s.work.contact_factorisations or None),
         Entry("kkt_factorisations", Count, "Of KKT matrices; Ipopt's iterations, each of which takes one at "
               "least.", lambda s: s.work.kkt_factorisations or None, heading="KKT|factorisations"),
-        _seconds("wall_time_s", "Build, solve and audit.", lambda s: s.wall_time_s, presence=EVERY,
+        _seconds("wall_time_s", "Build, solve and audit.", "wall_time_s", presence=EVERY,
                  is_measured=True, heading="time|[s]", digits=of_seconds),
-        _seconds("build_time_s", "Making models and derivatives.", lambda s: s.build_time_s),
-        _seconds("solve_time_s", "The formulation.", lambda s: s.solve_time_s),
-        _seconds("audit_time_s", "The assessment.", lambda s: s.audit_time_s),
+        _seconds("build_time_s", "Making models and derivatives.", "build_time_s"),
+        _seconds("solve_time_s", "The formulation.", "solve_time_s"),
+        _seconds("audit_time_s", "The assessment.", "audit_time_s"),
         _seconds("contact_time_s", "One contact solve on the given mesh, the unit of cost.",
-                 lambda s: s.contact_time_s, is_measured=True),
+                 "contact_time_s", is_measured=True),
     ),
     "Residuals and stationarity": (
         Entry("equilibrium_residual", Number, "Of an independent contact solve on the final mesh, over the "
-              "largest force.", lambda s: s.assessment.final.residuals.equilibrium, EVERY, is_measured=True,
-              heading="equilibrium,|assessed", digits=".1e", tex="equil.,|assessed"),
+              "largest force.", "assessment.final.residuals.equilibrium", EVERY, is_measured=True,
+              heading="equil.,|assessed", digits=".1e"),
         Entry("complementarity_residual", Number, "Violation of the laws of contact and friction by that "
-              "solve, dimensionless.", lambda s: s.assessment.final.residuals.complementarity, EVERY,
-              is_measured=True, heading="complementarity,|assessed", digits=".1e", tex="compl.,|assessed"),
+              "solve, dimensionless.", "assessment.final.residuals.complementarity", EVERY,
+              is_measured=True, heading="compl.,|assessed", digits=".1e"),
         Entry("own_equilibrium_residual", Number, "Of the formulation's own displacement and forces.",
-              lambda s: s.assessment.own_residuals.equilibrium, SOLVED, heading="equilibrium,|own",
-              digits=".1e", tex="equil.,|own"),
+              "assessment.own_residuals.equilibrium", SOLVED, heading="equil.,|own", digits=".1e"),
         Entry("own_complementarity_residual", Number, "The same for complementarity.",
-              lambda s: s.assessment.own_residuals.complementarity, SOLVED, heading="complementarity,|own",
-              digits=".1e", tex="compl.,|own"),
+              "assessment.own_residuals.complementarity", SOLVED, heading="compl.,|own",
+              digits=".1e"),
         Entry("stationarity", Text, "The kind that was computed: KKT, or W, C, M, S, B of an MPCC.",
-              lambda s: s.stationarity, EVERY),
+              "stationarity", EVERY),
         Entry("stationarity_residual", Number, "First-order residual of the outer problem, over that on the "
-              "given mesh.", lambda s: s.stationarity_residual, SOLVED, heading="first-order residual",
-              digits=".1e", tex="first-|order"),
+              "given mesh.", "stationarity_residual", SOLVED, heading="first-order|residual",
+              digits=".1e"),
         Entry("label", Text, "With another objective than the energy: the kind in words."),
         Entry("b_stationary", bool | None, "Whether no branch of the contact descends; null: not decided."),
         Entry("biactive", Count, "Pairs whose members both vanish."),
@@ -291,25 +284,25 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "Certificate": (
         Entry("energy_lower_bound", Number, "Of the least energy, see [the certificate](certificate.md).",
-              lambda s: s.certificate and s.certificate.lower, unit="energy", heading="lower|bound",
+              "certificate.lower", unit="energy", heading="lower|bound",
               digits=of_energies),
         Entry("energy_upper_bound", Number, "Of the least energy.",
-              lambda s: s.certificate and s.certificate.upper, unit="energy", heading="upper|bound",
+              "certificate.upper", unit="energy", heading="upper|bound",
               digits=of_energies),
         Entry("error_bound_initial", Number, "Of the error on the given mesh in the energy norm.",
-              lambda s: s.certificate and s.certificate.error_bound_initial, unit="energy^(1/2)"),
+              "certificate.error_bound_initial", unit="energy^(1/2)"),
         Entry("error_bound", Number, "The same on the final mesh.",
-              lambda s: s.certificate and s.certificate.error_bound, unit="energy^(1/2)"),
+              "certificate.error_bound", unit="energy^(1/2)"),
         Entry("relative_error_bound_initial", Number, "The first over the norm of the solution.",
-              lambda s: s.certificate and s.certificate.relative_initial),
+              "certificate.relative_initial"),
         Entry("relative_error_bound", Number, "The second over it.",
-              lambda s: s.certificate and s.certificate.relative),
+              "certificate.relative"),
         Entry("guaranteed_lower", bool | None, "Whether the lower bound is one, not an estimate.",
-              lambda s: s.certificate and s.certificate.guaranteed_lower),
+              "certificate.guaranteed_lower"),
         Entry("guaranteed_upper", bool | None, "The same of the upper one.",
-              lambda s: s.certificate and s.certificate.guaranteed_upper),
+              "certificate.guaranteed_upper"),
         Entry("guaranteed_initial", bool | None, "The same of the error on the given mesh.",
-              lambda s: s.certificate and s.certificate.guaranteed_initial),
+              "certificate.guaranteed_initial"),
         Entry("certificate_remark", Text, "Why they are not.", _remark),
     ),
     "What formulations add": (
@@ -365,7 +358,7 @@ ENTRIES = {entry.name: entry for section in SECTIONS.values() for entry in secti
 
 def written(solution: Solution) -> dict[str, object]:
     """The entries that a solution has a value of."""
-    values = {entry.name: entry.of(solution) for entry in ENTRIES.values() if entry.of is not None}
+    values = {entry.name: entry.value(solution) for entry in ENTRIES.values() if entry.of is not None}
     return {
         name: value
         for name, value in values.items()

@@ -21,6 +21,13 @@ def of_seconds(value: float) -> str:
     return ".2g" if value < 10 else ".0f"
 
 
+def attribute(thing: Any, path: str) -> Any:
+    """The attribute at the end of a path with dots; None where the path has an end before."""
+    for name in path.split("."):
+        thing = None if thing is None else getattr(thing, name)
+    return thing
+
+
 class Presence(Enum):
     """In which records an entry stands.
 
@@ -48,8 +55,9 @@ class Entry:
         What pydantic checks, strictly; null may stand for everything but texts and flags of ``EVERY`` record.
     meaning : str
         In Markdown.
-    of : callable, optional
-        Its value for a Solution; without one, formulations, comparisons or studies write it.
+    of : str or callable, optional
+        Where a Solution has its value, such as ``assessment.tolerance``, or what makes it of a Solution;
+        without one, formulations, comparisons or studies write it.
     presence : Presence
     unit : str
         "energy" and "length" are those of the problem; empty where there is none.
@@ -57,21 +65,24 @@ class Entry:
         Raises a ValueError where the type alone does not tell a wrong value.
     is_measured : bool
         Whether it is a number in every record of a success.
-    heading, digits, tex : str
-        Of its column; lines of a heading are separated by a bar, ``tex`` is a shorter one for LaTeX.
+    heading, digits : str
+        Of its column; lines of a heading are separated by a bar.
     """
 
     name: str
     type: object
     meaning: str
-    of: Callable[[Any], object] | None = None
+    of: str | Callable[[Any], object] | None = None
     presence: Presence = KNOWN
     unit: str = ""
     check: Callable[[Any], object] | None = None
     is_measured: bool = False
     heading: str = ""
     digits: Digits = "d"
-    tex: str = ""
+
+    def value(self, solution: Any) -> object:
+        """Its value for a Solution, None where there is none."""
+        return self.of(solution) if callable(self.of) else attribute(solution, str(self.of))
 
 
 Number = float | None

@@ -8,7 +8,7 @@ evidence, not a proof.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from statistics import median
@@ -79,23 +79,27 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
 
 
 def _given(example: str) -> list[Statement]:
-    paper, solution = PAPER[example], solve(EXAMPLES[example](), "fixed")
-    u = solution.displacement
-    figures = [
-        ("initial energy", paper.energy_initial, solution.energy),
-        ("least initial displacement", paper.u_min_initial, float(u.min())),
-        ("largest initial displacement", paper.u_max_initial, float(u.max())),
-    ]
-    statements = []
-    for what, printed, ours in figures:
-        if printed is None:
+    solution = solve(EXAMPLES[example](), "fixed")
+    u, how = solution.displacement, f"contact solve on the given mesh, {solution.status.value}"
+    return given_statements(example, (solution.energy, float(u.min()), float(u.max())), how)
+
+
+def given_statements(example: str, computed: Sequence[float | None], evidence: str = "") -> list[Statement]:
+    """Energy, least and largest displacement on the given mesh, as far as the paper prints them."""
+    paper, statements = PAPER[example], []
+    figures = {
+        "initial energy": paper.energy_initial,
+        "least initial displacement": paper.u_min_initial,
+        "largest initial displacement": paper.u_max_initial,
+    }
+    for (what, printed), ours in zip(figures.items(), computed, strict=True):
+        if printed is None or ours is None:
             continue
         # of displacements one unit in the last place: the paper truncates some figures and rounds others
         near = abs(ours - printed) < 10.0**-PRINTED_DIGITS
         met = truncated(ours) == truncated(printed) if what == "initial energy" else near
-        how = f"contact solve on the given mesh, {solution.status.value}"
         outcome = MET if met else NOT_MET
-        statements.append(Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", outcome, how))
+        statements.append(Statement(example, what, f"{printed:.4f}", f"{ours:.6f}", outcome, evidence))
     return statements
 
 
@@ -127,14 +131,15 @@ def _final(example: str, energies: dict[str, float], starts: int) -> list[Statem
     )
     count = f"{len(seeds)} of {starts} random starts ended with a valid mesh, joint"
     spread = f"{min(seeds):.6f}, {median(seeds):.6f}, {max(seeds):.6f}" if seeds else "-"
-    ours, outcome = f"{good[best]:.6f} ({best})", _reached(good[best], printed)
+    ours, outcome = f"{good[best]:.6f} ({best})", reached(good[best], printed)
     return [
         Statement(example, "random starts: least, median, largest", "-", spread, "", count),
         Statement(example, "final energy", f"{printed:.4f}", ours, outcome, evidence),
     ]
 
 
-def _reached(ours: float, printed: float) -> str:
+def reached(ours: float, printed: float) -> str:
+    """The outcome for an energy: what is compared are the printed digits, which the paper truncates."""
     if truncated(ours) == truncated(printed):
         return MET
     return PASSED if truncated(ours) < truncated(printed) else NOT_MET
@@ -144,7 +149,7 @@ def _larger(example: str, factor: float, starts: int, say: Say) -> Statement:
     printed = PAPER[example].energy_final
     energies = _descents(example, factor, starts, say, nested=starts > 0)
     best = min(value for value in energies.values() if math.isfinite(value))
-    outcome, meaning = _reached(best, printed), "the paper prints the smaller move limits"
+    outcome, meaning = reached(best, printed), "the paper prints the smaller move limits"
     if outcome != NOT_MET:
         meaning = "the printed energy is within reach of larger move limits than the paper prints"
     what = f"final energy with move limits {factor:g} times as large"
@@ -164,7 +169,7 @@ def _frozen(starts: int, say: Say) -> Statement:
         "not the energy of a contact problem on the final mesh"
     )
     what = "final energy, friction weights wrongly held fixed"
-    return Statement("6.3", what, f"{printed:.4f}", f"{best:.6f}", _reached(best, printed), evidence)
+    return Statement("6.3", what, f"{printed:.4f}", f"{best:.6f}", reached(best, printed), evidence)
 
 
 def least_energy_with_frozen_friction(problem: ContactProblem, seed: int | None = None) -> float:

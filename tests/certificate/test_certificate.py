@@ -20,7 +20,6 @@ from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
 from rmesh_nlp.report.blocks import blocks
-from rmesh_nlp.report.columns import CERTIFICATES
 from rmesh_nlp.report.figures import block_figures
 from rmesh_nlp.report.style import Page
 from rmesh_nlp.report.tables import markdown
@@ -158,7 +157,7 @@ def test_tables_and_figures_show_it(folder):
     results = read_results(folder)
     records = [result.record for result in results]
     text = markdown(records)
-    assert CERTIFICATES[-1].heading.replace("|", " ") in text
+    assert "error after [%]" in text
     assert "at most" in text
     figures = dict(block_figures(blocks(records)[0], results, Page()))
     (error,) = [figure for name, figure in figures.items() if name.endswith("-error")]

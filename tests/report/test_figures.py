@@ -221,7 +221,12 @@ def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
 
 def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
     way = Curve(
-        "joint", np.arange(3), np.array([1.0, 2.0, 4.0]), np.array([-1.0, -1.5, -2.0]), np.ones(3, bool)
+        "joint",
+        np.arange(3),
+        np.array([1.0, 2.0, 4.0]),
+        np.array([-1.0, -1.5, -2.0]),
+        np.ones(3, bool),
+        np.ones(3),
     )
     iterations, costs = convergence_figure([way], {"objective": "energy", "energy": -9.0}, PAGE).axes
     np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
