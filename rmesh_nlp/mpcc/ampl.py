@@ -12,30 +12,27 @@ import os
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from rmesh_nlp import __version__
-from rmesh_nlp.mpcc.options import Options, with_ipopt
+from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.reading import read_nl
 from rmesh_nlp.mpcc.sol import message, write_sol
 from rmesh_nlp.mpcc.solver import solve
+from rmesh_nlp.settings import from_texts
 
 VARIABLE = "rmesh_mpcc_options"
 _FLAGS = ("-AMPL", "-s", "-v", "-=")
 _WORDS = {"true": True, "yes": True, "false": False, "no": False, "none": None}
-_NOT_TEXT = ("ipopt_relaxed", "ipopt_exact", "ipopt_warm")
-"""Options that a word cannot say."""
 
 
-def is_meant(arguments: Sequence[str]) -> bool:
+def is_meant(words: Sequence[str]) -> bool:
     """Whether the command is called as AMPL calls solvers."""
-    return any(argument in _FLAGS for argument in arguments)
+    return any(word in _FLAGS for word in words)
 
 
-def run(arguments: Sequence[str]) -> int:
+def run(words: Sequence[str]) -> int:
     """Solve ``stub.nl`` and write ``stub.sol``; 0 if it was written, whatever the solve ended with.
 
     Raises
@@ -45,26 +42,27 @@ def run(arguments: Sequence[str]) -> int:
     OSError
         If a file cannot be read or written.
     """
-    if "-v" in arguments:
+    if "-v" in words:
         print(f"rmesh-mpcc {__version__}")
         return 0
-    if "-=" in arguments:
-        print("\n".join([*_keys(), "outlev", "ipopt.NAME"]))
+    if "-=" in words:
+        print("\n".join([*Options.names(), "ipopt.NAME", "outlev"]))
         return 0
-    flags = [argument for argument in arguments if argument.startswith("-")]
-    stub, *assignments = [argument for argument in arguments if not argument.startswith("-")] or [""]
-    unknown = [flag for flag in flags if flag not in _FLAGS]
-    if unknown:
+    if unknown := [word for word in words if word.startswith("-") and word not in _FLAGS]:
         raise ValueError(f"unknown flag {unknown[0]!r}; there are {', '.join(_FLAGS)}")
+    stub, *assignments = [word for word in words if not word.startswith("-")] or [""]
     if not stub:
         raise ValueError("no stub given: the model's file without .nl")
-    options, level = _options([*_assignments(os.environ.get(VARIABLE, "")), *assignments])
+    texts = from_texts([*_assignments(os.environ.get(VARIABLE, "")), *assignments], "option ")
+    given = {key: _WORDS.get(str(value).lower(), value) for key, value in texts.items()}
+    # whoever reads a pipe sees each line at once
+    show = False if given.pop("outlev", 1) == 0 else partial(print, flush=True)
+    options = Options().having(given)
     stub = stub.removesuffix(".nl")
     problem = read_nl(Path(f"{stub}.nl"))
-    show = partial(print, flush=True) if level > 0 else False  # whoever reads a pipe sees each line at once
     result = solve(problem.mpcc, problem.x0, options=options, progress=show)
     write_sol(Path(f"{stub}.sol"), problem, result)
-    if "-AMPL" not in arguments:  # AMPL shows the message of the file
+    if "-AMPL" not in words:  # AMPL shows the message of the file
         print(message(problem, result))
     return 0
 
@@ -75,34 +73,3 @@ def _assignments(text: str) -> list[str]:
     for word in words:
         assignments.append(word if "=" in word else f"{word}={next(words, '')}")
     return assignments
-
-
-def _keys() -> list[str]:
-    return [option.name for option in fields(Options) if option.name not in _NOT_TEXT]
-
-
-def _options(words: Sequence[str]) -> tuple[Options, int]:
-    """The options of the solver and the level of output, from ``key=value``; later ones hold."""
-    given: dict[str, Any] = {}
-    for word in words:
-        key, equals, text = word.partition("=")
-        if not (key and equals):
-            raise ValueError(f"option {word!r} is not of the form key=value")
-        if key not in (*_keys(), "outlev") and not key.startswith("ipopt."):
-            keys = ", ".join(_keys())
-            raise ValueError(f"unknown option {key!r}; there are {keys}, outlev, and ipopt.{key} for Ipopt's")
-        given[key] = _value(text)
-    level = given.pop("outlev", 1)
-    if not isinstance(level, int):
-        raise ValueError(f"outlev must be 0 (quiet) or 1 (a line per NLP), got {level!r}")
-    return Options().having(with_ipopt(given)), level
-
-
-def _value(text: str) -> Any:
-    """A word as a whole number, a number, true or false, or text."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return _WORDS.get(text.lower(), text)

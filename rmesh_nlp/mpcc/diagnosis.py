@@ -6,35 +6,34 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.names import in_short, named
 from rmesh_nlp.mpcc.problem import MPCC
 
 _FEW = 4  # unknowns that are named
 
 
-def where_not_finite(mpcc: MPCC, x: Array, p: Array) -> str:
+def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
     """The first function that is NaN or infinite at ``x``, with its unknowns, else the first such derivative.
 
-    Nothing if all are finite. With assembled derivatives only functions are looked at.
+    Nothing if all are finite.
     """
-    oracle = ca.Function("oracle", [mpcc.x, mpcc.p], [ca.vertcat(mpcc.f, mpcc.g, mpcc.G, mpcc.H)])
-    rows = ["f", *(f"{part}[{i}]" for part in "gGH" for i in range(getattr(mpcc, part).shape[0]))]
-    values = flat(oracle(x, p))
-    bad = np.flatnonzero(~np.isfinite(values))
-    if mpcc.derivatives is not None:  # of a model whose expressions are long
-        return f"{rows[bad[0]]} is {values[bad[0]]}." if bad.size else ""
-    if bad.size:
-        row = int(bad[0])
-        row_of, column_of = (np.asarray(part) for part in oracle.jac_sparsity(0, 0).get_triplet())
-        unknowns = column_of[row_of == row]
+    mpcc, base = lifted.source, lifted.base
+    f, gradient = base.grad_f(x, p)
+    column, jacobian = base.jac_g(x, p)
+    places = ["f", *(f"{part}[{i}]" for part in "gGH" for i in range(getattr(mpcc, part).shape[0]))]
+    values, derivatives = flat(ca.vertcat(f, column)), ca.vertcat(gradient.T, jacobian)
+    rows, columns = (np.asarray(part) for part in derivatives.sparsity().get_triplet())
+    slopes = np.asarray(derivatives.nonzeros())
+    if not np.all(np.isfinite(values)):
+        row = int(np.argmin(np.isfinite(values)))
+        unknowns = columns[(rows == row) & (slopes != 0)]
         at = ", ".join(f"{named(mpcc.x, int(j))} = {x[j]:g}" for j in unknowns[:_FEW])
-        return f"{rows[row]} is {values[row]} at {at}{', ...' if unknowns.size > _FEW else ''}."
-    jacobian = oracle.jacobian()(x, p, 0)[0]
-    nonzeros, triplet = np.array(jacobian.nonzeros()), jacobian.sparsity().get_triplet()
-    bad = np.flatnonzero(~np.isfinite(nonzeros))
-    if bad.size:
-        row, j = (part[bad[0]] for part in triplet)
-        return f"The derivative of {rows[row]} is {nonzeros[bad[0]]} at {named(mpcc.x, j)} = {x[j]:g}."
+        return f"{places[row]} is {values[row]} at {at}{', ...' if unknowns.size > _FEW else ''}."
+    if not np.all(np.isfinite(slopes)):
+        k = int(np.argmin(np.isfinite(slopes)))
+        j = int(columns[k])
+        return f"The derivative of {places[rows[k]]} is {slopes[k]} at {named(mpcc.x, j)} = {x[j]:g}."
     return ""
 
 

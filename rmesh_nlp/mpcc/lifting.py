@@ -8,7 +8,7 @@ sparsity of the NLP never changes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
 from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
@@ -79,11 +79,8 @@ class Lifted:
         return on_side(np.asarray(z[self.pairs[0]] <= z[self.pairs[1]]))
 
     @cached_property
-    def _by_rows(self) -> tuple[IntArray, IntArray, IntArray]:
-        """Order of the Jacobian's nonzeros row by row, their columns, and where each row begins."""
-        numbers = np.arange(self.pattern[0].size)
-        rows = sp.csr_matrix((numbers, self.pattern), shape=(self.nlp.n_g, self.nlp.n_x))
-        return rows.data.astype(np.int64), rows.indices, rows.indptr
+    def _rows(self) -> Block:
+        return Block(numbered(self.jacobian.function.sparsity_out(1)), slice(None), slice(None))
 
     @cached_property
     def _symmetric(self) -> Symmetric:
@@ -120,9 +117,7 @@ class Lifted:
         """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
         f, gradient = self.value(z, p)
         rows, nonzeros = self.jacobian(z, p)
-        order, columns, starts = self._by_rows
-        matrix = sp.csr_matrix((nonzeros[order], columns, starts), shape=(rows.size, z.size))
-        return float(f[0]), gradient, rows, matrix
+        return float(f[0]), gradient, rows, sp.csr_matrix(self._rows(nonzeros))
 
 
 def on_side(first: BoolArray) -> BoolArray:
@@ -131,33 +126,38 @@ def on_side(first: BoolArray) -> BoolArray:
 
 
 def lift(mpcc: MPCC) -> Lifted:
-    """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place."""
-    x, p, column, f = _pure(mpcc)
-    base = mpcc.derivatives or mpcc.derived or automatic_derivatives(x, p, f, column)
-    n_x, n_g, n_pairs = mpcc.n_x, mpcc.n_g, mpcc.n_pairs
+    """Lift the pairs of ``mpcc``; a member that is an unknown with room at zero keeps its place.
+
+    In MX whatever the source is: its functions stay one call, their graph is not copied.
+    """
+    source = ca.Function("source", [mpcc.x, mpcc.p], [mpcc.f, ca.vertcat(mpcc.g, mpcc.G, mpcc.H)])
+    base = mpcc.derivatives or _derivatives_of(source, type(mpcc.x))
+    n_x, n_g, lbx, ubx = mpcc.n_x, mpcc.n_g, np.asarray(mpcc.lbx), np.asarray(mpcc.ubx)
     plain = _plain_unknowns(base, n_x, n_g)
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
-    room = np.append((np.asarray(mpcc.ubx) >= 0) & (np.asarray(mpcc.lbx) <= 0), False)
+    room = np.append((ubx >= 0) & (lbx <= 0), False)
     usable = (plain >= 0) & room[plain]
     slack_rows = np.flatnonzero(~usable)
-    n_s = slack_rows.size
     place = np.where(usable, plain, 0)
-    place[slack_rows] = n_x + np.arange(n_s)
-    rows = np.concatenate([np.arange(n_g), n_g + slack_rows]).astype(np.int64)
-    lower = np.append(mpcc.lbx, np.zeros(n_s))
-    lower[place] = np.maximum(lower[place], 0.0)
-    nlp = replace(
-        _lifted_nlp(mpcc, x, p, f, column, base, rows, n_s),
-        lbx=lower, ubx=np.append(mpcc.ubx, np.full(n_s, np.inf)),
-        lbg=np.append(mpcc.lbg, np.zeros(n_s)), ubg=np.append(mpcc.ubg, np.zeros(n_s)),
-    )  # fmt: skip
-    assert nlp.derivatives is not None
+    place[slack_rows] = n_x + np.arange(slack_rows.size)
+    rows = np.concatenate([np.arange(n_g), n_g + slack_rows])
+    x, p, slack, weight = (
+        ca.MX.sym(name, size)
+        for name, size in (("x", n_x), ("p", mpcc.p.shape[0]), ("slack", slack_rows.size), ("weight", 1))
+    )
+    zero, (f, column) = np.zeros(2 * mpcc.n_pairs), source(x, p)
+    nlp = NLP(x, p, f, column, lbx, ubx, np.append(mpcc.lbg, zero), np.append(mpcc.ubg, zero), base)
+    nlp = nlp.extended(
+        x=slack, p=weight, weight=weight, rows=rows.tolist(), shift=ca.vertcat(ca.MX(n_g, 1), -slack)
+    )
+    nlp.lbx[place] = np.maximum(nlp.lbx[place], 0.0)
     own = nlp.derivatives
+    assert own is not None
     return Lifted(
-        mpcc, nlp, place.reshape(2, n_pairs), rows, base,
+        mpcc, nlp, place.reshape(2, mpcc.n_pairs), rows, base,
         value=Evaluator(own.grad_f), jacobian=Evaluator(own.jac_g),
         hessian=None if own.hess_lag is None else Evaluator(own.hess_lag),
-        source_values=Evaluator(ca.Function("source", [x, p], [f, column])),
+        source_values=Evaluator(source),
     )  # fmt: skip
 
 
@@ -215,15 +215,10 @@ def _constant_jacobian(rows: Symbolic, x: Symbolic, p: Symbolic) -> ca.DM | None
     return ca.project(columns, sparsity) if columns.is_regular() else None
 
 
-def _pure(mpcc: MPCC) -> tuple[Symbolic, Symbolic, Symbolic, Symbolic]:
-    """x, p, vertcat(g, G, H), f; an MX of several symbols becomes one, so that CasADi can derive."""
-    column = ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
-    if isinstance(mpcc.x, ca.SX) or (mpcc.x.is_symbolic() and (mpcc.p.is_symbolic() or mpcc.p.is_empty())):
-        return mpcc.x, mpcc.p, column, mpcc.f
-    oracle = ca.Function("oracle", [mpcc.x, mpcc.p], [column, mpcc.f])
-    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
-    column, f = oracle.call([x, p], True, False)
-    return x, p, column, f
+def _derivatives_of(function: ca.Function, kind: type[Symbolic]) -> Derivatives:
+    """Those of ``(x, p) -> (f, g)``, in one symbol for x and one for p, which CasADi can derive."""
+    x, p = kind.sym("x", function.size1_in(0)), kind.sym("p", function.size1_in(1))
+    return automatic_derivatives(x, p, *function.call([x, p], True, False))
 
 
 def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> IntArray:
@@ -249,52 +244,3 @@ def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> IntArray:
         candidate &= (nonzeros[entry] == 1.0) & (value == x[unknown])
     plain[candidate] = unknown[candidate]
     return plain[n_g:]
-
-
-def _lifted_nlp(
-    mpcc: MPCC,
-    x: Symbolic,
-    p: Symbolic,
-    f: Symbolic,
-    column: Symbolic,
-    base: Derivatives,
-    rows: IntArray,
-    n_s: int,
-) -> NLP:
-    """Select the kept rows of the oracle, subtract the slacks, weight the objective by a last parameter.
-
-    In MX whatever the source is: the oracle stays one call, its graph is not copied. Without bounds.
-    """
-    objective, constraints = ca.Function("f", [x, p], [f]), ca.Function("c", [x, p], [column])
-    n_x, n_p, kept = mpcc.n_x, int(mpcc.p.shape[0]), rows.tolist()
-    z, weighted = ca.MX.sym("z", n_x + n_s), ca.MX.sym("p", n_p + 1)
-    p, w = ca.vertsplit(weighted, [0, n_p, n_p + 1])
-    x, s = ca.vertsplit(z, [0, n_x, n_x + n_s])
-
-    def ones(n_rows: int, n_columns: int, row_of: list[int]) -> ca.MX:
-        at = ca.Sparsity.triplet(n_rows, n_columns, row_of, list(range(n_columns)))
-        return ca.MX(ca.DM(at, 1.0))
-
-    shift = ones(len(kept), n_s, list(range(mpcc.n_g, mpcc.n_g + n_s)))
-    slack = ca.mtimes(shift, s)
-    f_value, gradient = (w * ca.densify(part) for part in base.grad_f(x, p))
-    g_value, jacobian = base.jac_g(x, p)
-    hess_lag = None
-    if base.hess_lag is not None:
-        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(kept))
-        scattered = ca.densify(ca.mtimes(ones(constraints.numel_out(0), len(kept), kept), lam_g))
-        hessian = ca.diagcat(base.hess_lag(x, p, w * lam_f, scattered), ca.MX(n_s, n_s))
-        hess_lag = ca.Function("nlp_hess_l", [z, weighted, lam_f, lam_g], [hessian])
-    gradient = ca.vertcat(gradient, ca.MX.zeros(n_s, 1))
-    lifted = [ca.densify(g_value[kept] - slack), ca.horzcat(jacobian[kept, :], -shift)]
-    none = np.zeros(0)
-    return NLP(
-        x=z, p=weighted, f=w * ca.densify(objective(x, p)), g=ca.densify(constraints(x, p)[kept] - slack),
-        lbx=none, ubx=none, lbg=none, ubg=none,
-        derivatives=Derivatives(
-            grad_f=ca.Function("nlp_grad_f", [z, weighted], [f_value, gradient]),
-            jac_g=ca.Function("nlp_jac_g", [z, weighted], lifted),
-            hess_lag=hess_lag,
-            kernels=base.kernels,
-        ),
-    )  # fmt: skip

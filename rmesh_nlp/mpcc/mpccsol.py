@@ -19,7 +19,7 @@ import numpy as np
 
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array, flat
-from rmesh_nlp.mpcc.options import Options, with_ipopt
+from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
@@ -165,7 +165,7 @@ class _Solve(ca.Callback):
         solver = self._solvers.pop(key, None)
         if solver is None:
             solver = MPCCSolver(replace(self._mpcc, **bounds), self._options)
-            self._mpcc = replace(self._mpcc, derived=solver.nlps.lifted.base)
+            self._mpcc = replace(self._mpcc, derivatives=solver.nlps.lifted.base)
         self._solvers[key] = solver
         if len(self._solvers) > _KEPT:
             del self._solvers[next(iter(self._solvers))]
@@ -213,7 +213,10 @@ def mpccsol(
     own = {key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}
     fails, expand = bool(settings.pop("error_on_fail", False)), bool(settings.pop("expand", False))
     settings.pop("print_time", None)  # nothing is printed
-    changed = Options().having({**with_ipopt(settings), "relaxation": plugin})
+    dotted = {key: settings.pop(key) for key in list(settings) if key.startswith("ipopt.")}
+    ipopt = {key.removeprefix("ipopt."): value for key, value in dotted.items()}
+    settings["ipopt"] = {**settings.get("ipopt", {}), **ipopt}
+    changed = Options().having({**settings, "relaxation": plugin})
     parts = {key: problem.get(key) for key in _KEYS}
     return MPCCFunction(name, _Solve(name, _expanded(parts) if expand else parts, changed, fails, own))
 

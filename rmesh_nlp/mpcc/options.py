@@ -75,6 +75,8 @@ class Options(Settings):
         Ipopt options that add to or override those of the relaxed and of the exact NLPs.
     ipopt_warm : mapping
         The same for relaxed NLPs that are started with multipliers, on top of ``ipopt_relaxed``.
+    ipopt : mapping
+        The same for all NLPs, on top of these.
     """
 
     relaxation: str = "scholtes"
@@ -98,6 +100,7 @@ class Options(Settings):
     ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
     ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
     ipopt_warm: Mapping[str, Any] = field(default_factory=dict)
+    ipopt: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -120,20 +123,12 @@ class Options(Settings):
         own = {"max_iter": max_iter or _iterations(n), **_RELAXED}
         own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
-        return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {})}
+        return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}
 
     def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
         own = {"max_iter": _iterations(n) // 3, **_EXACT, **(_WARM_EXACT if warm else {})}
-        return {**own, **self.ipopt_exact}
-
-
-def with_ipopt(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Changes of ``Options`` in which ``ipopt`` or ``ipopt.tol`` hold for relaxations and branches alike."""
-    dotted = {key.removeprefix("ipopt."): value for key, value in given.items() if key.startswith("ipopt.")}
-    ipopt = {**given.get("ipopt", {}), **dotted}
-    changes = {key: value for key, value in given.items() if key.partition(".")[0] != "ipopt"}
-    return {"ipopt_relaxed": ipopt, "ipopt_exact": ipopt, **changes} if ipopt else changes
+        return {**own, **self.ipopt_exact, **self.ipopt}
 
 
 def _iterations(n: int) -> int:

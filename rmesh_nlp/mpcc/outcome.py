@@ -126,7 +126,7 @@ def result_of(
         phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
     where = ""
     if status is Status.EVALUATION_ERROR:
-        where = where_not_finite(mpcc, end.z[: mpcc.n_x], run.p[:-1])
+        where = where_not_finite(lifted, end.z[: mpcc.n_x], run.p[:-1])
     elif status in (Status.INFEASIBLE, Status.INACCURATE):
         where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
     return MPCCResult(

@@ -10,7 +10,7 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -47,16 +47,15 @@ class MPCC:
     derivatives : Derivatives, optional
         Assembled derivatives of the oracle with objective ``f`` and constraint column
         ``vertcat(g, G, H)``. None: CasADi derives them.
-    completion : casadi.Function, optional
-        ``(x, p) -> starts`` of the last unknowns, which :meth:`mixed` has added to the user's: a start
-        may then be given for the user's own unknowns alone, which come first.
+    n_added : int
+        Number of the last unknowns, which :meth:`mixed` and :func:`rmesh_nlp.mpcc.bilevel` add: a start may
+        then be given for the user's own alone, which come first.
+    completion : callable, optional
+        ``(own, p) -> starts`` of those.
     parts : mapping of str to expression, optional
         Parts of the unknowns by name.
     lower_level : LowerLevel, optional
-        The lower level whose KKT conditions these are, see :func:`rmesh_nlp.mpcc.bilevel`. A start may then
-        be given for the upper level's variables alone, which come first.
-    derived : Derivatives, optional
-        What CasADi has derived of the same expressions before, for other bounds: ``Lifted.base``.
+        The lower level whose KKT conditions these are, see :func:`rmesh_nlp.mpcc.bilevel`.
 
     Raises
     ------
@@ -76,10 +75,10 @@ class MPCC:
     ubg: ArrayLike = np.inf
     p: Symbolic = None
     derivatives: Derivatives | None = None
-    completion: ca.Function | None = None
+    n_added: int = 0
+    completion: Callable[[Array, Array], ArrayLike] | None = None
     parts: Mapping[str, Symbolic] = field(default_factory=dict, repr=False)
     lower_level: LowerLevel | None = None
-    derived: Derivatives | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
         p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
@@ -135,20 +134,14 @@ class MPCC:
     @property
     def n_own(self) -> int:
         """Number of the unknowns that a start must have; those after them can be completed."""
-        if self.lower_level is not None and self.lower_level.size == self.n_x:
-            return self.lower_level.n_upper
-        return self.n_x - (0 if self.completion is None else int(self.completion.numel_out(0)))
+        return self.n_x - self.n_added
 
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
         """Return ``x0`` as a checked array; a scalar fills it, unknowns after the user's are completed."""
-        if self.n_own == self.n_x or np.size(_numbers("x0", x0)) == self.n_x:
+        if self.completion is None or _numbers("x0", x0).size == self.n_x:
             return _values("x0", x0, self.n_x, finite=True, symbols=self.x)
         own = _values("x0", x0, self.n_own, finite=True, symbols=self.x)
-        if self.completion is None:
-            assert self.lower_level is not None
-            return self.lower_level.start(own, p=self.parameters(p), multipliers=1.0)
-        added = np.asarray(self.completion(own, self.parameters(p))).ravel()
-        return np.append(own, np.nan_to_num(added))
+        return np.append(own, np.nan_to_num(_numbers("x0", self.completion(own, self.parameters(p)))))
 
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""
@@ -180,20 +173,28 @@ class MPCC:
             As the constructor.
         """
         kind = type(self.x)
-        new_x, new_p = (kind(0, 1) if part is None else ca.vertcat(part) for part in (x, p))
-        rows = [kind(0, 1) if part is None else ca.vertcat(kind(part)) for part in (g, G, H)]
+        new_x, new_p, new_g, new_G, new_H = (
+            kind(0, 1) if part is None else ca.vertcat(kind(part)) for part in (x, p, g, G, H)
+        )
+        kept = np.zeros(self.n_g + 2 * self.n_pairs)
+        oracle = NLP(
+            self.x, self.p, self.f, ca.vertcat(self.g, self.G, self.H), np.asarray(self.lbx),
+            np.asarray(self.ubx), kept, kept, self.derivatives,
+        ).extended(x=new_x, p=new_p, f=f, g=ca.vertcat(new_g, new_G, new_H), lbx=lbx, ubx=ubx)  # fmt: skip
+        columns = self.g, self.G, self.H, new_g, new_G, new_H
+        ends = np.cumsum([int(column.shape[0]) for column in columns])
+        places = np.split(np.arange(ends[-1]), ends[:-1])
+        ordered = oracle.extended(rows=np.concatenate([places[k] for k in (0, 3, 1, 4, 2, 5)]).tolist())
 
-        def longer(old: ArrayLike, new: ArrayLike, column: Symbolic) -> Array:
-            return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
+        def longer(old: ArrayLike, new: ArrayLike) -> Array:
+            return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(new_g.shape[0]),)))
 
+        n_added, completion = (self.n_added, self.completion) if new_x.is_empty() else (0, None)
         return replace(
-            self,
-            x=ca.vertcat(self.x, new_x), p=ca.vertcat(self.p, new_p), f=self.f + f,
-            g=ca.vertcat(self.g, rows[0]), G=ca.vertcat(self.G, rows[1]), H=ca.vertcat(self.H, rows[2]),
-            lbx=longer(self.lbx, lbx, new_x), ubx=longer(self.ubx, ubx, new_x),
-            lbg=longer(self.lbg, lbg, rows[0]), ubg=longer(self.ubg, ubg, rows[0]),
-            derivatives=_extended_derivatives(self, new_x, new_p, kind(f), rows), completion=None,
-            derived=None,
+            self, x=oracle.x, p=oracle.p, f=oracle.f, g=ca.vertcat(self.g, new_g),
+            G=ca.vertcat(self.G, new_G), H=ca.vertcat(self.H, new_H), lbx=oracle.lbx, ubx=oracle.ubx,
+            lbg=longer(self.lbg, lbg), ubg=longer(self.ubg, ubg), derivatives=ordered.derivatives,
+            n_added=n_added, completion=completion,
         )  # fmt: skip
 
     @classmethod
@@ -235,33 +236,8 @@ class MPCC:
             [plain.x, *pairs.unknowns], plain.f, [plain.g, *pairs.rows], pairs.G, pairs.H,
             lbx=np.append(plain.lbx, np.zeros(n_new)), ubx=np.append(plain.ubx, np.full(n_new, np.inf)),
             lbg=np.append(plain.lbg, np.zeros(n_rows)), ubg=np.append(plain.ubg, np.zeros(n_rows)),
-            p=plain.p, completion=pairs.completion(plain.x, plain.p),
+            p=plain.p, n_added=n_new, completion=pairs.completion(plain.x, plain.p),
         )  # fmt: skip
-
-
-def _extended_derivatives(
-    mpcc: MPCC, x: Symbolic, p: Symbolic, f: Symbolic, rows: Sequence[Symbolic]
-) -> Derivatives | None:
-    """Derivatives of the objective plus ``f`` and of ``(g, g', G, G', H, H')``, rows = (g', G', H')."""
-    if mpcc.derivatives is None:
-        return None
-    none, column = np.zeros(0), ca.vertcat(mpcc.g, mpcc.G, mpcc.H)
-    oracle = NLP(mpcc.x, mpcc.p, mpcc.f, column, none, none, none, none, mpcc.derivatives)
-    longer = oracle.extended(x=x, p=p, f=f, g=ca.vertcat(*rows)).derivatives
-    assert longer is not None
-    ends = np.cumsum([mpcc.n_g, mpcc.n_pairs, mpcc.n_pairs, *(int(part.shape[0]) for part in rows)])
-    parts = np.split(np.arange(ends[-1]), ends[:-1])
-    order = np.concatenate([parts[k] for k in (0, 3, 1, 4, 2, 5)]).tolist()
-    back = np.argsort(order).tolist()
-    x, p = ca.MX.sym("x", longer.grad_f.numel_in(0)), ca.MX.sym("p", longer.grad_f.numel_in(1))
-    g, jacobian = longer.jac_g(x, p)
-    hess_lag = None
-    if longer.hess_lag is not None:
-        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(order))
-        hessian = longer.hess_lag(x, p, lam_f, lam_g[back])
-        hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian])
-    jac_g = ca.Function("nlp_jac_g", [x, p], [g[order], jacobian[order, :]])
-    return replace(longer, jac_g=jac_g, hess_lag=hess_lag)
 
 
 def _numbers(name: str, value: object) -> Array:

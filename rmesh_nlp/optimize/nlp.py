@@ -11,7 +11,7 @@ non-negative one (CasADi's convention).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -103,42 +103,60 @@ class NLP:
         p: Any = None,
         f: Any = 0,
         g: Any = None,
-        lbx: ArrayLike = (),
-        ubx: ArrayLike = (),
-        lbg: ArrayLike = (),
-        ubg: ArrayLike = (),
+        lbx: ArrayLike = -np.inf,
+        ubx: ArrayLike = np.inf,
+        lbg: ArrayLike = -np.inf,
+        ubg: ArrayLike = np.inf,
+        weight: Any = 1,
+        rows: Sequence[int] | None = None,
+        shift: Any = None,
     ) -> NLP:
-        """Append unknowns, parameters and constraint rows and add a term to the objective.
+        """Append unknowns, parameters and constraint rows; change the objective and the rows by terms.
 
-        The assembled derivatives of what was there are kept; only the new ``f`` and ``g``
-        are differentiated by CasADi. Their expressions may use old and new unknowns.
+        The assembled derivatives of what was there are kept; only the new expressions are differentiated by
+        CasADi. They may use old and new unknowns and parameters.
 
         Parameters
         ----------
         x, p : symbols to append to the unknowns and to the parameters
         f : term added to the objective
         g : rows appended to the constraints
-        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows
+        lbx, ubx, lbg, ubg : bounds of the appended unknowns and rows; a scalar holds for all of them
+        weight : number or parameter by which the old objective is multiplied
+        rows : numbers of the old rows that are kept, in their new order; None: all
+        shift : column added to the kept rows
         """
         kind = type(self.x)
         new_x, new_p, new_g = (kind(0, 1) if new is None else new for new in (x, p, g))
-        all_x, all_p = ca.vertcat(self.x, new_x), ca.vertcat(self.p, new_p)
-        derivatives = None
-        if self.derivatives is not None:
-            derivatives = _extend_derivatives(self, self.derivatives, new_x, all_x, all_p, kind(f), new_g)
-        return replace(
+        kept = list(range(self.n_g) if rows is None else rows)
+        terms = ca.vertcat(kind(len(kept), 1) if shift is None else shift, new_g)
+        larger = replace(
             self,
-            x=all_x,
-            p=all_p,
-            f=self.f + f,
-            g=ca.vertcat(self.g, new_g),
-            lbx=np.append(self.lbx, lbx),
-            ubx=np.append(self.ubx, ubx),
-            lbg=np.append(self.lbg, lbg),
-            ubg=np.append(self.ubg, ubg),
-            derivatives=derivatives,
+            x=ca.vertcat(self.x, new_x),
+            p=ca.vertcat(self.p, new_p),
+            f=weight * self.f + f,
+            g=_rows(self.g, kept, terms),
+            lbx=_longer(self.lbx, lbx, new_x),
+            ubx=_longer(self.ubx, ubx, new_x),
+            lbg=_longer(self.lbg[kept], lbg, new_g),
+            ubg=_longer(self.ubg[kept], ubg, new_g),
+            derivatives=None,
             _of=(0, 0),
         )
+        if self.derivatives is None:
+            return larger
+        own = _extended_derivatives(self, larger, kept, weight, kind(f), terms)
+        return replace(larger, derivatives=own)
+
+
+def _rows(old: Any, kept: list[int], terms: Any) -> Any:
+    """The kept rows, then none, plus terms."""
+    return ca.densify(ca.vertcat(old[kept], type(old)(terms.shape[0] - len(kept), 1)) + terms)
+
+
+def _longer(old: Array, new: ArrayLike, column: Any) -> Array:
+    """Bounds, and those of an appended column."""
+    return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
 
 
 def _identity(expression: Any) -> int:
@@ -146,26 +164,30 @@ def _identity(expression: Any) -> int:
     return hash(expression) if isinstance(expression, ca.MX) else id(expression)
 
 
-def _extend_derivatives(
-    nlp: NLP, base: Derivatives, new_x: Any, x: Any, p: Any, f: Any, g: Any
+def _extended_derivatives(
+    nlp: NLP, larger: NLP, kept: list[int], weight: Any, f: Any, terms: Any
 ) -> Derivatives:
-    """Sum the derivatives of ``nlp`` and the automatic ones of the appended ``f`` and ``g``."""
-    kind, n_new = type(nlp.x), int(new_x.shape[0])
+    """Those of the old objective and of the kept rows, plus automatic ones of the new terms."""
+    kind, base = type(nlp.x), nlp.derivatives
+    assert base is not None
+    x, p, n_new = larger.x, larger.p, larger.n_x - nlp.n_x
     f_old, gradient = base.grad_f(nlp.x, nlp.p)
     g_old, jacobian = base.jac_g(nlp.x, nlp.p)
-    slope = ca.vertcat(gradient, kind(n_new, 1)) + ca.densify(ca.gradient(f, x))
-    rows = ca.vertcat(ca.horzcat(jacobian, kind(nlp.n_g, n_new)), ca.jacobian(g, x))
+    n_appended = larger.n_g - len(kept)
+    slope = ca.vertcat(weight * gradient, kind(n_new, 1)) + ca.densify(ca.gradient(f, x))
+    rows = ca.diagcat(jacobian[kept, :], kind(n_appended, n_new)) + ca.jacobian(terms, x)
     hess_lag = None
     if base.hess_lag is not None:
-        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", nlp.n_g + int(g.shape[0]))
-        lam_old, lam_new = ca.vertsplit(lam_g, [0, nlp.n_g, lam_g.shape[0]])
-        hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, lam_f, lam_old), kind(n_new, n_new))
-        # the appended part is small or sparse: CasADi colours it well
-        hessian_new = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_new, g), x)[0])
+        lam_f, lam_g = kind.sym("lam_f"), kind.sym("lam_g", larger.n_g)
+        at = ca.Sparsity.triplet(nlp.n_g, larger.n_g, kept, list(range(len(kept))))
+        lam_old = ca.densify(ca.mtimes(kind(ca.DM(at, 1.0)), lam_g))
+        hessian = ca.diagcat(base.hess_lag(nlp.x, nlp.p, weight * lam_f, lam_old), kind(n_new, n_new))
+        # the new terms are small or sparse: CasADi colours them well
+        hessian_new = ca.triu(ca.hessian(lam_f * f + ca.dot(lam_g, terms), x)[0])
         hess_lag = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian + hessian_new])
     return Derivatives(
-        grad_f=ca.Function("nlp_grad_f", [x, p], [f_old + f, slope]),
-        jac_g=ca.Function("nlp_jac_g", [x, p], [ca.vertcat(g_old, g), rows]),
+        grad_f=ca.Function("nlp_grad_f", [x, p], [weight * f_old + f, slope]),
+        jac_g=ca.Function("nlp_jac_g", [x, p], [_rows(g_old, kept, terms), rows]),
         hess_lag=hess_lag,
         kernels=base.kernels,
     )
