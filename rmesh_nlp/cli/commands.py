@@ -302,17 +302,33 @@ def table(folder: o.Folder, verbose: o.Verbose = False) -> None:
     load("cli.reporting").table(folder, verbose=verbose)
 
 
-@app.command(
-    add_help_option=False, context_settings={"ignore_unknown_options": True, "allow_extra_args": True}
-)
-def mpcc(context: typer.Context) -> int:
+@app.command(context_settings={"ignore_unknown_options": True})
+def mpcc(
+    files: Annotated[
+        list[str] | None,
+        Argument(metavar="FILE...", help="AMPL .nl, or .json with CasADi Functions as NOSBENCH writes them."),
+    ] = None,
+    relaxation: Annotated[str, Option("--relaxation", metavar="NAME")] = "scholtes",
+    time_limit: o.TimeLimit = None,
+    max_iterations: o.MaxIterations = None,
+    starts: Annotated[
+        int, Option("--starts", min=1, metavar="N", help="The lowest of N starts: the file's, random ones.")
+    ] = 1,
+    log: Annotated[bool, Option("--log", help="A line per nonlinear program.")] = False,
+    json: o.Json = False,
+) -> int:
     """Solve mathematical programs with complementarity constraints from files.
 
     \b
-    rmesh mpcc --help
     rmesh mpcc problem.nl
+    rmesh mpcc problem.nl --relaxation kanzow-schwartz --time-limit 30 --log
+    rmesh mpcc problem.nl --json > result.json
+    rmesh-mpcc problem -AMPL relaxation=kanzow-schwartz time_limit_s=30    (writes problem.sol)
     """
-    return load("mpcc.__main__").main(context.args)
+    chosen = {"relaxation": relaxation, "starts": starts, "max_iterations": max_iterations}
+    if time_limit is not None:
+        chosen["time_limit_s"] = time_limit
+    return load("cli.mpcc").run(files or [], chosen, log, json)
 
 
 @app.command()

@@ -3,12 +3,11 @@
 Without it Pyomo finds the executable ``rmesh-mpcc`` on the PATH and calls it as any AMPL solver. What is
 added here: conditions with both bounds on one side, ``l <= y <= u`` against an expression, which Pyomo 6.10
 does not write; ``timelimit=`` reaches the solver, which then returns its best point; the model may be solved
-again without warnings, and keeps its bounds; no PATH is needed.
+again without warnings, and keeps its bounds; neither a PATH nor a process is needed.
 """
 
 from __future__ import annotations
 
-import sys
 from typing import Any
 
 from pyomo.core.base import Constraint, Objective, Var, value
@@ -16,13 +15,12 @@ from pyomo.core.expr.visitor import identify_variables
 from pyomo.mpec import Complementarity
 from pyomo.mpec.plugins.mpec4 import MPEC4_Transformation
 from pyomo.opt import SolverFactory
-from pyomo.opt.solver import SystemCallSolver
 from pyomo.solvers.plugins.solvers.ASL import ASL
 
 from rmesh_nlp import __version__
+from rmesh_nlp.mpcc import ampl
 
 _NAME = "rmesh-mpcc"
-_START = 60.0  # seconds that the process may take besides the solve
 _ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
 
 
@@ -72,54 +70,41 @@ class PyomoSolver(ASL):
     """The solver for Pyomo, by AMPL's files; options are those of the command, ``ipopt.NAME`` included."""
 
     _timelimit: float | None
+    _tee: bool
 
     def __init__(self, **keywords: Any) -> None:
         super().__init__(**{**keywords, "type": _NAME})
-        self._bounds: list[tuple[Any, Any, Any]] = []
 
     def _default_executable(self) -> str:
-        return sys.executable
+        return _NAME  # no other process is started
 
     def _get_version(self) -> tuple[int, ...]:
         return tuple(int(part) for part in __version__.split(".")[:3])
 
-    def solve(self, *models: Any, **keywords: Any) -> Any:
-        """As any solver of Pyomo; bounds that the conditions have tightened are undone."""
-        try:
-            return super().solve(*models, **keywords)
-        finally:
-            self._undo()
-
-    def _presolve(self, *models: Any, **keywords: Any) -> None:
-        self._instance = model = models[0]
-        self._bounds = [
-            (variable, variable.lower, variable.upper)
-            for variable in model.component_data_objects(Var, active=True, descend_into=True)
-        ]
+    def solve(self, model: Any, **keywords: Any) -> Any:
+        """As any solver of Pyomo; the model keeps its conditions and its bounds."""
+        conditions = list(model.component_objects(Complementarity, active=True, descend_into=True))
+        variables = list(model.component_data_objects(Var, active=True, descend_into=True))
+        bounds = [(variable.lower, variable.upper) for variable in variables]
         Transformation().apply_to(model)
-        SystemCallSolver._presolve(self, *models, **keywords)
+        try:
+            return super().solve(model, **keywords)
+        finally:
+            for condition in conditions:
+                condition.parent_block().reclassify_component_type(condition, Complementarity)
+            for variable, (lower, upper) in zip(variables, bounds, strict=True):
+                variable.lower, variable.upper = lower, upper
 
-    def _postsolve(self) -> Any:
-        self._undo()
-        return SystemCallSolver._postsolve(self)
-
-    def _undo(self) -> None:
-        model, self._instance = self._instance, None
-        if model is None:
-            return
-        for cuid in model._transformation_data["mpec.nl"].compl_cuids:
-            condition = cuid.find_component_on(model)
-            condition.parent_block().reclassify_component_type(condition, Complementarity)
-        for variable, lower, upper in self._bounds:
-            variable.lower, variable.upper = lower, upper
-
-    def create_command_line(self, executable: str, problem_files: list[str]) -> Any:
-        """The command of this Python, with the time limit among the options."""
+    def create_command_line(self, executable: str, problem_files: Any) -> Any:
+        """As of any AMPL solver, with the time limit among the options."""
         self.options.solver = _NAME
         if self._timelimit is not None:
             self.options.setdefault("time_limit_s", self._timelimit)
-            self._timelimit = 2 * self._timelimit + _START  # when Pyomo would end the process
-        made = super().create_command_line(executable, problem_files)
-        place = made.cmd.index(executable)
-        made.cmd[place : place + 1] = [executable, "-m", "rmesh_nlp.mpcc"]
-        return made
+        return super().create_command_line(executable, problem_files)
+
+    def _execute_command(self, command: Any) -> tuple[int, str]:
+        words = [*command.cmd[1:], *([] if self._tee else ["outlev=0"])]
+        try:
+            return ampl.run(words), ""
+        except ValueError as error:
+            return 2, str(error)

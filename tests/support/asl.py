@@ -14,7 +14,8 @@ EXECUTABLE = "rmesh-mpcc"
 def install(folder: Path) -> Path:
     """Write the executable into a folder."""
     path = folder / EXECUTABLE
-    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m rmesh_nlp.mpcc "$@"\n')
+    entry = "from rmesh_nlp.cli.entry import mpcc; mpcc()"
+    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "{entry}" "$@"\n')
     path.chmod(0o755)
     return path
 
