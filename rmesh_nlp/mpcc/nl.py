@@ -39,14 +39,14 @@ _BINARY: dict[int, Operation] = {
 }  # fmt: skip
 _TERNARY: dict[int, Operation] = {35: ca.if_else}
 _FOLDED: dict[int, Operation] = {11: ca.fmin, 12: ca.fmax, 54: operator.add}  # of any number of terms
-_KNOWN = {
+_UNSUPPORTED: dict[int | str, str] = {
     55: "integer division", 56: "precision", 57: "round", 58: "trunc", 59: "count", 60: "numberof",
     61: "numberof of strings", 62: "atleast", 63: "atmost", 64: "a piecewise-linear term",
     65: "if of strings", 66: "exactly", 70: "and of a list", 71: "or of a list", 72: "implies",
-    73: "if and only if", 74: "alldiff",
+    73: "if and only if", 74: "alldiff", "F": "imported functions", "L": "logical rows",
+    "f": "imported functions", "h": "strings",
 }  # fmt: skip
-"""Names of operations that are not supported."""
-_SEGMENTS = {"F": "imported functions", "L": "logical rows"}
+"""Names of operations, by their number, of segments and of expressions."""
 _SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
@@ -93,10 +93,14 @@ def read_rows(path: Path) -> Rows:
     reader = _Reader(path, open_records(path))
     try:
         return reader.read()
-    except (IndexError, KeyError, RuntimeError, TypeError) as error:
-        raise reader.fault(f"malformed ({type(error).__name__}: {error})") from error
-    except ValueError as error:
-        raise (error if str(path) in str(error) else reader.fault(str(error))) from error
+    except (IndexError, KeyError, RuntimeError, TypeError, ValueError) as error:
+        said = str(error) if isinstance(error, ValueError) else f"malformed ({error})"
+        raise ValueError(f"{path}, {reader.records.place}: {said}") from error
+
+
+def _unsupported(what: str, key: int | str) -> ValueError:
+    name = f" ({_UNSUPPORTED[key]})" if key in _UNSUPPORTED else ""
+    return ValueError(f"{what}{key}{name} is not supported")
 
 
 def _place(i: int, n: int) -> int:
@@ -119,27 +123,21 @@ def _names(path: Path, ending: str, n: int) -> list[str]:
 
 
 class _Reader:
-    """The records of a file and what they have given so far; errors name their place."""
+    """The records of a file and what they have given so far."""
 
     def __init__(self, path: Path, records: Records) -> None:
         self.path, self.records = path, records
-        self.counts: Counter[str] = Counter()
         self.nonzeros: Counter[str] = Counter()
 
     def table(self, kinds: str, n: int) -> list[list[Any]]:
         """The next ``n`` records."""
         return [self.records.read(kinds) for _ in range(n)]
 
-    def fault(self, what: str) -> ValueError:
-        return ValueError(f"{self.path}, {self.records.place}: {what}")
-
     def read(self) -> Rows:
         header = self.records.header
         n, m = int(header[1][0]), int(header[1][1])
         if any(int(count) for count in header[6][:5]):
-            raise self.fault("integer unknowns are not supported")
-        if min(n, m) < 0 or max(n, m) > 10_000_000:
-            raise self.fault(f"{n} unknowns and {m} rows")
+            raise ValueError("integer unknowns are not supported")
         names, free = _names(self.path, ".col", n), np.full(n, np.inf)
         x = ca.vertcat(*(ca.SX.sym(name) for name in names)) if names else ca.SX.sym("x", n)
         self.values: list[ca.SX] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
@@ -148,14 +146,12 @@ class _Reader:
             row_names=_names(self.path, ".row", m) or [f"g[{i}]" for i in range(m)],
             options=(header[0][0][1:], *header[0][1:]),
         )  # fmt: skip
-        while self.records.more:
-            self._segment(self.records.key())
-        if again := [segment for segment, count in self.counts.items() if count > 1]:
-            raise ValueError(f"{self.path}: segment {again[0]} stands there {self.counts[again[0]]} times")
+        while segment := self.records.key():
+            self._segment(segment)
         for key, count in zip("JG", map(int, header[7]), strict=False):
             if self.nonzeros[key] < count:
-                said = f"its segments {key} have {self.nonzeros[key]} of {count} nonzeros"
-                raise ValueError(f"{self.path}: {said}: the file is not whole")
+                have = f"its segments {key} have {self.nonzeros[key]} of {count} nonzeros"
+                raise ValueError(f"{have}: the file is not whole")
         return self.rows
 
     def _segment(self, key: str) -> None:
@@ -164,10 +160,8 @@ class _Reader:
             case "C":
                 number = _place(read("i")[0], m)
                 rows.bodies[number] += self._expression()
-                self.counts[f"C{number}"] += 1
             case "O":
                 number, sense = read("ii")
-                self.counts[f"O{number}"] += 1
                 expression = self._expression()
                 if number == 0:
                     rows.f += expression
@@ -177,22 +171,19 @@ class _Reader:
                 terms = self.table("if", n_terms)
                 value = sum((_finite(c) * self.values[i] for i, c in terms), ca.SX(0)) + self._expression()
                 if number != len(self.values):
-                    raise self.fault(f"defined variable v{number} out of order")
+                    raise ValueError(f"defined variable v{number} out of order")
                 self.values.append(value)
             case "x":
                 for i, start in self.table("if", read("i")[0]):
                     rows.x0[_place(i, n)] = start
             case "r":
-                self.counts["r"] += 1
                 for row in range(m):
                     rows.lower[row], rows.upper[row] = self._bound(row)
             case "b":
-                self.counts["b"] += 1
                 for j in range(n):
                     rows.lbx[j], rows.ubx[j] = self._bound(None)
             case "J" | "G":
                 number, n_terms = read("ii")
-                self.counts[f"{key}{number}"] += 1
                 self.nonzeros[key] += n_terms
                 used = [_finite(c) * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
                 linear = _fold(operator.add, used) if used else 0
@@ -208,11 +199,9 @@ class _Reader:
                 kind, n_values, name = read("iis")
                 self.table("if" if kind & 4 else "ii", n_values)
                 if name in _SETS and kind & 3 == 0:
-                    raise self.fault(f"special ordered sets (suffix {name}) are not supported")
-            case _ if key in _SEGMENTS:
-                raise self.fault(f"{_SEGMENTS[key]} (segment {key}) are not supported")
+                    raise ValueError(f"special ordered sets (suffix {name}) are not supported")
             case _:
-                raise self.fault(f"unknown segment {key!r}")
+                raise _unsupported("segment ", key)
 
     def _bound(self, row: int | None) -> tuple[float, float]:
         """One record of the r segment, or of the b segment (no row); complementarity is noted."""
@@ -234,7 +223,7 @@ class _Reader:
                 bits, unknown = read("ii")
                 self.rows.complements[row] = bits, _place(unknown - 1, int(self.rows.x.shape[0]))
                 return -np.inf, np.inf
-        raise self.fault(f"unknown bound type {kind}")
+        raise ValueError(f"unknown bound type {kind}")
 
     def _expression(self) -> ca.SX:
         """One expression in prefix form, with a stack of its own: sums may be thousands of levels deep."""
@@ -251,12 +240,8 @@ class _Reader:
                 case "o":
                     pending.append((*self._operation(read("i")[0]), []))
                     continue
-                case "f":
-                    raise self.fault("imported functions are not supported")
-                case "h":
-                    raise self.fault("strings are not supported")
                 case kind:
-                    raise self.fault(f"unknown expression {kind!r}")
+                    raise _unsupported("expression ", kind)
             while pending:
                 operation, count, arguments = pending[-1]
                 arguments.append(value)
@@ -273,9 +258,8 @@ class _Reader:
             if code in operations:
                 return operations[code], count
         if code not in _FOLDED:
-            name = f" ({_KNOWN[code]})" if code in _KNOWN else ""
-            raise self.fault(f"operation o{code}{name} is not supported")
+            raise _unsupported("operation o", code)
         count = self.records.read("i")[0]
         if count < 1:
-            raise self.fault(f"an operation on {count} terms")
+            raise ValueError(f"an operation on {count} terms")
         return lambda *parts: _fold(_FOLDED[code], parts), count

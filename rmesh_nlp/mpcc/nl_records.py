@@ -11,7 +11,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, TypeAlias
 
 _HEADER = 10  # lines
 _ORDERS = {0: "<", 1: "<", 2: ">"}  # by the kind of arithmetic in the header
@@ -19,31 +19,8 @@ _CODES = {"i": "i", "l": "i", "h": "h", "f": "d"}
 _CONVERSIONS = {"i": int, "l": int, "h": int, "f": float, "s": str}
 
 
-class Records(Protocol):
-    """A ``.nl`` file as it is read; ``header`` has the words of its first ten lines."""
-
-    header: list[list[str]]
-
-    @property
-    def more(self) -> bool:
-        """Whether something is left."""
-
-    @property
-    def place(self) -> str:
-        """Where the last record was, for messages."""
-
-    def key(self) -> str:
-        """The letter that opens the next record."""
-
-    def read(self, kinds: str) -> list[Any]:
-        """The numbers of a record, of an open one or of the next.
-
-        ``kinds`` has a letter for each: i, l and h whole, f real, s a name.
-        """
-
-
 class TextRecords:
-    """The text form, see :class:`Records`; what stands after ``#`` is a comment."""
+    """The text form, see :data:`Records`; what stands after ``#`` is a comment."""
 
     def __init__(self, data: bytes) -> None:
         lines = enumerate(data.decode("utf-8", errors="replace").splitlines(), 1)
@@ -54,20 +31,15 @@ class TextRecords:
         self._open = ""
 
     @property
-    def more(self) -> bool:
-        """Whether a line is left."""
-        return bool(self._lines)
-
-    @property
     def place(self) -> str:
         """The number of the last line."""
         return f"line {self._number}"
 
     def key(self) -> str:
-        """The first letter of the next line; the rest of it is read next."""
-        line = self._next()
+        """The first letter of the next line, whose rest is read next; none at the end."""
+        line = self._next() if self._lines else ""
         self._open = line[1:]
-        return line[0]
+        return line[:1]
 
     def read(self, kinds: str) -> list[Any]:
         """The words of a line as numbers."""
@@ -85,7 +57,7 @@ class TextRecords:
 
 
 class BinaryRecords:
-    """The binary form, see :class:`Records`."""
+    """The binary form, see :data:`Records`."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
@@ -96,18 +68,13 @@ class BinaryRecords:
         self._order = _ORDERS[kind]
 
     @property
-    def more(self) -> bool:
-        """Whether a byte is left."""
-        return self._at < len(self._data)
-
-    @property
     def place(self) -> str:
         """The number of bytes that have been read."""
         return f"byte {self._at}"
 
     def key(self) -> str:
-        """The next byte."""
-        return self._take(1).decode("latin-1")
+        """The next byte; none at the end."""
+        return self._take(min(1, len(self._data) - self._at)).decode("latin-1")
 
     def read(self, kinds: str) -> list[Any]:
         """The next numbers."""
@@ -129,6 +96,14 @@ class BinaryRecords:
         end = self._data.find(b"\n", self._at)
         line = self._take(end + 1 - self._at).decode("utf-8", errors="replace")
         return line.split("#", 1)[0].split()
+
+
+Records: TypeAlias = TextRecords | BinaryRecords
+"""A ``.nl`` file as it is read.
+
+``header`` has the words of its first ten lines, ``place`` says where the last record was, ``key()`` is the
+letter that opens the next one, ``read(kinds)`` are the numbers of an open record or of the next one, with a
+letter for each: i, l and h whole, f real, s a name."""
 
 
 def open_records(path: Path) -> Records:

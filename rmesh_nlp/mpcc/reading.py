@@ -16,6 +16,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.mixed import Member, sides
@@ -155,7 +156,7 @@ def read_nosbench(path: Path) -> Problem:
     objective = next((name for name in _OBJECTIVES if name in data), _OBJECTIVES[0])
     names = {"f": objective, "g": "g_fun", "G": "G_fun", "H": "H_fun"}
     functions = {key: _function(path, data, name) for key, name in names.items()}
-    x0, p0 = _numbers(path, data, "w0", None), _numbers(path, data, "p0", np.zeros(0))
+    x0, p0 = (np.ravel(_numbers(path, data, name, default)) for name, default in (("w0", None), ("p0", ())))
     kind = ca.SX if all(function.is_a("SXFunction") for function in functions.values()) else ca.MX
     w, p = kind.sym("w", x0.size), kind.sym("p", p0.size)
     columns: dict[str, Any] = {}
@@ -165,7 +166,7 @@ def read_nosbench(path: Path) -> Problem:
         except RuntimeError as error:
             raise ValueError(f"{path}: {names[key]} does not take w of length {x0.size}: {error}") from error
     for ours, (theirs, default) in _BOUNDS.items():
-        columns[ours] = _numbers(path, data, theirs, np.array(default))
+        columns[ours] = _numbers(path, data, theirs, default)
     return Problem(path.stem, MPCC(x=w, p=p, **columns), x0, p0)
 
 
@@ -179,26 +180,20 @@ def _function(path: Path, data: dict[str, Any], name: str) -> ca.Function:
         raise ValueError(f"{path}: the field {name} is no serialised Function: {error}") from error
 
 
-def _numbers(path: Path, data: dict[str, Any], name: str, default: Array | None) -> Array:
-    """A list of numbers; JSON has no infinity, so null, "inf" and numbers from 1e20 on stand for it."""
-    if name not in data or data[name] is None:
-        if default is None:
-            raise ValueError(f"{path}: the field {name} is missing")
-        return default
-    sign = -1.0 if name.startswith("lb") else 1.0
+def _numbers(path: Path, data: dict[str, Any], name: str, default: ArrayLike | None) -> Array:
+    """Numbers; JSON has no infinity, so null, "inf" and numbers from 1e20 on stand for that of a bound."""
+    given = data.get(name)
+    given = default if given in (None, []) else given
+    if given is None:
+        raise ValueError(f"{path}: the field {name} is missing")
     try:
-        values = np.array([sign * np.inf if v is None else float(v) for v in _flat([data[name]])])
-    except (TypeError, ValueError, RecursionError) as error:
+        values = np.array(given, dtype=float)
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{path}: the field {name} must be a list of numbers: {error}") from error
-    if values.size == 0 and default is not None:
-        return default
-    if name.startswith(("lb", "ub")):
+    if name in ("lbw", "lbg", "ubw", "ubg"):
+        values[np.isnan(values)] = -np.inf if name.startswith("l") else np.inf
         values[np.abs(values) >= 1e20] *= np.inf
     return values
-
-
-def _flat(values: list[Any]) -> list[Any]:
-    return [part for value in values for part in (_flat(value) if isinstance(value, list) else [value])]
 
 
 READERS = {".nl": read_nl, ".json": read_nosbench}
