@@ -14,8 +14,9 @@ J. Global Optim. 42 (2008) 475-513.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -90,76 +91,58 @@ def solve_bilevel(
     assert level is not None
     parameters, budget = program.parameters(p), chosen.budget()
     starts = [program.start(x0, parameters)]
-    made: list[_Cut] = []
     found: list[MPCCResult] = []
-    while True:
+    for made in itertools.count():
         solver = MPCCSolver(program, chosen)
-        wider = (_wider(start, made, parameters) for start in starts)
-        ends = [end for start in wider for end in solver.several(start, p=parameters, budget=budget).results]
+        several = (solver.several(start, p=parameters, budget=budget) for start in starts)
+        ends = [end for many in several for end in many.results]
         found += [end for end in ends if end.success]
         end = min(ends, key=lambda end: (not (end.success or end.status is Status.NO_MINIMUM), end.f))
         lowest = None if end.lower_level is None else end.lower_level.lower
-        if lowest is None or len(made) == cuts or budget.is_over():
+        if lowest is None or made == cuts or budget.is_over():
             break
-        own = np.split(end.x[: level.size], [level.n_upper, level.n_upper + level.nlp.n_x])
-        made.append(_Cut.of(program, level, own[0], own[1], lowest, parameters))
-        program = made[-1].added(program)
-        starts = [starts[0], end.x[: level.size], level.start(own[0], lowest, p=parameters)]
+        x, y, multipliers = level.split(end.x)
+        program = _with_cut(program, level, x, y, lowest, parameters)
+        starts = [starts[0], np.concatenate([x, y, multipliers]), level.start(x, lowest, p=parameters)]
     best = min(found, key=lambda end: end.f, default=end)
-    x, y, _ = np.split(best.x[: level.size], [level.n_upper, level.n_upper + level.nlp.n_x])
-    return BilevelResult(x, y, best.f, best.success, len(made), best)
+    x, y, _ = level.split(best.x)
+    return BilevelResult(x, y, best.f, best.success, made, best)
 
 
-def _wider(start: Array, cuts: list[_Cut], p: Array) -> Array:
-    """A start of the MPCC with values of the unknowns of the cuts."""
-    return np.concatenate([start, *(cut.values(start, p) for cut in cuts)])
+def _with_cut(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Array, p: Array) -> MPCC:
+    """The program with the cut by ``lowest``, a point of the lower level with a lower value than y has.
 
+    A start of the program without cuts is completed.
+    """
+    nlp, sides = level.nlp, level.sides
+    kind, upper = type(program.x), ca.vertcat(program.parts["upper"], program.p)
+    depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
+    moves = np.append(np.zeros(nlp.n_x, dtype=bool), depends)[sides.entry]
+    entries = [ca.vertcat(nlp.x, nlp.g)[int(entry)] for entry in sides.entry[moves]]
+    sign, bound = ca.DM(sides.sign[moves]), ca.DM(sides.bound[moves])
+    rows = sign * (ca.vertcat(kind(0, 1), *entries) - bound)
+    lower = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, rows])
+    if np.any(moves):
+        lowest = _inside(level, rows, lower, np.append(x, p), y, lowest)
+    value, violations = lower(kind(ca.DM(lowest)), upper)
+    gain, n = lower(program.parts["lower"], upper)[0] - value, len(entries)
+    if n == 0:
+        return program.extended(g=gain, ubg=0)
+    measure = ca.Function("cut", [program.x, program.p], [gain, violations])
 
-@dataclass(frozen=True, eq=False)
-class _Cut:
-    """``gain``: f(x, y) - f(x, y_k); ``violations`` r(x) of y_k, in the constraints that depend on x."""
+    def completion(own: Array, p: Array) -> Array:
+        start = program.start(own, p)
+        gain, violations = (np.array(part).ravel() for part in measure(start, p))
+        largest = np.arange(n) == np.argmax(violations)
+        return np.concatenate([start[own.size :], np.maximum([gain[0], -np.max(violations)], 0.0), largest])
 
-    gain: Symbolic
-    violations: Symbolic
-    measure: ca.Function
-
-    @staticmethod
-    def of(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Array, p: Array) -> _Cut:
-        """The cut by ``lowest``, a point of the lower level with a lower value than y has."""
-        nlp, sides = level.nlp, level.sides
-        kind, upper = type(program.x), ca.vertcat(program.parts["upper"], program.p)
-        depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
-        moves = np.append(np.zeros(nlp.n_x, dtype=bool), depends)[sides.entry]
-        entries = [ca.vertcat(nlp.x, nlp.g)[int(entry)] for entry in sides.entry[moves]]
-        sign, bound = ca.DM(sides.sign[moves]), ca.DM(sides.bound[moves])
-        rows = sign * (ca.vertcat(kind(0, 1), *entries) - bound)
-        lower = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, rows])
-        if np.any(moves):
-            lowest = _inside(level, rows, lower, np.append(x, p), y, lowest)
-        value, violations = lower(kind(ca.DM(lowest)), upper)
-        gain = lower(program.parts["lower"], upper)[0] - value
-        return _Cut(gain, violations, ca.Function("cut", [program.x, program.p], [gain, violations]))
-
-    def added(self, program: MPCC) -> MPCC:
-        """The program with this cut."""
-        n, kind = int(self.violations.shape[0]), type(program.x)
-        if n == 0:
-            return program.extended(g=self.gain, ubg=0)
-        s, w, weights = kind.sym("s"), kind.sym("w"), kind.sym("lambda", n)
-        return program.extended(
-            x=ca.vertcat(s, w, weights), lbx=0, G=s, H=w,
-            g=ca.vertcat(self.gain - s, -ca.dot(weights, self.violations) - w, ca.sum1(weights) - 1),
-            lbg=[-np.inf, -np.inf, 0], ubg=0,
-        )  # fmt: skip
-
-    def values(self, start: Array, p: Array) -> Array:
-        """Values of the cut's unknowns at a start of the first program."""
-        padded = np.append(start, np.zeros(self.measure.size1_in(0) - start.size))
-        gain, violations = (np.array(part).ravel() for part in self.measure(padded, p))
-        if violations.size == 0:
-            return violations
-        largest = np.arange(violations.size) == np.argmax(violations)
-        return np.array([max(gain[0], 0.0), max(-np.max(violations), 0.0), *largest])
+    s, w, weights = kind.sym("s"), kind.sym("w"), kind.sym("lambda", n)
+    longer = program.extended(
+        x=ca.vertcat(s, w, weights), lbx=0, G=s, H=w,
+        g=ca.vertcat(gain - s, -ca.dot(weights, violations) - w, ca.sum1(weights) - 1),
+        lbg=[-np.inf, -np.inf, 0], ubg=0,
+    )  # fmt: skip
+    return replace(longer, n_added=longer.n_x - level.size, completion=completion)
 
 
 def _inside(

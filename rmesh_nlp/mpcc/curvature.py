@@ -12,9 +12,10 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish
-from rmesh_nlp.mpcc.lower_level import FLAT, MOST, directions, least_critical, least_eigenvalue
+from rmesh_nlp.mpcc.lower_level import MOST, directions, least_critical, least_eigenvalue
 from rmesh_nlp.mpcc.multipliers import Columns
 from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.optimize.activity import ZERO
 
 
 def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
@@ -31,7 +32,7 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
     if not np.all(np.isfinite(hessian)):
         return "not tested", None
-    flat = FLAT * float(np.max(np.abs(hessian), initial=0.0))
+    flat = ZERO * float(np.max(np.abs(hessian), initial=0.0))
     if not flat or _is_positive(hessian + flat * np.eye(hessian.shape[0])):
         return "not negative", None
     gradients = columns.matrix.T.toarray()

@@ -21,11 +21,7 @@ from rmesh_nlp.optimize.budget import Budget
 
 T = TypeVar("T")
 _LARGE = 2000  # rows of a system whose dense rows cost more than the border
-_DENSE = 20.0  # entries of a dense row, in units of the mean
-_MOST = 200  # dense rows of a border
-_REFINEMENTS = 3
-_ROUNDED = 1e-12  # residual, relative, that needs no refinement
-
+_DENSE = 2.0  # entries of a dense row, in units of the square root of the size
 
 Solve = Callable[[Array], Array]
 """The solution for a right side."""
@@ -48,9 +44,9 @@ def factorised(system: sp.csc_matrix, use: Callable[[Solve], T], budget: Budget 
 
 
 def _solution(system: sp.csc_matrix) -> Solve:
-    counts = np.diff(system.indptr)
-    is_dense = counts > max(_DENSE * system.nnz / max(counts.size, 1), 100.0)
-    if system.shape[0] < _LARGE or not 0 < np.count_nonzero(is_dense) <= _MOST:
+    n, root = system.shape[0], np.sqrt(system.shape[0])
+    is_dense = np.diff(system.indptr) > _DENSE * root
+    if n < _LARGE or not 0 < np.count_nonzero(is_dense) < root:
         factors = _lu(system)
         return lambda right: np.asarray(factors.solve(right))
     return _bordered(system, np.flatnonzero(~is_dense), np.flatnonzero(is_dense))
@@ -69,16 +65,11 @@ def _bordered(system: sp.csc_matrix, inner: IntArray, outer: IntArray) -> Solve:
         solution[inner] = first - through @ solution[outer]
         return solution
 
-    def solve(right: Array) -> Array:
-        solution, size = once(right), float(np.max(np.abs(right), initial=0.0))
-        for _ in range(_REFINEMENTS):
-            rest = right - system @ solution
-            if np.max(np.abs(rest), initial=0.0) <= _ROUNDED * size:
-                break
-            solution = solution + once(rest)
-        return solution
+    def refined(right: Array) -> Array:
+        solution = once(right)
+        return solution + once(right - system @ solution)
 
-    return solve
+    return refined
 
 
 def _lu(system: sp.csc_matrix) -> sp.linalg.SuperLU:

@@ -17,15 +17,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import eigh, qr
+from scipy.linalg import eigh, null_space
 
-from rmesh_nlp.evaluation import Array, Evaluator
+from rmesh_nlp.evaluation import ROUNDING, Array, Evaluator
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
-
-FLAT = 1e-6
-"""Part of the Hessian's largest entry below which a curvature has no sign."""
 
 MOST = 200
 """Most unknowns, slacks included, of a point whose critical directions are searched: by dense matrices."""
@@ -36,9 +33,6 @@ DENSE = 1000
 
 SEARCHES = 20
 """Starts from which a lower value is looked for at the end of a solve."""
-
-_LOWER = 1e-6  # a value of the lower level is lower by more than this, relative
-_RANK = 1e-9  # part of the largest diagonal entry of R below which one is zero
 
 BoolArray = NDArray[np.bool_]
 
@@ -60,6 +54,11 @@ class LowerLevelCheck:
 
     Attributes
     ----------
+    verdict : str
+        ``global minimum``, ``local minimum``, ``undecided``, ``no minimum`` or ``not stationary``, by the
+        second-order conditions of Nocedal and Wright, *Numerical Optimization* (2006), theorems 12.5 and
+        12.6. Global: f is a convex quadratic and g linear in the lower level's variables. Negative curvature
+        disproves a minimum only if multipliers are unique or do not enter it.
     f : float
         The lower level's objective.
     residual : float
@@ -69,52 +68,16 @@ class LowerLevelCheck:
         Bounds of the least curvature of the Lagrangian along critical directions: its least eigenvalue on the
         null space of the strongly active constraints, and along the critical directions that were found.
         Equal if no constraint is weakly active, infinite if no direction is left.
-    flat : float
-        Curvatures below this have no sign: 1e-6 of the Hessian, or what it changes by in a step of 1e-6.
-    n_active, n_weakly_active : int
-        Active constraints, bounds included, and those of them with a multiplier of zero.
-    independent : bool
-        Whether the gradients of the active constraints are linearly independent (LICQ). Otherwise
-        multipliers are not unique.
-    linear_constraints : bool
-        Whether ``g`` is linear in the lower level's variables.
-    convex : bool
-        Whether, in the lower level's variables, f is a convex quadratic and g linear. Other convex problems
-        are not recognised.
     lower : array, optional
         Variables of the lower level with a lower value, if a search was asked for and has found them.
     """
 
+    verdict: str
     f: float
     residual: float
     curvature_low: float
     curvature_high: float
-    flat: float
-    n_active: int
-    n_weakly_active: int
-    independent: bool
-    linear_constraints: bool
-    convex: bool
     lower: Array | None = None
-
-    @property
-    def verdict(self) -> str:
-        """``global minimum``, ``local minimum``, ``undecided``, ``no minimum`` or ``not stationary``.
-
-        By the second-order conditions of Nocedal and Wright, *Numerical Optimization* (2006), theorems 12.5
-        and 12.6. Negative curvature disproves a minimum only if multipliers are unique or do not enter it.
-        """
-        if not self.residual <= ZERO:
-            return "not stationary"
-        if self.convex:
-            return "global minimum"
-        if self.lower is not None:
-            return "no minimum"
-        if self.curvature_low > self.flat:
-            return "local minimum"
-        if self.curvature_high < -self.flat and (self.independent or self.linear_constraints):
-            return "no minimum"
-        return "undecided"
 
     def __str__(self) -> str:
         said = self.verdict + ("" if self.lower is None else ", a lower value was found")
@@ -160,7 +123,12 @@ class LowerLevel:
         """Number of unknowns of the MPCC: x, y and a multiplier for each side."""
         return self.n_upper + self.nlp.n_x + self.sides.entry.size
 
-    def solve(self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), **options: object) -> NLPResult:
+    def split(self, x: ArrayLike) -> tuple[Array, Array, Array]:
+        """Of unknowns of the MPCC the upper level's, the lower level's, and a multiplier for each side."""
+        parts = np.split(np.ravel(x)[: self.size], [self.n_upper, self.n_upper + self.nlp.n_x])
+        return parts[0], parts[1], parts[2]
+
+    def solve(self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = ()) -> NLPResult:
         """Solve the lower level by Ipopt with the upper level's variables ``x``.
 
         Parameters
@@ -170,12 +138,9 @@ class LowerLevel:
             Start; a scalar fills it. Ipopt moves it into the bounds.
         p : array_like
             Values of the parameters.
-        **options
-            Ipopt's.
         """
-        solver = Solver(self.nlp, options=options) if options else self._solver
         start = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
-        return solver(start, p=np.append(x, p))
+        return self._solver(start, p=np.append(x, p))
 
     def lowest(
         self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = 20, seed: int = 0
@@ -227,37 +192,42 @@ class LowerLevel:
             Starts from which :meth:`lowest` looks for a lower value, if the lower level is not convex.
         """
         n_y, n_g, (entry, sign, bound, equal) = self.nlp.n_x, self.nlp.n_g, self.sides
-        upper, y, multiplier = np.split(np.ravel(x)[: self.size], [self.n_upper, self.n_upper + n_y])
-        lam = np.zeros(n_y + n_g)
+        upper, y, multiplier = self.split(x)
+        parameters, lam = np.append(upper, p), np.zeros(n_y + n_g)
         np.add.at(lam, entry, sign * multiplier)
-        f, slope, g, jacobian, hessian = self._derivatives(y, np.append(upper, p), lam[n_y:])
+        f, slope, g, jacobian, hessian = self._derivatives(y, parameters, lam[n_y:])
         rows = np.vstack([np.eye(n_y), jacobian.reshape(n_g, n_y, order="F")])
-        unit = max(1.0, float(np.max(np.abs(slope), initial=0.0)))
+        unit = max(1.0, _largest(slope))
         room = sign * (bound - np.append(y, g)[entry]) / (1 + np.abs(bound))
-        terms = max(unit, float(np.max(np.abs(rows.T) @ np.abs(lam), initial=0.0)))
+        terms = max(unit, _largest(np.abs(rows.T) @ np.abs(lam)))
         kkt = [(slope + rows.T @ lam) / terms, np.where(equal, room, np.minimum(room, multiplier / unit))]
+        residual = _largest(np.concatenate(kkt))
         active = room <= BOUND_OF_AN_NLP
         strong = active & (equal | (multiplier > ZERO * unit))
-        matrix, (quadratic, linear) = hessian.reshape(n_y, n_y, order="F"), self._shape
-        beside = self._derivatives(y + ZERO * (1 + np.abs(y)), np.append(upper, p), lam[n_y:])[4]
-        noise = float(np.max(np.abs(np.nan_to_num(beside - hessian)), initial=0.0))
-        flat = max(noise, FLAT * float(np.max(np.abs(matrix), initial=0.0)))
-        gradients = sign[:, None] * rows[entry]
+        # curvatures have no sign below that of rounding, or below what they change by in a small step
+        beside = self._derivatives(y + ZERO * (1 + np.abs(y)), parameters, lam[n_y:])[4]
+        flat = max(_largest(np.nan_to_num(beside - hessian)), ZERO * _largest(hessian))
+        matrix, gradients = hessian.reshape(n_y, n_y, order="F"), sign[:, None] * rows[entry]
         low, _ = least_eigenvalue(matrix, directions(gradients[strong]))
         high, _, _ = least_critical(matrix, gradients[strong], gradients[active & ~strong])
-        whole, _ = least_eigenvalue(matrix, np.eye(n_y))
-        n_active = int(active.sum())
-        convex, lowest = quadratic and linear and whole >= -flat, None
-        if searches and not convex:
+        is_quadratic, is_linear = self._shape
+        is_convex = is_quadratic and is_linear and least_eigenvalue(matrix, np.eye(n_y))[0] >= -flat
+        lowest = None
+        if searches and not is_convex:
             end = self.lowest(upper, y, p=p, n=searches)
-            lowest = end.x if end.converged and end.f < f[0] - _LOWER * (1 + abs(f[0])) else None
-        return LowerLevelCheck(
-            f=float(f[0]), residual=float(np.max(np.abs(np.concatenate(kkt)), initial=0.0)),
-            curvature_low=low, curvature_high=high, flat=flat,
-            n_active=n_active, n_weakly_active=n_active - int(strong.sum()),
-            independent=directions(gradients[active]).shape[1] == n_y - n_active,
-            linear_constraints=linear, convex=convex, lower=lowest,
-        )  # fmt: skip
+            lowest = end.x if end.converged and end.f < f[0] - ZERO * (1 + abs(f[0])) else None
+        if not residual <= ZERO:
+            verdict = "not stationary"
+        elif is_convex:
+            verdict = "global minimum"
+        elif lowest is not None:
+            verdict = "no minimum"
+        elif low > flat:
+            verdict = "local minimum"
+        else:
+            unique = directions(gradients[active]).shape[1] == n_y - np.count_nonzero(active)
+            verdict = "no minimum" if high < -flat and (unique or is_linear) else "undecided"
+        return LowerLevelCheck(verdict, float(f[0]), residual, low, high, lowest)
 
     @cached_property
     def _solver(self) -> Solver:
@@ -281,13 +251,13 @@ class LowerLevel:
         return quadratic, linear
 
 
+def _largest(values: Array) -> float:
+    return float(np.max(np.abs(values), initial=0.0))
+
+
 def directions(gradients: Array) -> Array:
     """Orthonormal columns that span the directions along which no constraint changes."""
-    if gradients.shape[0] == 0:
-        return np.eye(gradients.shape[1])
-    q, r, _ = qr(gradients.T, pivoting=True)
-    sizes = np.abs(np.diagonal(r))
-    return np.asarray(q[:, int(np.sum(sizes > _RANK * sizes[0])) :])
+    return np.asarray(null_space(gradients, rcond=ROUNDING))
 
 
 def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:
@@ -317,7 +287,7 @@ def least_critical(
         value, d = least_eigenvalue(matrix, directions(np.vstack([strong, weak[list(face)]])))
         for side in (d, -d):
             slopes = weak @ side
-            changed = np.zeros(0) if pair is None else pair[(pair >= 0) & (slopes < -_RANK)]
-            if value < least and np.all(slopes <= _RANK) and np.unique(changed).size == changed.size:
+            changed = np.zeros(0) if pair is None else pair[(pair >= 0) & (slopes < -ROUNDING)]
+            if value < least and np.all(slopes <= ROUNDING) and np.unique(changed).size == changed.size:
                 least, along = value, side
     return least, along, few
