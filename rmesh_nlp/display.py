@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from html import escape
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -72,7 +72,7 @@ FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n", "＝", "＋", "－", "＠")
 """What spreadsheets take for the beginning of a formula."""
 
 
-def for_spreadsheet(value: Any) -> Any:
+def for_spreadsheet(value: object) -> object:
     """A value for a CSV file: a text that a spreadsheet would run as a formula begins with an apostrophe."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
@@ -87,7 +87,7 @@ def figure(value: float) -> str:
     return f"{value:.6g}"
 
 
-def bounds_in_words(lower: Any, upper: Any) -> str:
+def bounds_in_words(lower: object, upper: object) -> str:
     """Bounds as text, numbers or expressions; one that is infinite, or None, is none."""
     low, high = (
         None if bound is None or (isinstance(bound, Real) and math.isinf(bound)) else describe(bound)
@@ -98,7 +98,7 @@ def bounds_in_words(lower: Any, upper: Any) -> str:
     return f"at most {high}" if low is None else f"at least {low}" if high is None else f"{low} to {high}"
 
 
-def describe(coefficient: Any) -> str:
+def describe(coefficient: object) -> str:
     """A coefficient as text: its expression if it has one."""
     if callable(coefficient):
         return str(getattr(coefficient, "text", "f(x, y)"))

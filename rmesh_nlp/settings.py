@@ -63,7 +63,7 @@ class Open:
     kind: type[Settings]
     closed: tuple[str, ...] = ()
 
-    def check(self, name: str, value: Any) -> None:
+    def check(self, name: str, value: object) -> None:
         """Raise a BadInputError if a mapping has other names."""
         if isinstance(value, Mapping):
             self.kind().having(value)
@@ -83,12 +83,17 @@ class Settings:
     """
 
     def __post_init__(self) -> None:
-        own: Any = type(self)
-        for name, kind in _kinds(own).items():
+        for name, kind in self._kinds().items():
             _check(name, getattr(self, name), kind)
 
     @classmethod
-    def of(cls: type[S], given: Settings | Mapping[str, Any] | None) -> S:
+    @cache
+    def _kinds(cls) -> dict[str, Any]:
+        hints = get_type_hints(cls, include_extras=True)
+        return {field.name: hints[field.name] for field in fields(cls)}
+
+    @classmethod
+    def of(cls: type[S], given: Settings | Mapping[str, object] | None) -> S:
         """Settings from an instance, from a mapping of the fields that differ, or the defaults."""
         if given is None:
             return cls()
@@ -102,9 +107,8 @@ class Settings:
     @classmethod
     def names(cls) -> dict[str, str]:
         """What may be given by name, and the field that it is for: fields, and names of open ones."""
-        own: Any = cls
-        names = {field.name: field.name for field in fields(own)}
-        for place, kind in _kinds(own).items():
+        names = {name: name for name in cls._kinds()}
+        for place, kind in cls._kinds().items():
             for mark in (mark for mark in get_args(kind)[1:] if isinstance(mark, Open)):
                 open_names = (name for name in mark.kind.names() if name not in mark.closed)
                 names = {**dict.fromkeys(open_names, place), **names}
@@ -160,16 +164,10 @@ def from_texts(given: Iterable[str], where: str = "--set ") -> dict[str, Any]:
     return found
 
 
-WORDS: Mapping[Any, str] = {bool: "true or false", str: "a name"}
+WORDS: Mapping[type, str] = {bool: "true or false", str: "a name"}
 
 
-@cache
-def _kinds(settings: type[Any]) -> dict[str, Any]:
-    hints = get_type_hints(settings, include_extras=True)
-    return {field.name: hints[field.name] for field in fields(settings)}
-
-
-def _check(name: str, value: Any, kind: Any) -> None:
+def _check(name: str, value: object, kind: Any) -> None:
     """Raise a BadInputError if a value is not what the type of its field says, beyond what Python's says."""
     if get_origin(kind) is Annotated:
         base, *rules = get_args(kind)

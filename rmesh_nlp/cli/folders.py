@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import remove_leftovers
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
@@ -21,17 +19,12 @@ SUCCESS, NO_SUCCESS = 0, 1  # exit codes
 def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
     """The folder, made if need be and locked, before time is spent on solving.
 
-    If what happens in this context leaves it empty, what was made is taken away again. Raises BadInputError
-    if it cannot be written, another process writes there, or one of ``names`` to be written is the user's.
+    If what happens in this context leaves it empty, what was made is taken away again. Raises OSError if it
+    cannot be written, BadInputError if another process writes there, or one of ``names`` is the user's.
     """
     made = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise BadInputError(f"cannot write to {str(folder)!r}: {error.strerror}") from error
-    try:
-        if not os.access(folder, os.W_OK | os.X_OK):
-            raise BadInputError(f"cannot write to {str(folder)!r}: permission denied")
         results = Results(folder)
         with results.locked():
             remove_leftovers(folder)

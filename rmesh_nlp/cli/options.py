@@ -190,7 +190,7 @@ def parse_names(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(names))
 
 
-PARSERS: dict[str, Callable[[Any], Any]] = {
+PARSERS: Mapping[str, Callable[..., Any]] = {
     "quadrature": parse_quadrature,
     "settings": from_texts,
 }

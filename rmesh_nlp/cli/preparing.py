@@ -44,14 +44,7 @@ def new(path: Path, study: bool) -> None:
     else:
         name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
         text, following = template(name, name + path.suffix), f"rmesh check {path}"
-    try:
-        if not path.parent.is_dir():
-            raise BadInputError(f"cannot write {path}: there is no folder {str(path.parent)!r}")
-        write_new(path, text)
-    except FileExistsError:
-        raise BadInputError(f"{path} exists: choose another name") from None
-    except OSError as error:
-        raise BadInputError(f"cannot write {path}: {error.strerror}") from error
+    write_new(path, text)
     print(f"wrote {path}; next: {following}")
 
 
@@ -112,10 +105,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
         first = Solved.of(problem)
         made = metric_start(first, problem.mesh.p.shape[1] if nodes is None else nodes).solved
     mesh = made.problem.mesh
-    try:
-        write_whole(out, lambda aside: write_mesh(mesh, aside))
-    except OSError as error:
-        raise BadInputError(f"cannot write {out}: {error.strerror}") from error
+    write_whole(out, lambda aside: write_mesh(mesh, aside))
     rows = [
         ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
         ("energy", f"{figure(made.state.energy)}, on the given mesh {figure(first.state.energy)}"),

@@ -13,14 +13,13 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.active_set import check_load, check_unique, solve
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Symmetric
+from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import ElementTerm, Field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.design import at_design
-from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 NO_DESIGN: Mapping[str, float] = {}
 """Of a problem without design variables."""
@@ -53,7 +52,7 @@ class Directions:
         if index.size == 0:
             return sp.csr_array((0, self.n_u))
         row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
-        used = (np.abs(vectors) > NO_NORMAL) & (index >= 0)
+        used = (np.abs(vectors) > ROUNDING) & (index >= 0)
         return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
 
 

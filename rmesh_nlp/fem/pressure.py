@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.evaluation import ROUNDING, Expression
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
@@ -26,7 +26,6 @@ from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
-from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 __all__ = ["contact_length", "largest_pressure", "level_pressure", "peak_pressure", "resultant", "shear"]
 
@@ -174,7 +173,7 @@ def _may_slip(space: DisplacementSpace, part: ContactSet) -> NDArray[np.bool_]:
     given, _ = space.given()
     obstacle = space.problem.first_obstacles[part.number]
     normals = obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
-    return np.asarray(np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > NO_NORMAL), axis=0))
+    return np.asarray(np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > ROUNDING), axis=0))
 
 
 def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:

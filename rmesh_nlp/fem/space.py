@@ -9,13 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import SIDES
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
-from rmesh_nlp.problem.obstacle import NO_NORMAL
 
 Index = NDArray[np.int64]
 
@@ -165,7 +164,7 @@ class DisplacementSpace:
             facets = np.unique(mesh.boundaries[obstacle.boundary])
         nodes = self.number[self.n_vertices + facets]
         held, _ = self.given()
-        seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > NO_NORMAL
+        seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > ROUNDING
         return np.asarray(nodes[np.any(~held[:, nodes] & seen, axis=0)])
 
     @cached_property

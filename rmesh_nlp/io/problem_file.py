@@ -21,7 +21,6 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # type: ignore[import-not-found,unused-ignore]
 
-LARGEST_FILE = 1_000_000  # bytes that a problem file may have
 DEEPEST = 20  # how deep tables and lists may be nested; a valid file needs five
 
 
@@ -68,8 +67,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raw = path.read_bytes()
     except OSError as error:
         raise ProblemFileError([f"{path}: cannot be read: {error.strerror}"]) from error
-    if len(raw) > LARGEST_FILE:
-        raise ProblemFileError([f"{path}: has {len(raw)} bytes: more than {LARGEST_FILE} are not read"])
     try:
         data = tomllib.loads(raw.decode())
         if _depth(data) > DEEPEST:
@@ -78,12 +75,12 @@ def read_toml(path: Path) -> dict[str, Any]:
         hint = messages.unquoted(raw, str(error))
         raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
     except RecursionError as error:
-        said = f"line {messages.deepest_line(raw)}: tables and lists are nested more than {DEEPEST} deep"
+        said = f"tables and lists are nested more than {DEEPEST} deep"
         raise ProblemFileError([f"{path}: {said}"]) from error
     return data
 
 
-def _depth(data: Any) -> int:
+def _depth(data: object) -> int:
     """How deep tables and lists are nested; no function calls itself, however deep that is."""
     depth, level = 0, [data]
     while level := [item for item in level if isinstance(item, (dict, list))]:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, get_args, get_origin
 
 import casadi as ca
-import numpy as np
 from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import BadInputError, Place, nearest, one_line
@@ -26,7 +25,7 @@ class ProblemFileError(BadInputError):
         self.lines = lines
 
 
-def value_at(data: Any, place: Place) -> Any:
+def value_at(data: object, place: Place) -> object:
     """What stands at a place of nested tables; None where nothing does."""
     value = data
     for part in place:
@@ -47,7 +46,7 @@ class Source:
     """A file with its tables as they stand there; its errors name places and quote what stands there."""
 
     path: Path
-    data: Mapping[str, Any]
+    data: Mapping[str, object]
 
     @cached_property
     def symbols(self) -> dict[str, ca.SX]:
@@ -97,7 +96,7 @@ class Source:
             raise self.error(self.first([*entries, place]), said) from error
 
 
-def as_text(value: Any) -> str:
+def as_text(value: object) -> str:
     """A value as it stands in a file, cut to 60 characters."""
     text = "nothing" if value is None else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
@@ -144,7 +143,7 @@ def _tables(model: type[BaseModel], head: str = "") -> Iterator[tuple[str, type[
             yield from _tables(kind, f"{place}.")
 
 
-def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+def _models(annotation: object) -> Iterator[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for part in get_args(annotation):
@@ -173,9 +172,3 @@ def unquoted(raw: bytes, error: str) -> str:
     if entry is None or not re.search(r"=.*([xy]\b|\*|\(|[0-9]\s*[-+/^])", entry[1]):
         return ""
     return f'{entry[1].strip()}: expressions need quotes (line {number}), as in "2*x"'
-
-
-def deepest_line(raw: bytes) -> int:
-    """Number of the line of a TOML file with most brackets, or with most parts in its key."""
-    lines = raw.decode(errors="replace").splitlines()
-    return 1 + int(np.argmax([sum(map(line.count, "[{.")) for line in lines]))

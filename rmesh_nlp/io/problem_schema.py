@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from inspect import Parameter, signature
+from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
 
 from pydantic import (
@@ -44,6 +45,7 @@ from rmesh_nlp.io.problem_values import (
 )
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
     DesignVariable,
     Elastic,
@@ -136,7 +138,7 @@ class Table(BaseModel):
         return {name: getattr(self, name) for name in keys if name not in without}
 
 
-def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
+def arguments(make: Callable[..., object]) -> dict[str, Parameter]:
     """The arguments that a file can give: those whose type has a kind of value, in the place of the type."""
     types, parameters = get_type_hints(make), signature(make).parameters
     return {
@@ -146,7 +148,7 @@ def arguments(make: Callable[..., Any]) -> dict[str, Parameter]:
     }
 
 
-def taking(*makes: Callable[..., Any], without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
+def taking(*makes: Callable[..., object], without: tuple[str, ...] = ()) -> Callable[[type[T]], type[T]]:
     """A table with the arguments of ``make`` as further keys; of one of several each may be left out."""
 
     def extended(table: type[T]) -> type[T]:
@@ -164,7 +166,7 @@ def taking(*makes: Callable[..., Any], without: tuple[str, ...] = ()) -> Callabl
 M = TypeVar("M")
 
 
-def made(what: str, makes: Sequence[Callable[..., M]], given: Mapping[str, Any]) -> M:
+def call(what: str, makes: Sequence[Callable[..., M]], given: Mapping[str, object]) -> M:
     """The first of some functions that takes the given arguments, called with them."""
     forms, known = [], set[str]()
     for make in makes:
@@ -186,12 +188,26 @@ class MeshTable(Table):
     file: Text | None = None
     shape: Annotated[str, among(SHAPES)] | None = None
 
+    def made(self, folder: Path) -> MeshTri:
+        """The mesh; its file is relative to a folder."""
+        if self.shape is not None:
+            return call(f"the shape {self.shape!r}", [SHAPES[self.shape]], self.entries("shape"))
+
+        def read(file: str) -> MeshTri:
+            return read_mesh(folder / file)
+
+        return call("a mesh from a file", [read], self.entries())
+
 
 @taking(Laplace, Elastic.from_young, Elastic)
 class MaterialTable(Table):
     """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
     law: Annotated[str, among(LAWS)]
+
+    def made(self) -> Law:
+        """The law."""
+        return call(f"the law {self.law!r}", LAWS[self.law], self.entries("law"))
 
 
 BrokenLine = Annotated[Points, AfterValidator(lambda points: PiecewiseLinear(*zip(*points, strict=True)))]
@@ -236,7 +252,7 @@ class ContactTable(Table):
             raise ValueError("friction needs contact on a boundary")
         return self
 
-    def obstacle(self, components: int) -> Obstacle:
+    def made(self, components: int) -> Obstacle:
         """The foundation for a body with so many components of the displacement."""
         given = self.entries("gap", *FOUNDATIONS)
         (kind,) = self.given(*FOUNDATIONS) or ["offset"]
@@ -300,8 +316,12 @@ class MotionTable(Table):
 class CurveTable(Table):
     """One of ``[curves]``: a circle, the points of a spline, or two expressions of t."""
 
+    def made(self) -> Curve:
+        """The curve."""
+        return call("a curve", CURVES, self.entries())
 
-def _curve(value: Any, read: ValidatorFunctionWrapHandler) -> CurveTable | str:
+
+def _curve(value: object, read: ValidatorFunctionWrapHandler) -> CurveTable | str:
     """A table, or the word for what is fitted to the nodes."""
     if isinstance(value, dict):
         return read(value)

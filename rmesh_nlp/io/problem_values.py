@@ -30,7 +30,7 @@ SYMMETRY = "symmetry"  # written in ``[dirichlet]`` for a straight boundary whos
 def expected(text: str) -> WrapValidator:
     """One sentence in the place of all that pydantic has to say; a message of our own goes first."""
 
-    def check(value: Any, read: ValidatorFunctionWrapHandler) -> Any:
+    def check(value: object, read: ValidatorFunctionWrapHandler) -> object:
         try:
             return read(value)
         except ValidationError as error:
@@ -44,7 +44,7 @@ def among(names: Iterable[str]) -> BeforeValidator:
     """One of some names, or an error with all of them."""
     choices = list(names)
 
-    def check(value: Any) -> Any:
+    def check(value: object) -> object:
         if value not in choices:
             *first, last = map(repr, choices)
             raise ValueError(f"expected {', '.join(first)} or {last}")
@@ -77,7 +77,7 @@ def _coefficient(value: Any, info: ValidationInfo) -> Value:
     raise ValueError("expected a finite number or an expression of x and y such as 'sin(pi*x)*y'")
 
 
-def _designed(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float | ca.SX:
+def _designed(value: object, read: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float | ca.SX:
     """A number, or where there are design variables an expression of them."""
     if not isinstance(value, str) or not source_of(info).symbols:
         return float(read(value))
@@ -87,7 +87,7 @@ def _designed(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationIn
     return number
 
 
-def _given(value: Any, read: ValidatorFunctionWrapHandler) -> Any:
+def _given(value: object, read: ValidatorFunctionWrapHandler) -> object:
     """A component may be free; a word stands for those of a boundary on an axis."""
     return SYMMETRY if value == SYMMETRY else read([None if v == FREE else v for v in as_list(value)])
 
@@ -98,7 +98,7 @@ def _objective(text: str, info: ValidationInfo) -> str:
     return beside(text, source_of(info).path.parent)
 
 
-def as_list(value: Any) -> list[Any]:
+def as_list(value: object) -> list[object]:
     """One for a list of one: ``[contact]`` for ``[[contact]]``."""
     return value if isinstance(value, list) else [value]
 
@@ -164,7 +164,7 @@ Ties = Annotated[
     tuple[tuple[_Whole, _Whole], ...], expected("pairs of node numbers such as [[12, 40], [13, 41]]")
 ]
 
-KINDS: Mapping[Any, Any] = {
+KINDS: Mapping[object, Any] = {
     bool: Flag,
     int: Whole,
     str: Text,

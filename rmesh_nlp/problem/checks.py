@@ -15,7 +15,6 @@ from rmesh_nlp.meshes.geometry import members_of
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
-from rmesh_nlp.problem.obstacle import NO_NORMAL
 from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, traction_degree, triangle_rule
 from rmesh_nlp.problem.rigid import rigid_motions, seen_by_contact
 
@@ -198,7 +197,7 @@ def _check_friction(problem: ProblemData) -> None:
         if not part.obstacle.frictional:
             continue
         nodes = part.nodes
-        oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > NO_NORMAL, axis=0)
+        oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > ROUNDING, axis=0)
         for node in nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]:
             raise ProblemError(
                 ("contact", part.number, "friction"),

@@ -29,13 +29,10 @@ OPEN = {"allow_free": True}
 
 T = TypeVar("T")
 
-KEPT = 64
-"""Coefficients for which what was made of them is kept."""
-
 
 def once(make: Callable[[Coefficient], T]) -> Callable[[Coefficient], T]:
     """Kept per coefficient: functions of position are pure, and the meshes of a problem share them."""
-    kept = lru_cache(maxsize=KEPT)(make)
+    kept = lru_cache(make)
 
     @wraps(make)
     def made(coefficient: Coefficient) -> T:

@@ -202,18 +202,14 @@ class ContactProblem(Shown, ProblemData):
         return f"Contact problem {self.name!r}"
 
 
-def refined(problem: ContactProblem, *, polygon: bool = False, mesh: MeshTri | None = None) -> ContactProblem:
+def refined(problem: ContactProblem, *, mesh: MeshTri | None = None) -> ContactProblem:
     """The same problem with every triangle cut into four, names kept; move limits keep their widths.
 
     ``mesh`` takes the place of that of the problem. New nodes of a boundary with a curve are on the curve.
-    With ``polygon`` they stay on the edges that they cut, and the motion has no curves: the domain is then
-    that of the given mesh.
     """
     motion = problem.motion
     if isinstance(motion.delta, Relative):
         motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
-    if polygon:
-        motion = replace(motion, curves={})
     return on_mesh(problem, (problem.mesh if mesh is None else mesh).refined(1), motion)
 
 

@@ -19,7 +19,7 @@ from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Tr
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import LOCKING, Law, PlaneStrain
 from rmesh_nlp.problem.motion import Motion
-from rmesh_nlp.problem.obstacle import NO_CONTACT, NO_NORMAL, Obstacle, Place
+from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
 from rmesh_nlp.problem.quadrature import suitable_rule
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
@@ -197,7 +197,7 @@ class ProblemData:
         for number, obstacle in enumerate(self.obstacles):
             nodes = self.nodes_of(obstacle)
             normals = self.first_obstacles[number].normals(self.mesh.p[:, nodes])
-            seen = np.abs(normals) > NO_NORMAL
+            seen = np.abs(normals) > ROUNDING
             nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
             sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))
             first += nodes.size

@@ -165,7 +165,7 @@ def substituted(expression: ca.SX, values: Mapping[str, float]) -> ca.SX:
     return ca.substitute(expression, ca.vertcat(*used), ca.DM([values[sym.name()] for sym in used]))
 
 
-def names_in(coefficient: Any) -> tuple[str, ...]:
+def names_in(coefficient: object) -> tuple[str, ...]:
     """Names of the design variables that a coefficient, a law, a load or an obstacle depends on."""
     if isinstance(coefficient, ca.SX):
         return tuple(sorted({sym.name() for sym in ca.symvar(coefficient)}))

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
-from skfem import Basis, ElementTriP1, MeshTri, condense, solve
+from skfem import Basis, ElementTriP1, MeshTri
 from skfem.models.poisson import laplace
 
 from rmesh_nlp.evaluation import Array
@@ -70,9 +70,7 @@ def bent(mesh: MeshTri, curves: Mapping[str, Curve]) -> MeshTri:
     if target is mesh:
         return mesh
     fixed = np.unique(mesh.facets[:, line_facets(mesh)])
-    matrix = laplace.assemble(Basis(mesh, ElementTriP1()))
-    shift = [solve(*condense(matrix, x=row, D=fixed)) for row in target.p - mesh.p]
-    moved = mesh.p + shift
+    moved = mesh.p + _harmonic(mesh, target.p - mesh.p, fixed, np.zeros(mesh.p.shape))
     moved[:, fixed] = target.p[:, fixed]
     return replace(mesh, doflocs=moved)
 
@@ -83,33 +81,41 @@ def harmonic_motions(problem: ProblemData) -> Array:
     Nodes that may slide along a straight line do so, all others on lines stay. A ValueError names a node that
     would move although a displacement is given there as a function of position.
     """
-    mesh, n = problem.mesh, problem.mesh.p.shape[1]
+    mesh = problem.mesh
     on = [nodes_of(mesh, shape.boundary) for shape in problem.shapes]
     displacements = motions(problem.shapes, np.asarray(mesh.p), on)
     on_line, tangent = sliding_directions(problem)
-    stiffness = laplace.assemble(Basis(mesh, ElementTriP1()))
-    stiffness = sp.block_diag([stiffness, stiffness], format="csr")
     held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
     for moved, shape, given in zip(displacements, problem.shapes, on, strict=True):
-        directions = np.ones((2, n))
-        directions[:, on_line] = tangent[:, on_line]
-        directions[:, given] = 0.0
-        free = np.setdiff1d(np.arange(n), on_line)
-        slides = np.setdiff1d(on_line[np.any(directions[:, on_line] != 0, axis=0)], given)
-        row = np.concatenate([free, n + free, slides, n + slides])
-        column = np.concatenate(
-            [np.arange(2 * free.size), np.tile(2 * free.size + np.arange(slides.size), 2)]
-        )
-        value = directions.ravel()[row]
-        basis = sp.csr_array((value, (row, column)), shape=(2 * n, 2 * free.size + slides.size))
-        right = -basis.T @ (stiffness @ moved.ravel())
-        if right.size:
-            moved += (basis @ splu(sp.csc_matrix(basis.T @ stiffness @ basis)).solve(right)).reshape(2, n)
+        along = tangent.copy()
+        along[:, given] = 0.0
+        moved[:] = _harmonic(mesh, moved, np.union1d(on_line, given), along)
         for name in held:
             for node in nodes_of(mesh, name)[np.any(moved[:, nodes_of(mesh, name)] != 0, axis=0)][:1]:
                 said = f"the shape {shape.name!r} would move node {node}, where a displacement is given"
                 raise ValueError(f"{said} on {name!r} as a function of position")
     return displacements
+
+
+def _harmonic(mesh: MeshTri, given: Array, fixed: Index, tangent: Array) -> Array:
+    """Displacements (2, nodes): those given at ``fixed`` nodes, and harmonic elsewhere.
+
+    Fixed nodes with a tangent slide along it besides.
+    """
+    n = mesh.p.shape[1]
+    free = np.setdiff1d(np.arange(n), fixed)
+    slides = np.flatnonzero(np.any(tangent != 0, axis=0))
+    row = np.concatenate([free, n + free, slides, n + slides])
+    column = np.concatenate([np.arange(2 * free.size), np.tile(2 * free.size + np.arange(slides.size), 2)])
+    value = np.concatenate([np.ones(2 * free.size), *tangent[:, slides]])
+    basis = sp.csr_array((value, (row, column)), shape=(2 * n, 2 * free.size + slides.size))
+    stiffness = laplace.assemble(Basis(mesh, ElementTriP1()))
+    stiffness = sp.block_diag([stiffness, stiffness], format="csr")
+    start = given.ravel()
+    right = -basis.T @ (stiffness @ start)
+    if right.size:
+        start = start + basis @ splu(sp.csc_matrix(basis.T @ stiffness @ basis)).solve(right)
+    return start.reshape(2, n)
 
 
 def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> tuple[Index, Array]:

@@ -28,9 +28,6 @@ Vector = tuple[float, float]
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
 
-NO_NORMAL = 1e-12
-"""Components of a unit normal below this are zero."""
-
 
 def unit(normal: Vector) -> Vector:
     """The vector of length 1 in a direction; a ValueError if it is none."""

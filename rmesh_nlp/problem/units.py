@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 
 @dataclass(frozen=True)
@@ -30,7 +29,7 @@ class Units:
 NO_UNITS = Units()
 
 
-def units_of(entry: Any) -> Units:
+def units_of(entry: object) -> Units:
     """The units in a record; none where it has none, or nonsense."""
     given = entry if isinstance(entry, dict) else {}
     return Units(str(given.get("length") or ""), str(given.get("force") or ""))

@@ -23,7 +23,6 @@ from rmesh_nlp.meshes.curves import (
     on_values,
     spline_through,
 )
-from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
@@ -79,10 +78,7 @@ def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:
     assert coarse is not None
     assert max(off(other, other.mesh, "hole", HOLE) for other in (fine, local, coarse)) < 1e-12
     assert coarse.boundary_nodes(("hole",)).size < problem.boundary_nodes(("hole",)).size
-    polygon = refined(problem, polygon=True)
-    assert (set(fine.motion.curves), set(polygon.motion.curves)) == ({"hole"}, set())
-    areas = [signed_areas(one.mesh.p, one.triangles).sum() for one in (polygon, problem)]
-    assert areas[0] == pytest.approx(areas[1], rel=1e-13)
+    assert set(fine.motion.curves) == {"hole"}
 
 
 @pytest.mark.slow
