@@ -49,6 +49,9 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
                 return z, Status.INFEASIBLE if violation > tolerance else Status.CONVERGED
             only_violation = True  # a minimum of the violation is shown without the objective
             continue
+        if not np.isfinite(run.nlps.excess(trial, run.p)):  # the functions are not defined there
+            radius *= _SHRINK
+            continue
         least = run.least_violation(trial, zero)
         if least.f <= tolerance:
             return least.x, Status.CONVERGED

@@ -125,6 +125,13 @@ def test_region_shrinks_where_the_linearisation_is_poor():
     assert np.cos(4 * z[0]) + z[1] == pytest.approx(0.5, abs=1e-7)
 
 
+def test_region_shrinks_where_functions_are_not_defined():
+    """log(x - 1) = -2 from x = 10: the first step ends at x = 0."""
+    _, (z, status) = end_of(MPCC(XY, x, ca.log(x - 1), x, y, lbg=-2, ubg=-2), [10, 0])
+    assert status is Status.CONVERGED
+    assert z[0] == pytest.approx(1 + np.exp(-2), abs=1e-7)
+
+
 def test_of_feasible_branches_the_one_with_the_lower_objective_is_taken():
     mpcc = MPCC(XY, x + 3 * y, x + y, x, y, lbg=1)
     z = end_of(mpcc, [0.4, 0.5])[1][0]
