@@ -13,7 +13,7 @@ from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, make_plan, seconds_of_plan
-from rmesh_nlp.study.progress import SolvesProgress
+from rmesh_nlp.study.progress import SolvesProgress, in_words
 from rmesh_nlp.study.study_file import read_study
 
 STUDY_FILE = "study.toml"
@@ -94,10 +94,4 @@ def print_plan(
     if len(todo) < len(plan):
         print(f"{len(plan) - len(todo)} of them have a row in {out}")
     seconds = seconds_of_plan(todo, [] if out is None else read_rows(out)) / jobs
-    print(f"a rough guess: {_duration(seconds)} with {jobs} process{'es' * (jobs > 1)}")
-
-
-def _duration(seconds: float) -> str:
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
+    print(f"a rough guess: {in_words(seconds)} with {jobs} process{'es' * (jobs > 1)}")

@@ -180,14 +180,12 @@ class Series:
     Parameters
     ----------
     problem : ContactProblem
-    every : int
-        Keep one of so many iterates, the first and the last always.
     most : int, optional
         Keep no more than about so many, evenly; each costs a contact solve and a file.
     """
 
-    def __init__(self, problem: ContactProblem, every: int = 1, most: int | None = None) -> None:
-        self.problem, self.every, self.most = problem, every, most
+    def __init__(self, problem: ContactProblem, most: int | None = None) -> None:
+        self.problem, self.most = problem, most
         self._steps: list[Step] = []
 
     def __call__(self, step: Step) -> None:
@@ -237,9 +235,7 @@ class Series:
 
     def _chosen(self) -> list[Step]:
         last = len(self._steps) - 1
-        every = self.every
-        if self.most is not None:
-            every = max(every, -(-last // max(self.most - 1, 1)))
+        every = 1 if self.most is None else max(1, -(-last // max(self.most - 1, 1)))
         return [s for i, s in enumerate(self._steps) if i % every == 0 or i == last]
 
     @staticmethod

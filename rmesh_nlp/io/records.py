@@ -7,20 +7,18 @@ import math
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import AfterValidator, ConfigDict, ValidationError, create_model
+from pydantic import ConfigDict, ValidationError, create_model
+from pydantic_core import from_json
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.solving.entries import ENTRIES
-from rmesh_nlp.solving.entry import EVERY, Entry
+from rmesh_nlp.solving.entry import EVERY, Count, Number, Seconds
 
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
-
-LONGEST_LINE = 10_000_000  # characters that a record may have
-LARGEST_WHOLE = 2**63  # whole numbers in records are smaller
 
 
 def objective_of(record: Record) -> str:
@@ -56,20 +54,20 @@ class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 
 
-def _field(entry: Entry) -> tuple[Any, Any]:
-    """Its type and, where it may be absent, its default."""
-    checked = Annotated[entry.type, AfterValidator(entry.check or (lambda value: value))]  # type: ignore[name-defined]
-    return checked, ... if entry.presence is EVERY else None
-
-
-FIELDS: dict[str, Any] = {name: _field(entry) for name, entry in ENTRIES.items()}
-RecordModel = create_model("RecordModel", __config__=ConfigDict(extra="allow", strict=True), **FIELDS)
+FIELDS: dict[str, Any] = {
+    name: (entry.type, ... if entry.presence is EVERY else None) for name, entry in ENTRIES.items()
+}
+RecordModel = create_model(
+    "RecordModel", __config__=ConfigDict(extra="allow", strict=True, allow_inf_nan=False), **FIELDS
+)
 """The entries of a record with their types; further ones may come."""
 
 REQUIRED = tuple(entry.name for entry in ENTRIES.values() if entry.presence is EVERY)
 """Entries that every record has."""
 
-MEASURED = tuple(entry.name for entry in ENTRIES.values() if entry.is_measured)
+MEASURED = tuple(
+    name for name in REQUIRED if ENTRIES[name].type in (Number, Count, Seconds) and name != "seed"
+)
 """Entries that are numbers in every row of a success; elsewhere they may be null."""
 
 
@@ -103,40 +101,11 @@ def _first(error: ValidationError) -> str:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """Strict JSON of moderate depth, with numbers that are finite and text that can be written."""
+    """Strict JSON of moderate depth, without NaN and with text that can be written."""
     try:
-        if len(text) > LONGEST_LINE:
-            raise ValueError(f"it has {len(text)} characters")
-        value = json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant)
-        text.encode()  # what was not UTF-8
-        json.dumps(value, ensure_ascii=False).encode()  # escaped surrogates
-        return value
-    except json.JSONDecodeError as error:
-        raise BadInputError(f"{where} is not JSON: {error.msg} at character {error.pos}") from error
-    except RecursionError:
-        reason = "it is nested too deeply"
-    except UnicodeEncodeError:
-        reason = "it has an unpaired surrogate"
+        return from_json(text, allow_inf_nan=False)
     except ValueError as error:
-        reason = str(error)
-    raise BadInputError(f"{where} is not JSON that can be read: {reason}")
-
-
-def _whole(digits: str) -> int:
-    if len(digits) > 20 or abs(int(digits)) >= LARGEST_WHOLE:
-        raise ValueError(f"the number {digits[:20]}{'...' * (len(digits) > 20)} is too large")
-    return int(digits)
-
-
-def _finite(digits: str) -> float:
-    number = float(digits)
-    if not math.isfinite(number):
-        raise ValueError(f"the number {digits[:40]} is too large")
-    return number
-
-
-def _no_constant(name: str) -> float:
-    raise ValueError(f"{name} is no number of JSON")
+        raise BadInputError(f"{where} is not JSON that can be read: {error}") from None
 
 
 def to_json(record: Record, indent: int | None = None) -> str:

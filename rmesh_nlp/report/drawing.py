@@ -76,8 +76,8 @@ class Body:
     """A body on one mesh with the title of its pictures; scalar problems have no foundations.
 
     Nodes (2, nodes), triangles (nodes per element, elements), displacement (components, nodes); pressure,
-    tangential stress and its bound (nodes,). ``closed`` are the numbers of elements in
-    contact with an obstacle in the interior.
+    tangential stress and its bound (nodes,); von Mises stress or the size of the flux (elements,). ``closed``
+    are the numbers of elements in contact with an obstacle in the interior.
     """
 
     title: str
@@ -89,6 +89,7 @@ class Body:
     pressure: Array = field(default_factory=lambda: np.zeros(0))
     tangential_stress: Array = field(default_factory=lambda: np.zeros(0))
     friction_bound: Array = field(default_factory=lambda: np.zeros(0))
+    stress: Array = field(default_factory=lambda: np.zeros(0))
     closed: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     @property

@@ -59,7 +59,8 @@ def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: A
             edges = space.nodes_of(contact_edges(problem, obstacle))
             contacts.append(Contact(str(obstacle.boundary), part.nodes, edges))
     shown: dict[str, Any] = {"foundations": foundations(space, nodes), "contacts": tuple(contacts)}
-    return Body(title, nodes, space.elements, u, **shown, pressure=pressure, closed=np.flatnonzero(closed))
+    shown |= {"pressure": pressure, "stress": plotting.size_of_stress(problem, X, u)}
+    return Body(title, nodes, space.elements, u, **shown, closed=np.flatnonzero(closed))
 
 
 def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> Body:
@@ -99,22 +100,17 @@ def _title(solution: Drawable) -> str:
 def pictures(solution: Drawable, page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures of all there is to see, made one by one; nothing that would be all zero."""
     last, start = after(solution), _start(solution)
-    bodies, problems = [last], [(solution.problem, np.asarray(solution.mesh.p))]
+    bodies = [last]
     begin, end = np.asarray(start.mesh.p), np.asarray(solution.mesh.p)
     moved = bool(np.any(begin != end))
     if moved or solution.designed is not None:
         bodies.insert(0, before(start, last.pressure, _title(solution)))
-        problems.insert(0, (start, begin))
     units, elastic = solution.problem.units, last.elastic
     is_loaded = any(np.any(body.displacement) for body in bodies)
     yield "mesh", side_by_side(bodies, _paint_mesh, page, units.length, deformed=elastic and is_loaded)
     if is_loaded:
         yield "displacement", displacement_figure(bodies, page, units, deformed=False)
-        stresses = {
-            body.title: plotting.size_of_stress(problem, X, body.displacement)
-            for body, (problem, X) in zip(bodies, problems, strict=True)
-        }
-        paint = coloured(plotting.draw_elements, lambda body: stresses[body.title])
+        paint = coloured(plotting.draw_elements, lambda body: body.stress)
         label = f"von Mises stress{bracketed(units.stress)}" if elastic else "|flux|"
         yield "stress" if elastic else "flux", side_by_side(bodies, paint, page, units.length, label=label)
     if not last.closed.size and (contact := contact_figure(bodies, page, units)) is not None:

@@ -27,7 +27,9 @@ from rmesh_nlp.solving.entry import (
     Entry,
     Named,
     Number,
+    Seconds,
     Text,
+    Widths,
     attribute,
     of_energies,
     of_seconds,
@@ -37,21 +39,8 @@ Solution = Any
 """A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
 
 
-def _widths(value: Any) -> object:
-    numbers = [value.get("relative")] if isinstance(value, dict) else value
-    is_kind = value is None or isinstance(value, dict) or (isinstance(value, list) and len(value) == 2)
-    if not is_kind or any(type(number) not in (int, float) for number in numbers or ()):
-        raise ValueError("expected two half-widths, {relative = number} or null")
-    return value
-
-
 def _seconds(name: str, meaning: str, of: str | None, **options: Any) -> Entry:
-    def check(value: float | None) -> float | None:
-        if value is not None and value < 0:
-            raise ValueError("expected seconds, at least 0")
-        return value
-
-    return Entry(name, Number, meaning, of, **{"presence": SOLVED, "unit": "s", "check": check, **options})
+    return Entry(name, Seconds, meaning, of, **{"presence": SOLVED, "unit": "s", **options})
 
 
 def _units(solution: Solution) -> dict[str, str]:
@@ -118,8 +107,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("formulation", str, "That solved it.", "formulation", EVERY),
         Entry("objective", str, "What was minimised.", "objective", EVERY),
         Entry("n", str, "Size of the mesh, as the problem gives it.", "problem.size", EVERY),
-        Entry("delta", Any, "Move limits along x and y, a part of the shortest edge, or null for none.",
-              lambda s: s.problem.motion.delta_record(), EVERY, unit="length", check=_widths),
+        Entry("delta", Widths, "Move limits along x and y, a part of the shortest edge, or null for none.",
+              lambda s: s.problem.motion.delta_record(), EVERY, unit="length"),
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
               "problem.order", SOLVED, heading="order"),
         Entry("nodes", Count, "Vertices of the mesh.", lambda s: int(s.mesh.p.shape[1]), SOLVED),
@@ -161,17 +150,16 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "Energies and objectives": (
         Entry("energy_initial", Number, "J on the given mesh with the problem's own quadrature.",
-              "energy_initial", EVERY, "energy", is_measured=True, heading="J given,|own rule",
+              "energy_initial", EVERY, "energy", heading="J given,|own rule",
               digits=of_energies),
         Entry("energy", Number, "The same on the final mesh.", "energy", EVERY, "energy",
-              is_measured=True, heading="J relocated,|own rule", digits=of_energies),
+              heading="J relocated,|own rule", digits=of_energies),
         Entry("energy_initial_audited", Number, "Least continuous energy of an admissible displacement on "
               "the given mesh.", "energy_initial_audited", SOLVED, "energy", heading="J|given",
               digits=of_energies),
         Entry("energy_audited", Number, "The same on the final mesh.", "energy_audited", EVERY,
-              "energy", is_measured=True, heading="J|relocated", digits=of_energies),
-        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", "gain", EVERY, "energy",
-              is_measured=True),
+              "energy", heading="J|relocated", digits=of_energies),
+        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", "gain", EVERY, "energy"),
         Entry("gain_audited", Number, "Fall of the audited energy.", "gain_audited", SOLVED,
               "energy"),
         Entry("objective_initial", Number, "The minimised objective on the given mesh; absent where a new "
@@ -198,11 +186,11 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "Displacement and mesh": (
         Entry("u_min", Number, "Least displacement component.", lambda s: float(s.displacement.min()), EVERY,
-              "length", is_measured=True, heading="u min", digits=".4g"),
+              "length", heading="u min", digits=".4g"),
         Entry("u_max", Number, "Largest displacement component.", lambda s: float(s.displacement.max()),
-              EVERY, "length", is_measured=True, heading="u max", digits=".4g"),
+              EVERY, "length", heading="u max", digits=".4g"),
         Entry("min_area_ratio", Number, "Least element area over its initial value.",
-              "assessment.final.min_area_ratio", EVERY, is_measured=True,
+              "assessment.final.min_area_ratio", EVERY,
               heading="least|area ratio", digits=".3f"),
         Entry("domain_area_change", Number, "Relative, where nodes slide along curves.",
               "assessment.domain_area_change"),
@@ -240,10 +228,10 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               _constraints),
     ),
     "Work": (
-        Entry("iterations", Count, "Of the solver.", "iterations", EVERY, is_measured=True,
+        Entry("iterations", Count, "Of the solver.", "iterations", EVERY,
               heading="iterations"),
         Entry("contact_solves", Count, "Of the formulation.", "contact_solves", EVERY,
-              is_measured=True, heading="contact|solves"),
+              heading="contact|solves"),
         Entry("cold_contact_solves", Count, "Those without an active set to start from.",
               lambda s: s.work.cold_contact_solves or None),
         Entry("contact_factorisations", Count, "Of the stiffness.",
@@ -251,20 +239,20 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("kkt_factorisations", Count, "Of KKT matrices; Ipopt's iterations, each of which takes one at "
               "least.", lambda s: s.work.kkt_factorisations or None, heading="KKT|factorisations"),
         _seconds("wall_time_s", "Build, solve and audit.", "wall_time_s", presence=EVERY,
-                 is_measured=True, heading="time|[s]", digits=of_seconds),
+                 heading="time|[s]", digits=of_seconds),
         _seconds("build_time_s", "Making models and derivatives.", "build_time_s"),
         _seconds("solve_time_s", "The formulation.", "solve_time_s"),
         _seconds("audit_time_s", "The assessment.", "audit_time_s"),
         _seconds("contact_time_s", "One contact solve on the given mesh, the unit of cost.",
-                 "contact_time_s", is_measured=True),
+                 "contact_time_s"),
     ),
     "Residuals and stationarity": (
         Entry("equilibrium_residual", Number, "Of an independent contact solve on the final mesh, over the "
-              "largest force.", "assessment.final.residuals.equilibrium", EVERY, is_measured=True,
+              "largest force.", "assessment.final.residuals.equilibrium", EVERY,
               heading="equil.,|assessed", digits=".1e"),
         Entry("complementarity_residual", Number, "Violation of the laws of contact and friction by that "
               "solve, dimensionless.", "assessment.final.residuals.complementarity", EVERY,
-              is_measured=True, heading="compl.,|assessed", digits=".1e"),
+              heading="compl.,|assessed", digits=".1e"),
         Entry("own_equilibrium_residual", Number, "Of the formulation's own displacement and forces.",
               "assessment.own_residuals.equilibrium", SOLVED, heading="equil.,|own", digits=".1e"),
         Entry("own_complementarity_residual", Number, "The same for complementarity.",

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
-from typing import Any
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
 
 Digits = str | Callable[[float], str]
 """A format of numbers, or what chooses one for a number."""
@@ -61,10 +63,6 @@ class Entry:
     presence : Presence
     unit : str
         "energy" and "length" are those of the problem; empty where there is none.
-    check : callable, optional
-        Raises a ValueError where the type alone does not tell a wrong value.
-    is_measured : bool
-        Whether it is a number in every record of a success.
     heading, digits : str
         Of its column; lines of a heading are separated by a bar.
     """
@@ -75,8 +73,6 @@ class Entry:
     of: str | Callable[[Any], object] | None = None
     presence: Presence = KNOWN
     unit: str = ""
-    check: Callable[[Any], object] | None = None
-    is_measured: bool = False
     heading: str = ""
     digits: Digits = "d"
 
@@ -86,6 +82,8 @@ class Entry:
 
 
 Number = float | None
-Count = int | None
+Count = Annotated[int, Field(lt=2**63)] | None
+Seconds = Annotated[float, Field(ge=0)] | None
+Widths = Annotated[list[float], Field(min_length=2, max_length=2)] | dict[Literal["relative"], float] | None
 Text = str | None
 Named = dict[str, Number] | None

@@ -33,7 +33,7 @@ GRACE = 1.25
 """A solve is killed after its time limit times ``GRACE`` plus ``GRACE_S``: formulations that keep the limit
 themselves then still return their best point."""
 
-START_S = 300.0  # longest time that a process may take to begin, on a loaded machine
+PATIENCE_S = 120.0  # longest wait for a process, a worker or a cluster to begin or to end its work
 POLL_S = 0.05
 ATTEMPTS = 2  # a solve whose process is killed from outside is tried once more, then it is a row
 
@@ -101,7 +101,7 @@ class Contained:
         self._process = process
         if self._cores and hasattr(os, "sched_setaffinity"):
             os.sched_setaffinity(process.pid, self._cores)
-        line, _ = self._answer(process, Budget(Limits(START_S), self._session))
+        line, _ = self._answer(process, Budget(Limits(PATIENCE_S), self._session))
         if line is None or line.strip() != READY:
             code = self.close()
             raise OSError(f"no process for solves could be started: it ended with code {code}")

@@ -17,14 +17,13 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.study.contained import PATIENCE_S
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.worker import Worker, task
 
 BATCH = 1000  # solves that are handed to the scheduler in one message
-WAIT_S = 120.0  # longest wait for workers that outlived an earlier client
-START_S = 120.0  # longest wait for the workers of a cluster
 NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 """What dask.distributed raises if a cluster cannot be reached."""
 
@@ -60,7 +59,7 @@ def run(
     retry_failed : bool
         Do solves again whose row is a failure; that row is moved to ``rows/failed.jsonl``.
     """
-    wait_for_workers(folder, WAIT_S)
+    wait_for_workers(folder, PATIENCE_S)
     if retry_failed:
         set_failures_aside(folder, {solve.key for solve in plan})
     todo = missing(plan, folder)
@@ -157,8 +156,8 @@ def _client(distributed: Any, scheduler: str) -> Iterator[Any]:
     client = None
     try:
         try:
-            client = distributed.Client(scheduler, timeout=START_S, set_as_default=False)
-            client.wait_for_workers(1, timeout=START_S)
+            client = distributed.Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+            client.wait_for_workers(1, timeout=PATIENCE_S)
         except NO_CLUSTER as error:
             reason = " ".join(str(error).split()) or "it did not answer in time"
             raise BadInputError(f"no cluster at {scheduler}: {reason}") from error

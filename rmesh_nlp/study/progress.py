@@ -16,7 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from rmesh_nlp.io.records import Record, has_energy, objective_of
+from rmesh_nlp.io.records import Record, ends_of, gain_of, has_energy, objective_of
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.parts import Step
@@ -97,10 +97,12 @@ class SolvesProgress:
 def summary(row: Record) -> str:
     """One line about a row."""
     line = f"{row['example']} {row.get('variant') or row['formulation']}: {row['status']}"
-    if objective_of(row) != "energy":
-        line += _change("objective", row.get("objective_initial"), row.get("objective_value"), ".5g")
-    elif has_energy(row):
-        line += _change("audited J", row.get("energy_initial_audited"), row.get("energy_audited"), ".6f")
+    before, after = ends_of(row)
+    what, form = ("audited J", ".6f") if objective_of(row) == "energy" else ("objective", ".5g")
+    if after is not None and (has_energy(row) or what == "objective"):
+        line += f", {what} = " + (f"{before:{form}} -> " if before is not None else "") + f"{after:{form}}"
+        if before:
+            line += f" (gain {before - after:.4g}, {gain_of(before, after):.3g} %)"
     design = [f"{name} = {value:.4g}" for name, value in (row.get("design") or {}).items()]
     line += "".join(f", {text}" for text in design[:NAMED])
     line += f" and {len(design) - NAMED} more" if len(design) > NAMED else ""
@@ -114,16 +116,6 @@ def summary(row: Record) -> str:
     return line
 
 
-def _change(what: str, before: float | None, after: float | None, form: str) -> str:
-    """A value before and after with the gain; empty if it is not known after."""
-    if after is None:
-        return ""
-    text = f", {what} = " + (f"{before:{form}} -> " if before is not None else "") + f"{after:{form}}"
-    if before:
-        text += f" (gain {before - after:.4g}, {100 * (before - after) / abs(before):.3g} %)"
-    return text
-
-
 def pace(step: Step, limits: Limits, *, of_energy: bool = True) -> str:
     """One line about a step of a solve: its gain, its residual, and what is left of the limits.
 
@@ -135,18 +127,16 @@ def pace(step: Step, limits: Limits, *, of_energy: bool = True) -> str:
         parts.append(f"objective {step.objective_given:.6g} -> {step.objective:.6g}")
     elif of_energy and math.isfinite(step.energy):
         parts += [f"J = {step.energy:.6g}", f"gain {step.energy_given - step.energy:.3g}"]
-    if not math.isnan(_residual(step)):
-        parts.append(f"residual {_residual(step):.1e}")
+    residuals = [r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r)]
+    if residuals:  # the larger one, as the solver scales them
+        parts.append(f"residual {max(residuals):.1e}")
     if math.isfinite(limits.seconds):
-        parts.append(f"{_words(step.seconds)} of {_words(limits.seconds)} at most")
+        parts.append(f"{in_words(step.seconds)} of {in_words(limits.seconds)} at most")
     return ", ".join(parts)
 
 
-def _residual(step: Step) -> float:
-    """The larger of the two residuals of a step, as the solver scales them; NaN where none is known."""
-    residuals = (r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r))
-    return max(residuals, default=math.nan)
-
-
-def _words(seconds: float) -> str:
-    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+def in_words(seconds: float) -> str:
+    """A duration."""
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"

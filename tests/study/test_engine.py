@@ -156,7 +156,7 @@ def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
 
 
 def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monkeypatch):
-    monkeypatch.setattr(engine, "WAIT_S", 0.2)
+    monkeypatch.setattr(engine, "PATIENCE_S", 0.2)
     with (
         RowsFile(tmp_path).working(),
         pytest.raises(BadInputError, match="held by a worker of an earlier run"),
@@ -260,7 +260,7 @@ def test_a_scheduler_that_is_there_already_is_used(tmp_path):
 @pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_one_line(tmp_path, monkeypatch, capsys):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(engine, "START_S", 0.5)
+    monkeypatch.setattr(engine, "PATIENCE_S", 0.5)
     path, out = study_file(tmp_path), tmp_path / "out"
     places = {"tcp://127.0.0.1:1": "no cluster at {}", "nonsense://x": "no cluster at {}"}
     places["tls://127.0.0.1:1"] = "{} asks for a certificate"
