@@ -80,7 +80,7 @@ def problem_warnings(outer: Outer, point: ContactPoint, continuous: Admissible) 
     """Signs of a wrong set-up on the mesh as given."""
     # the load by an accurate rule, where it is on the same mesh
     load = continuous.system.load if continuous.problem is outer.problem else None
-    warnings = setup_warnings(outer.problem, outer.contact, point.equilibrium, load)
+    warnings = setup_warnings(outer.problem, outer.contact, load)
     return tuple(warning.message for warning in warnings if warning.kind != "penetration")
 
 
