@@ -24,9 +24,6 @@ from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 SAMPLES = 4000
 """Points of a curve among which the nearest to a node is looked for, before Newton's method."""
 
-PERIODS = 3
-"""Times that a closed spline runs around: a node may slide across the place where it begins."""
-
 Pair = tuple[ca.Function, ca.Function]
 
 
@@ -181,16 +178,12 @@ class Spline(Curve):
 
     @cached_property
     def functions(self) -> Pair:  # noqa: D102
-        t, p = self._knots, self._through
-        if self.closed:  # around several times, so that no node comes to an end
-            period = t[-1] - t[0]
-            turns = np.arange(PERIODS) - PERIODS // 2
-            t = np.append(np.add.outer(turns * period, t[:-1]), turns[-1] * period + t[-1])
-            p = np.vstack([*(p[:-1] for _ in turns), p[:1]])
-        spline, s = self._spline(t, p), ca.MX.sym("t")
+        spline, t, (low, high) = self._spline(self._knots, self._through), ca.MX.sym("t"), self.interval
+        # a node may slide across the place where a closed spline begins
+        s = t - (high - low) * ca.floor((t - low) / (high - low)) if self.closed else t
         knots = [spline.t.tolist()]
         x, y = (ca.bspline(s, column.tolist(), knots, [3], 1) for column in spline.c.T)
-        return ca.Function("x", [s], [x]), ca.Function("y", [s], [y])
+        return ca.Function("x", [t], [x]), ca.Function("y", [t], [y])
 
 
 @dataclass(frozen=True)

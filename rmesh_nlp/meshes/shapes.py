@@ -67,7 +67,6 @@ def l_shape(h: float, *, size: float = 1.0) -> MeshTri:
     re-entrant corner at the origin) and ``outer``. ``h`` is the target edge length.
     """  # noqa: D205
     check_positive(h=h, size=size)
-    _affordable(2.3 * 3 * (size / h) ** 2)
     s = size
     points = [(0, 0), (s, 0), (s, s), (-s, s), (-s, -s), (0, -s)]
     return _polygon(points, h, {"corner": [0, 5], "outer": [1, 2, 3, 4]})
@@ -119,7 +118,6 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     check_positive(h=h, width=width, height=height)
     if not 0 <= rise < height:
         raise ValueError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
-    _affordable(2.3 * width * height / h**2)
     points = [(0, rise), (width / 2, 0), (width, rise), (width, height), (0, height)]
     return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
@@ -133,7 +131,6 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
     check_positive(h=h)
     if len(points) < 3 or not np.all(np.isfinite(points)):
         raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
-    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
     if crossing := _crossing_edges(np.asarray(points, dtype=float)):
         raise ValueError("edges {} and {} of the polygon cross".format(*crossing))
     names = boundaries or {f"edge-{i}": [i] for i in range(len(points))}
@@ -157,6 +154,7 @@ def _crossing_edges(p: Array) -> list[int]:
 
 
 def _polygon(points: list[Point], h: float, boundaries: dict[str, list[int]]) -> MeshTri:
+    _affordable(2.3 * float(np.prod(np.ptp(points, axis=0))) / h**2)
     return _drawn([[(point, h, None) for point in points]], boundaries)
 
 
