@@ -129,7 +129,7 @@ class Equilibrium:
     status : Status
         CONVERGED, CYCLED or ITERATION_LIMIT.
     iterations : int
-        Active sets that were tried, a factorisation each; the guess of a cold start takes two more.
+        Active sets that were tried, a factorisation each; that of the condensed problem is not counted.
     """
 
     u: Array
@@ -209,65 +209,44 @@ class RotatedSystem:
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:
     """Basis of ``u = basis @ w`` (None for the identity), and the entries of w that are N u and T u.
 
-    They are -1 where T u is given, or no friction acts.
+    They are -1 where T u is given, or no friction acts. A gap takes the place of the component of u nearest
+    to the normal, a slip that of the other one.
     """
     N, T, n = sp.csr_array(system.normals), sp.csr_array(system.tangents), system.load.size
-    sticky = np.full(N.shape[0], system.slip_bound.size > 0)
-    if system.frictional is not None:
-        sticky &= system.frictional
-    tangent = np.full(N.shape[0], -1, np.int64)
-    simple = np.all(np.diff(N.indptr) == 1) and np.all(N.data == 1) and np.unique(N.indices).size == N.nnz
-    if simple and (not np.any(sticky) or (np.all(np.diff(T.indptr) <= 1) and np.all(T.data == 1))):
-        if np.any(sticky):
-            tangent[np.diff(T.indptr) > 0] = T.indices
-        return None, N.indices.astype(np.int64), np.where(sticky, tangent, -1)
-    normal = np.zeros(N.shape[0], np.int64)
-    entries: list[tuple[Array, Index, Index]] = []  # values, rows and columns of the basis
-
-    def add(block: Array, dofs: Index, columns: Index) -> None:
-        """Blocks (k, k, nodes): displacements ``dofs`` (k, nodes) of the unknowns ``columns`` (k, nodes)."""
-        rows, cols = np.broadcast_arrays(dofs[:, None], columns[None])
-        entries.append((block.ravel(), rows.ravel(), cols.ravel()))
-
-    # two foundations meet at a node: both gaps are unknowns there
-    shared = sp.coo_array(sp.triu(abs(N) @ abs(N).T, k=1))
-    alone = np.setdiff1d(np.arange(N.shape[0]), [*shared.row, *shared.col])
-    for pair in zip(shared.row, shared.col, strict=True):
-        dofs = np.unique(N[list(pair)].indices)
-        normal[list(pair)] = dofs
-        add(np.linalg.inv(N[list(pair)][:, dofs].toarray())[..., None], dofs[:, None], dofs[:, None])
-    single = np.diff(N.indptr)[alone] == 1
-    # the gap is one component of the displacement, and the slip the other, unless that is given
-    aligned = alone[single]
-    normal[aligned] = N.indices[N.indptr[aligned]]
-    add(1 / N.data[N.indptr[aligned]][None, None], normal[None, aligned], normal[None, aligned])
-    slides = aligned[sticky[aligned]]
-    slides = slides[np.diff(T.indptr)[slides] == 1] if slides.size else slides
-    dof, size = (values[T.indptr[slides]] for values in (T.indices, T.data))
-    scale = np.zeros(n)
-    scale[normal[aligned]] = N.data[N.indptr[aligned]]
-    fits = (scale[dof] == 0) | ((scale[dof] == size) & (dof != normal[slides]))
-    tangent[slides] = np.where(fits, dof, -1)
-    fresh = scale[dof] == 0  # else it is the gap of another foundation at the node
-    add(1 / size[fresh][None, None], dof[None, fresh], dof[None, fresh])
-    # gap and slip are unknowns, the gap in place of the component nearest to the normal
-    both = alone[~single]
-    dofs = N.indices[N.indptr[both] + np.array([[0], [1]])]
-    n0, n1 = N.data[N.indptr[both] + np.array([[0], [1]])]
-    t0, t1 = _entries(T, both, dofs)
-    columns = np.where(np.abs(n0) >= np.abs(n1), dofs, dofs[::-1])
-    normal[both], tangent[both] = columns
-    add(np.array([[t1, -n1], [-t0, n0]]) / (n0 * t1 - n1 * t0), dofs, columns)
-    values, rows, cols = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-    rest = np.setdiff1d(np.arange(n), rows)
-    where = np.append(rows, rest), np.append(cols, rest)
-    basis = sp.csc_array((np.append(values, np.ones(rest.size)), where), shape=(n, n))
-    return basis, normal, np.where(sticky, tangent, -1)
+    gaps = np.arange(N.shape[0])
+    normal, tangent, taken = np.zeros(gaps.size, np.int64), np.full(gaps.size, -1), np.zeros(n, dtype=bool)
+    best, other = _columns(N, gaps)
+    single = best == other
+    is_later = np.ones(gaps.size, dtype=bool)  # of two foundations that meet at a node
+    is_later[np.unique(np.minimum(best, other), return_index=True)[1]] = False
+    for chosen in (single, ~single & ~is_later, ~single & is_later):
+        normal[chosen] = np.where(taken[best], other, best)[chosen]
+        taken[normal[chosen]] = True
+    acts = gaps if system.frictional is None else np.flatnonzero(system.frictional)
+    slides = acts[np.diff(T.indptr)[acts] > 0] if system.slip_bound.size else acts[:0]
+    best, other = _columns(T, slides)
+    place = np.where(taken[best], other, best)
+    fresh = ~taken[place]
+    tangent[slides] = np.where(fresh, place, -1)
+    taken[place[fresh]] = True
+    own, rest = T[slides[fresh]], np.flatnonzero(~taken)
+    rows = np.repeat(np.append(normal, place[fresh]), np.append(np.diff(N.indptr), np.diff(own.indptr)))
+    values = np.concatenate([N.data, own.data, np.ones(rest.size)])
+    where = np.append(rows, rest), np.concatenate([N.indices, own.indices, rest])
+    inverse = sp.csr_array((values, where), shape=(n, n))
+    if inverse.nnz == n and np.all(inverse.data == 1):
+        return None, normal, tangent
+    # its blocks are of one or two rows, so the square of what is beside the diagonal is a diagonal again
+    diagonal = inverse.diagonal()
+    beside = sp.diags_array(1 / diagonal) @ (inverse - sp.diags_array(diagonal))
+    square = (beside @ beside).diagonal()
+    basis = (sp.eye_array(n) - beside) @ sp.diags_array(1 / (diagonal * (1 - square)))
+    return sp.csc_array(basis), normal, tangent
 
 
-def _entries(matrix: sp.csr_array, rows: Index, columns: Index) -> Array:
-    """Entries of a sparse matrix, of the shape of ``columns``."""
-    if columns.size == 0:
-        return np.zeros(columns.shape)
-    rows = np.broadcast_to(rows, columns.shape).ravel()
-    return np.asarray(sp.csr_matrix(matrix)[rows, columns.ravel()]).reshape(columns.shape)
+def _columns(matrix: sp.csr_array, rows: Index) -> tuple[Index, Index]:
+    """Columns of the larger and of the smaller entry of rows with one or two entries."""
+    first, last = matrix.indptr[rows], matrix.indptr[rows + 1] - 1
+    swapped = np.abs(matrix.data[last]) > np.abs(matrix.data[first])
+    pair = matrix.indices[first], matrix.indices[last]
+    return np.where(swapped, *pair[::-1]), np.where(swapped, *pair)

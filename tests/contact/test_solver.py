@@ -66,7 +66,7 @@ def test_turned_problem_has_the_same_energy_and_forces() -> None:
 
 
 def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
-    """The slip along one wall is the gap of the other, up to a sign; the last node has one component."""
+    """No slip is an unknown there, since problems refuse friction there; the last node has one component."""
     N = np.array([[0, 1.0, 0], [-1.0, 0, 0], [0, 0, np.sqrt(0.5)]])
     T = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, np.sqrt(0.5)]])
     system = ContactSystem(
@@ -76,5 +76,4 @@ def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
     w = np.array([1.0, 2.0, 3.0])
     u = rotated.back(w)
     np.testing.assert_allclose(N @ u, w[rotated.normal])
-    np.testing.assert_array_equal(rotated.slips, [False, True, False])
-    np.testing.assert_allclose((T @ u)[1], w[rotated.tangent[1]])
+    assert not np.any(rotated.slips)
