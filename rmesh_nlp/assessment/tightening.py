@@ -11,7 +11,7 @@ a convex quadratic program, which Ipopt solves in units of a length and of a for
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -22,14 +22,16 @@ from rmesh_nlp.assessment.standoff import Cells
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.fields import Field
-from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem.body import Index
 
-Index = NDArray[np.int64]
-
-TOLERANCE = 1e-12
-"""Of Ipopt: multiplier times gap, so that what is open presses by a billionth of the load."""
+QUADRATIC = {
+    "tol": 1e-12,  # multiplier times gap, so that what is open presses by a billionth of the load
+    **dict.fromkeys(("hessian_constant", "jac_c_constant", "jac_d_constant"), "yes"),
+}
+"""Ipopt's options."""
 
 ROUNDS = 30
 """Programs, each with the worst points of the last solution added."""
@@ -44,132 +46,106 @@ def tightened(
     displacement as a function of the unknowns. The forces at points are shared among their nodes; a node
     touches where its share is positive.
     """
-    u, chosen, slips = state.u, _closed(cells, field.values(state.u), state), _slips(system)
-    length = float(np.max(np.abs(u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
+    length = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
+    chosen = _worst(cells, field.values(state.u), state.normal_force)
     for _ in range(ROUNDS):
         # the points keep off by a little more, so that rounding violates nothing
-        points = _points(cells, chosen, field, ROUNDING * length, u)
-        minimiser = _minimised(system, points, slips, u, length)
-        if minimiser is None:
+        rows, gap = _points(cells, chosen, field, state.u)
+        result = _minimised(system, rows, gap - ROUNDING * length, state.u, length)
+        if result is None:
             return None
-        u = minimiser.u
-        violated = _violated(cells, field.values(u))
+        state, pressing, is_closed = result
+        violated = _worst(cells, field.values(state.u))
         if not violated.size:
             force, of_closed = np.zeros((2, system.offset.size))
-            pressing = minimiser.pressing
             for number, part in enumerate(cells):
                 own = chosen[0] == number
                 _, cell, point = chosen[:, own]
                 part.share(force, cell, point, pressing[own])
-                part.share(of_closed, cell, point, (pressing * minimiser.closed)[own])
-            active = ActiveSet(of_closed > 0, minimiser.sliding)
-            return Equilibrium(u, system.energy(u), force, minimiser.friction, active, Status.CONVERGED, 1)
+                part.share(of_closed, cell, point, (pressing * is_closed)[own])
+            return replace(state, normal_force=force, active=replace(state.active, touching=of_closed > 0))
         chosen = np.unique(np.hstack([chosen, violated]), axis=1)  # in the order of the parts
     return None
 
 
-class _Points(NamedTuple):
-    """Rows (points, n_u) of gaps, and the gaps at zero unknowns."""
-
-    rows: sp.csr_array
-    gap: Array
-
-
-class _Slips(NamedTuple):
-    """Rows (n, n_u) of the slips at nodes where friction acts, their numbers among the gaps, bounds."""
-
-    rows: sp.csr_array
-    number: Index
-    bound: Array
-
-
-class _Minimiser(NamedTuple):
-    """Displacement, forces at the points and which are closed, friction and slip directions at nodes."""
-
-    u: Array
-    pressing: Array
-    closed: NDArray[np.bool_]
-    friction: Array
-    sliding: NDArray[np.int8]
-
-
 def _minimised(
-    system: ContactSystem, points: _Points, slips: _Slips, start: Array, length: float
-) -> _Minimiser | None:
-    """The solution of the program with some points; None if Ipopt finds none.
+    system: ContactSystem, rows: sp.csr_array, gap: Array, start: Array, length: float
+) -> tuple[Equilibrium, Array, NDArray[np.bool_]] | None:
+    """The solution of the program with forces at points in the place of nodes, and which of these are closed.
 
-    A point is closed, and a node slides, where the multiplier is larger than the distance, and vice versa.
+    ``rows`` (points, n_u) are those of the gaps, ``gap`` (points,) these at zero displacement. A point is
+    closed, and a node slides, where the multiplier is larger than the distance, and vice versa. None if Ipopt
+    finds none.
     """
-    m, n, force = start.size, slips.number.size, system.force_scale
-    x = ca.MX.sym("x", m + n)
-    u, s = x[:m], x[m:]
-    K, A, T = (_constant(rows) for rows in (system.stiffness * (length / force), points.rows, slips.rows))
-    f = ca.bilin(K, u, u) / 2 - ca.dot(system.load / force, u) + ca.dot(slips.bound / force, s)
-    g = ca.vertcat(A @ u + points.gap / length, s - T @ u, s + T @ u)
-    free, size = np.full(m + n, np.inf), points.gap.size + 2 * n
-    program = NLP(x, ca.MX(0, 1), f, g, -free, free, np.zeros(size), np.full(size, np.inf))
-    guess = np.append(start, np.abs(slips.rows @ start)) / length
-    result = Solver(program, options={"tol": TOLERANCE})(guess)
+    slips, force, m = np.flatnonzero(system.rotated.slips), system.force_scale, start.size
+    tangents, one, zero = sp.csr_array(system.tangents)[slips], sp.eye_array(slips.size), np.zeros(slips.size)
+    hessian = sp.block_diag([system.stiffness * (length / force), 0 * one])
+    linear = np.append(-system.load, system.slip_bound[slips]) / force
+    matrix = sp.block_array([[rows, None], [-tangents, one], [tangents, one]])
+    program = _quadratic(hessian, linear, matrix, np.concatenate([gap / length, zero, zero]))
+    result = Solver(program, options=QUADRATIC)(np.append(start, np.abs(tangents @ start)) / length)
     if not result.converged:
         return None
-    ends = [points.gap.size, points.gap.size + n]
-    (gap, _, _), (pressing, below, above) = np.split(result.g, ends), np.split(-result.lam_g, ends)
-    friction, sliding = np.zeros(system.slip_bound.size), np.zeros(system.slip_bound.size, dtype=np.int8)
-    friction[slips.number] = force * (above - below)
+    ends = [gap.size, gap.size + slips.size]
+    (distance, *_), (pressing, below, above) = np.split(result.g, ends), np.split(-result.lam_g, ends)
+    tangential, sliding = np.zeros(system.slip_bound.size), np.zeros(system.slip_bound.size, dtype=np.int8)
+    tangential[slips] = force * (above - below)
     slides = np.minimum(below, above) < result.x[m:]
-    sliding[slips.number] = np.where(slides, np.sign(below - above), 0)
-    return _Minimiser(length * result.x[:m], force * pressing, pressing > gap, friction, sliding)
+    sliding[slips] = np.where(slides, np.sign(below - above), 0)
+    u, nothing = length * result.x[:m], np.zeros(system.offset.size)
+    active = ActiveSet(nothing > 0, sliding)
+    state = Equilibrium(u, system.energy(u), nothing, tangential, active, Status.CONVERGED, 1)
+    return state, force * pressing, pressing > distance
+
+
+def _quadratic(hessian: sp.sparray, linear: Array, matrix: sp.sparray, constant: Array) -> NLP:
+    """``min x H x / 2 + l x`` with ``A x + c >= 0``, and derivatives, which CasADi needs longer to find."""
+    x, p, lam_f = ca.MX.sym("x", linear.size), ca.MX(0, 1), ca.MX.sym("lam_f")
+    H, A = _constant(hessian), _constant(matrix)
+    f, g, slope = ca.dot(H @ x / 2 + linear, x), A @ x + constant, H @ x + linear
+    derivatives = Derivatives(
+        ca.Function("slope", [x, p], [f, slope]),
+        ca.Function("jacobian", [x, p], [g, A]),
+        ca.Function("hessian", [x, p, lam_f, ca.MX.sym("lam_g", constant.size)], [lam_f * ca.triu(H)]),
+    )
+    free, rows = np.full(linear.size, np.inf), np.full(constant.size, np.inf)
+    return NLP(x, p, f, g, -free, free, 0 * constant, rows, derivatives)
 
 
 def _constant(matrix: sp.sparray) -> ca.DM:
     columns = sp.csc_array(matrix)
     columns.sort_indices()
     pattern = ca.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data.tolist())
+    return ca.DM(pattern, columns.data.tolist())  # hundred times faster than of the array
 
 
-def _slips(system: ContactSystem) -> _Slips:
-    tangents = sp.csr_array(system.tangents)
-    acts = (np.diff(tangents.indptr) > 0) & bool(system.slip_bound.size)
-    if system.frictional is not None:
-        acts &= system.frictional[: acts.size]
-    number = np.flatnonzero(acts)
-    return _Slips(tangents[number], number, system.slip_bound[number])
+def _worst(cells: Sequence[Cells], displacement: Array, force: Array | None = None) -> Index:
+    """(3, n) part, cell and point of least gap of the cells where it is violated.
 
-
-def _closed(cells: Sequence[Cells], displacement: Array, state: Equilibrium) -> Index:
-    """(3, n) part, cell and point of least gap of the cells whose nodes press on the foundation."""
-    closed = [np.zeros((3, 0), dtype=np.int64)]
-    for number, part in enumerate(cells):
-        presses, free = np.zeros(part.rows.shape, dtype=bool), part.rows >= 0
-        presses[free] = state.normal_force[part.rows[free]] > 0
-        cell = np.flatnonzero(np.any(presses, axis=0))
-        point = np.argmin(part.gaps(displacement)[cell], axis=1)
-        closed.append(np.stack([np.full(cell.size, number), cell, point]))
-    return np.hstack(closed)
-
-
-def _violated(cells: Sequence[Cells], displacement: Array) -> Index:
-    """(3, n) the worst points of cells where the gap is violated."""
-    violated = [np.zeros((3, 0), dtype=np.int64)]
+    With normal forces (gaps,) of all cells whose nodes press on the foundation.
+    """
+    points = []
     for number, part in enumerate(cells):
         gap = part.gaps(displacement)
-        cell = np.flatnonzero(np.min(gap, axis=1) < 0)
-        violated.append(np.stack([np.full(cell.size, number), cell, np.argmin(gap[cell], axis=1)]))
-    return np.hstack(violated)
+        cell = np.flatnonzero(np.min(gap, axis=1) < 0 if force is None else part.pressed(force))
+        points.append(np.stack([np.full(cell.size, number), cell, np.argmin(gap[cell], axis=1)]))
+    return np.hstack(points)
 
 
-def _points(cells: Sequence[Cells], chosen: Index, field: Field, margin: float, u: Array) -> _Points:
-    """The gaps at the chosen points, less what they fall by between points if the displacement is near u."""
-    rows, gaps, n_u, displacement = [], [], int(field.index.max()) + 1, field.values(u)
+def _points(cells: Sequence[Cells], chosen: Index, field: Field, u: Array) -> tuple[sp.csr_array, Array]:
+    """Rows (points, n_u) of the gaps at the chosen points, and these (points,) at zero unknowns.
+
+    They are less by what they fall between points if the displacement is near u.
+    """
+    rows, gaps, displacement = [], [], field.values(u)
     for number, part in enumerate(cells):
         cell, point = chosen[1:, chosen[0] == number]
         nodes = part.nodes[:, cell]
         weight = part.normals[:, cell, point][:, None] * part.shares[:, point]  # (components, v, m)
         index = field.index[:, nodes]
         free, row = index >= 0, np.broadcast_to(np.arange(cell.size), index.shape)
-        rows.append(sp.csr_array((weight[free], (row[free], index[free])), shape=(cell.size, n_u)))
+        rows.append(sp.csr_array((weight[free], (row[free], index[free])), shape=(cell.size, u.size)))
         given = np.where(free, 0.0, weight * field.offset[:, nodes]).sum(axis=(0, 1))
         low = part.low - part.dips(displacement)
-        gaps.append(given + low[cell, point] - margin)
-    return _Points(sp.csr_array(sp.vstack(rows)), np.concatenate(gaps))
+        gaps.append(given + low[cell, point])
+    return sp.csr_array(sp.vstack(rows)), np.concatenate(gaps)
