@@ -45,10 +45,8 @@ class Admissible:
     system: ContactSystem  # with the stand-offs, and friction bounded from above
     state: Equilibrium
     displacement: Array  # (components, nodes), at the nodes of the displacement space
-    standoff: Array  # (gaps,), how far contact nodes keep off, in units of the gap
     energy: float  # J of the continuous problem: strain - work + friction
     strain: float
-    work: float
     friction: float
     doubt: float  # what quadrature may have changed in the energy
     penetration: float  # what is left of it; positive only if the repeats did not suffice
@@ -103,7 +101,7 @@ class Continuous:
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
             friction = np.zeros(space.n_nodes)
-            shares = shape_integrals(edges.at, edges.size, part.obstacle.friction, space.order).value
+            shares = shape_integrals(edges, part.obstacle.friction, space.order).value
             np.add.at(friction, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = friction[part.nodes]
         rigid = self.parts.rigid_motions(nodes)
@@ -146,8 +144,8 @@ class Continuous:
             ends = displacement[:, self.space.nodes_of(edges.ends)]
             values, wrong = friction_energy(edges, part.obstacle, ends)
             friction, doubt = friction + float(np.sum(values)), doubt + float(np.sum(wrong))
-        energies = strain - work + friction, strain, work, friction, doubt
-        return Admissible(self.parts, self.body, system, state, displacement, standoff, *energies, violation)
+        energies = strain - work + friction, strain, friction, doubt
+        return Admissible(self.parts, self.body, system, state, displacement, *energies, violation)
 
     def _safe(
         self, system: ContactSystem, state: Equilibrium, standoff: Array

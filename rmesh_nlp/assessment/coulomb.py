@@ -74,14 +74,13 @@ def _integral(
     def integrand(which: Index, s: Array, where: Array) -> Array:
         shares = functions(space.order, np.stack([1 - s, s]))
         pressure, tau, *u = np.einsum("cvm,vmk->cmk", on_edges[:, :, which], shares)
-        flat = where.reshape(2, -1)
-        normals = obstacle.normals(flat).reshape(where.shape)
-        given, factor = (on_points(value, flat) for value in (obstacle.friction, obstacle.coulomb))
-        bound = (given + factor * np.maximum(pressure, 0.0).ravel()).reshape(s.shape)
+        normals = obstacle.normals(where)
+        given, factor = (on_points(value, where) for value in (obstacle.friction, obstacle.coulomb))
+        bound = given + factor * np.maximum(pressure, 0.0)
         slip = normals[1] * u[0] - normals[0] * u[1]
         return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
 
-    return float(np.sum(over_edges(edges.at, edges.size, integrand, (obstacle.friction,)).value))
+    return float(np.sum(over_edges(edges, integrand, (obstacle.friction,)).value))
 
 
 def growth(before: float | None, after: float | None) -> str | None:

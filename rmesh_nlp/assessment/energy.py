@@ -9,7 +9,6 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.assessment.integrals import Integral, over_edges, over_triangles
-from rmesh_nlp.assessment.parts import EdgePoints
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -73,7 +72,7 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
         edges = body.edges(traction.boundary)
         for i, coefficient in enumerate(traction.value):
             if is_nonzero(coefficient):
-                integral = shape_integrals(edges.at, edges.size, coefficient, space.order)
+                integral = shape_integrals(edges, coefficient, space.order)
                 add(i, space.nodes_of(edges.ends), integral)
     for point in problem.point_loads:
         load[space.number[point.node]] += point.force
@@ -86,23 +85,18 @@ def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index
     points = None if degree is None or not straight else (degree + order + 3) // 2
 
     def integrand(_: Index, barycentric: Array, where: Array) -> Array:
-        return functions(order, barycentric) * _values(coefficient, where)
+        return functions(order, barycentric) * on_points(coefficient, where, "a load")
 
     return over_triangles(body, elements, integrand, points, (coefficient,))
 
 
-def shape_integrals(at: EdgePoints, size: int, coefficient: Coefficient, order: int = 1) -> Integral:
+def shape_integrals(edges: Edges, coefficient: Coefficient, order: int = 1) -> Integral:
     """Integrals (nodes per edge, edges) of a coefficient times shape functions along edges."""
 
     def integrand(_: Index, s: Array, where: Array) -> Array:
-        return functions(order, np.stack([1 - s, s])) * _values(coefficient, where)
+        return functions(order, np.stack([1 - s, s])) * on_points(coefficient, where, "a load")
 
-    return over_edges(at, size, integrand, (coefficient,))
-
-
-def _values(coefficient: Coefficient, where: Array) -> Array:
-    """Values (m, k) at points (2, m, k)."""
-    return on_points(coefficient, where.reshape(2, -1), "a load").reshape(where.shape[1:])
+    return over_edges(edges, integrand, (coefficient,))
 
 
 def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tuple[Array, Array]:
@@ -114,15 +108,15 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
     order = displacement.shape[1] - 1
 
     def slip(rows: Index, s: Array, where: Array) -> Array:
-        normals = obstacle.normals(where.reshape(2, -1)).reshape(where.shape)
+        normals = obstacle.normals(where)
         shares = functions(order, np.stack([1 - s, s]))
         u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
         return np.asarray(normals[1] * u[0] - normals[0] * u[1])
 
     def integrand(rows: Index, s: Array, where: Array) -> Array:
-        bound = on_points(obstacle.friction, where.reshape(2, -1), "the friction bound")
-        return (bound.reshape(s.shape) * np.abs(slip(rows, s, where)))[None]
+        bound = on_points(obstacle.friction, where, "the friction bound")
+        return (bound * np.abs(slip(rows, s, where)))[None]
 
     along = (lambda rows, s: slip(rows, s, edges.at(rows, s)[0])), order if obstacle.level is None else None
-    total = over_edges(edges.at, edges.size, integrand, (obstacle.friction,), [along])
+    total = over_edges(edges, integrand, (obstacle.friction,), [along])
     return total.value[0], total.doubt[0]

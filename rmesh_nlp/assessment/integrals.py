@@ -13,8 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.assessment.parts import AlongEdges, EdgePoints, Geometry, Index, edge_parts, triangle_parts
+from rmesh_nlp.assessment.parts import AlongEdges, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.problem.body import Body, Edges, Index
 from rmesh_nlp.problem.coefficients import Coefficient
 
 Integrand = Callable[[Index, Array, Array], Array]
@@ -24,11 +25,12 @@ the place of barycentric coordinates."""
 OnCells = Callable[[Index, Array, Array, int], Array]
 """``(owners (m,), low (directions, m), width (m,), order) -> integrals (rows, m)``."""
 
-FIRST, SECOND, CUT = (4, 6), (6, 10), (4, 6)
-"""Gauss points per direction of the rules that are compared: of all cells, of those where these differ, and
-of the parts of those where these differ too, beside kinks. (k, l) is of degrees 2 k - 2 and 2 l - 2 on a
-triangle. (6, 10) for all takes twice as long on Example 6.1 (n = 64) and agrees to 3e-10. Of 60 bumps a
-fiftieth of an edge wide it misses one, these two, and (3, 5) in the first place nine."""
+RULES, HIGHER = (4, 6), (6, 10)
+"""Gauss points per direction of the rules that are compared, and of those for the cells where the first ones
+differ; the parts of a cell where these differ too, beside a kink, begin with the first ones again. (k, l) is
+of degrees 2 k - 2 and 2 l - 2 on a triangle. (6, 10) for all takes twice as long on Example 6.1 (n = 64) and
+agrees to 3e-10. Of 60 bumps a fiftieth of an edge wide it misses one, these two, and (3, 5) in the first
+place nine."""
 
 DEPTH = 9
 """Last stage: times that a cell may be halved in each direction, and one."""
@@ -50,7 +52,7 @@ class Integral(NamedTuple):
 
 
 def over_triangles(
-    body: Geometry,
+    body: Body,
     elements: Index,
     integrand: Integrand,
     points: int | None = None,
@@ -78,8 +80,7 @@ def over_triangles(
 
 
 def over_edges(
-    at: EdgePoints,
-    size: int,
+    edges: Edges,
     integrand: Integrand,
     coefficients: Iterable[Coefficient] = (),
     others: Iterable[AlongEdges] = (),
@@ -88,18 +89,18 @@ def over_edges(
 
     Edges are split at the zeros of ``others`` too.
     """
-    parts = edge_parts(at, size, coefficients, others)
+    parts = edge_parts(edges, coefficients, others)
     begin, length = parts.begin, parts.end - parts.begin
 
     def on_cells(part: Index, low: Array, width: Array, order: int) -> Array:
         x, w = gauss(order)
         owner, width = parts.owner[part], width * length[part]
         s = begin[part, None] + low[0, :, None] * length[part, None] + np.outer(width, x)
-        where, speed = at(owner, s)
+        where, speed = edges.at(owner, s)
         return np.einsum("amk,mk->am", integrand(owner, s, where), np.outer(width, w) * speed)
 
     sums = _adaptive(on_cells, parts.owner.size, 1, None)
-    return Integral(*_by_owner(sums, parts.owner, size), parts.is_certain)
+    return Integral(*_by_owner(sums, parts.owner, edges.size), parts.is_certain)
 
 
 def _by_owner(sums: tuple[Array, Array], owner: Index, size: int) -> tuple[Array, Array]:
@@ -117,7 +118,7 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
     owner, low, width = np.arange(size), np.zeros((directions, size)), np.ones(size)
     corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1, 1)
     for depth in range(DEPTH + 1):
-        lower, higher = (FIRST, SECOND, CUT)[min(depth, 2)]
+        lower, higher = HIGHER if depth == 1 else RULES
         fine, wrong = _in_chunks(on_cells, owner, low, width, points or higher), np.zeros(1)
         if points is None:
             wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, lower))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
@@ -72,8 +73,7 @@ class Cells:
     @cached_property
     def normals(self) -> Array:
         """(components, m, k) unit normals at the points."""
-        normals = self.contact.obstacle.normals(self.points.reshape(2, -1))
-        return normals.reshape(normals.shape[0], *self.points.shape[1:])
+        return self.contact.obstacle.normals(self.points)
 
     def gaps(self, displacement: Array) -> Array:
         """(m, k) least gaps about the points under a displacement (components, nodes)."""
@@ -92,6 +92,10 @@ class Cells:
         """(m,) by how much the free nodes of each cell must keep off more than they do; not negative."""
         lack = self._needed(-self.gaps(displacement).T, np.zeros(self.rows.shape))
         return np.maximum(np.where(np.isfinite(lack), lack, 0.0), 0.0)
+
+    def pressed(self, force: Array) -> NDArray[np.bool_]:
+        """(m,) cells of which a free node presses on the foundation with a force of (gaps,)."""
+        return np.any((self.rows >= 0) & (force[self.rows] > 0), axis=0)
 
     def share(self, force: Array, cells: Index, points: Index, pressing: Array) -> None:
         """Add forces (n,) at points of cells to those (gaps,) of their free nodes."""
@@ -129,14 +133,16 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     own = np.argmax(shares, axis=1)  # the points of the nodes
     # a quadratic form has twice its value at the step as its second difference
     turns = 2 * functions(space.order, steps) if space.order == 2 else np.zeros((len(shares), 0))
-    step, triples = max(1, 400_000 // shares.shape[1]), _triples_of(bends, shares.shape[1])
+    step, order = max(1, 400_000 // shares.shape[1]), np.argsort(bends.ravel(), kind="stable")
+    # the bends that each point belongs to, point after point
+    beside, begins = order % bends.shape[1], np.flatnonzero(np.diff(bends.ravel()[order], prepend=-1))
     for first in range(0, nodes.shape[1], step):
         part = np.arange(first, min(first + step, nodes.shape[1]))
         shape = (*where.shape[:-2], part.size, shares.shape[1])
         points = at(part, np.broadcast_to(where, shape))[0]
-        distance = contact.obstacle.distances(points.reshape(2, -1)).reshape(points.shape[1:])
+        distance = contact.obstacle.distances(points)
         bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
-        low = distance - BETWEEN * np.max(np.abs(bend)[:, triples], axis=2)
+        low = distance - BETWEEN * np.maximum.reduceat(np.abs(bend.T)[beside], begins).T
         some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
         yield Cells(
             contact, part, some, row[some], shares, points, distance, low, at_nodes, len(barycentric), turns
@@ -160,13 +166,3 @@ def _lattice(n: int) -> tuple[Array, Index]:
     ]
     points = np.array([[n - i - j, i, j] for i, j in places]).T / n
     return points, np.array(triples).T
-
-
-def _triples_of(bends: Index, points: int) -> Index:
-    """(points, most) the triples that each point belongs to, the first of them repeated."""
-    of: list[list[int]] = [[] for _ in range(points)]
-    for number, triple in enumerate(bends.T.tolist()):
-        for point in triple:
-            of[point].append(number)
-    most = max(len(numbers) for numbers in of)
-    return np.array([numbers + [(numbers or [0])[0]] * (most - len(numbers)) for numbers in of])

@@ -16,15 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.assessment.parts import ZERO, edge_parts, straight_edges
+from rmesh_nlp.assessment.parts import ZERO, edge_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
-from rmesh_nlp.certificate.integrals import Loads, integrals, interpolated, tractions, values_at, values_on
+from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
 from rmesh_nlp.certificate.polynomials import Index, lowered
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
-from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.problem.body import Edges
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 
 Mask = NDArray[np.bool_]
 
@@ -91,13 +93,14 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
-        corners, obstacle = skeleton.nodes[:, skeleton.ends[:, part.edges]], part.obstacle
-        gap = integrals(obstacle.offset, corners, problem.order)
+        obstacle = part.obstacle
+        gap = integrals(obstacle.offset, skeleton, part.edges, 2, problem.order)
         offset[:, part.place] = lowered(gap.moments, degree)
         offset_doubt[:, part.place] = lowered(gap.doubt, degree)
         is_certain &= gap.is_certain
         if n == 2:
-            friction[:, part.place], known = _linear_below(obstacle.friction, corners)
+            edges = Edges(skeleton.body, part.edges)
+            friction[:, part.place], known = _linear_below(obstacle.friction, edges)
             is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
     supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, axes)
@@ -112,15 +115,16 @@ def _given_displacement(
     doubt, error, is_certain = 0.0, 0.0, True
     for support in problem.supports:
         edges = np.unique(problem.mesh.boundaries[support.boundary])
-        corners = skeleton.nodes[:, skeleton.ends[:, edges]]
         for i, coefficient in enumerate(support.value):
             if coefficient is None:
                 continue
-            part = integrals(coefficient, corners, problem.order)
+            part = integrals(coefficient, skeleton, edges, 2, problem.order)
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
-            samples = values_at(coefficient, corners, SAMPLE_POINTS)
+            samples = _samples(coefficient, Edges(skeleton.body, edges))
+            at_nodes = samples[[0, -1, len(samples) // 2][: problem.order + 1]]
+            shares = functions(problem.order, SAMPLE_POINTS).T @ to_coefficients(problem.order, 2)
             doubt = np.max(part.doubt, initial=doubt)
-            error = np.max(interpolated(problem.order, samples, SAMPLE_POINTS)[1], initial=error)
+            error = np.max(np.abs(samples - shares @ at_nodes), initial=error)
             is_certain &= part.is_certain
     scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
@@ -132,7 +136,7 @@ def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[I
     if rest:
         raise NotCertifiableError("there are two obstacles in the interior")
     elements = np.arange(skeleton.areas.size if obstacles else 0)
-    gap = integrals(offset, skeleton.corners[:, :, elements], degree)
+    gap = integrals(offset, skeleton, elements, 3, degree)
     return Inside(sign, elements, gap.moments, gap.doubt), gap.is_certain
 
 
@@ -160,24 +164,27 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
     return tuple(parts)
 
 
-def _linear_below(friction: Coefficient, corners: Array) -> tuple[Array, bool]:
+def _samples(coefficient: Coefficient, edges: Edges) -> Array:
+    """(points, edges) values at the ``SAMPLE_POINTS`` of edges."""
+    s = np.broadcast_to(SAMPLE_POINTS[1], (edges.size, SAMPLE_POINTS.shape[1]))
+    return on_points(coefficient, edges.at(np.arange(edges.size), s)[0]).T
+
+
+def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
     """Ends (2, edges) of linear functions below a friction bound on edges, as high as samples allow.
 
     On an edge where the bound jumps or kinks it is a constant. The second value says whether it is known
     where it does.
     """
-    if corners.shape[2] == 0:
-        return np.zeros((2, 0)), True
-    samples = values_at(friction, corners, SAMPLE_POINTS)
+    samples = _samples(friction, edges)
     ends = samples[[0, -1]]
     excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
     scale = ZERO * np.max(np.abs(samples), axis=0)
     ends = np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0)
-    at = straight_edges(corners)
-    parts = edge_parts(at, corners.shape[2], (friction,))
+    parts = edge_parts(edges, (friction,))
     inner = ROUNDING * (parts.end - parts.begin)
     s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
-    values = values_on(friction, at(parts.owner, s)[0])
+    values = on_points(friction, edges.at(parts.owner, s)[0])
     least = np.min(samples, axis=0)
     np.minimum.at(least, parts.owner, np.min(values, axis=1))
     is_split = np.bincount(parts.owner, minlength=least.size) > 1

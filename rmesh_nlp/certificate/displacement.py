@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
@@ -11,8 +9,8 @@ from rmesh_nlp.assessment.parts import ZERO
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem import ContactProblem, Motion
-from rmesh_nlp.problem.body import Body, Edges
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Edges
 
 AT_NODES = "upper: the gap holds at the nodes only"
 """What is said of contact until the energy of an admissible displacement is the bound."""
@@ -28,10 +26,9 @@ def friction_work(problem: ContactProblem, skeleton: Skeleton, conditions: Condi
     """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
     work = np.zeros(conditions.contact.size)
     if problem.frictional:
-        body = Body(replace(problem, motion=Motion(None)), skeleton.nodes)
         for part in conditions.parts:
             along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
-            work[part.place] = friction_energy(Edges(body, part.edges), part.obstacle, along)[0]
+            work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, along)[0]
     return work
 
 

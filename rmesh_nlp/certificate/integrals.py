@@ -12,13 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
-from rmesh_nlp.assessment.parts import Index, Straight, straight_edges
 from rmesh_nlp.certificate.fields import element_of
-from rmesh_nlp.certificate.polynomials import lowered, moments, powers, projection
+from rmesh_nlp.certificate.polynomials import Index, lowered, moments, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions, size, to_coefficients
+from rmesh_nlp.fem.bernstein import functions, size
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 
 
@@ -32,48 +32,28 @@ class Integrals:
     is_certain: bool = True  # whether it is known where f jumps and kinks
 
 
-def integrals(coefficient: Coefficient, corners: Array, order: int = 1) -> Integrals:
-    """Moments of the displacements' order over edges or triangles with ``corners`` (2, 2 or 3, simplices)."""
-    vertices, count = corners.shape[1:]
-    shape = size(order, vertices), count
+def integrals(
+    coefficient: Coefficient, skeleton: Skeleton, cells: Index, vertices: int, order: int = 1
+) -> Integrals:
+    """Moments of an order over some edges (of two ``vertices``) or triangles (of three)."""
+    shape = size(order, vertices), cells.size
     if not callable(coefficient):
         value = float(coefficient)  # all functions have the same integral
-        return Integrals(np.full(shape, value / shape[0]), np.full(count, value**2), np.zeros(shape))
+        return Integrals(np.full(shape, value / shape[0]), np.full(shape[1], value**2), np.zeros(shape))
 
     def tested(_: Index, barycentric: Array, where: Array) -> Array:
-        values = values_on(coefficient, where)
+        values = on_points(coefficient, where)
         return np.concatenate([functions(order, barycentric) * values, values[None] ** 2])
 
     def along(rows: Index, s: Array, where: Array) -> Array:
         return tested(rows, np.stack([1 - s, s]), where)
 
     if vertices == 2:
-        means = over_edges(straight_edges(corners), count, along, (coefficient,))
+        sums, measure = over_edges(Edges(skeleton.body, cells), along, (coefficient,)), skeleton.lengths
     else:
-        means = over_triangles(Straight(corners), np.arange(count), tested, coefficients=(coefficient,))
-    return Integrals(means.value[:-1], means.value[-1], means.doubt[:-1], means.is_certain)
-
-
-def values_on(coefficient: Coefficient, where: Array) -> Array:
-    """Values (...) at positions (2, ...)."""
-    return on_points(coefficient, where.reshape(2, -1)).reshape(where.shape[1:])
-
-
-def values_at(coefficient: Coefficient, corners: Array, barycentric: Array) -> Array:
-    """Values (points, simplices) at points given by barycentric coordinates (vertices, points)."""
-    return values_on(coefficient, np.einsum("cve,vp->cpe", corners, barycentric))
-
-
-def interpolated(order: int, samples: Array, points: Array) -> tuple[Array, Array]:
-    """(functions, simplices) coefficients by samples (points, simplices), and (simplices,) largest errors.
-
-    ``points`` (vertices, points) are barycentric coordinates, the nodes of the polynomials among them.
-    """
-    nodes = powers(order, len(points)) / order
-    nearest = np.argmin(np.sum((points.T - nodes[:, None]) ** 2, axis=2), axis=1)
-    coefficients = to_coefficients(order, len(points)) @ samples[nearest]
-    errors = np.abs(samples - functions(order, points).T @ coefficients)
-    return coefficients, np.max(errors, axis=0)
+        sums, measure = over_triangles(skeleton.body, cells, tested, None, (coefficient,)), skeleton.areas
+    means, doubt = sums.value / measure[cells], sums.doubt / measure[cells]
+    return Integrals(means[:-1], means[-1], doubt[:-1], sums.is_certain)
 
 
 @dataclass(frozen=True)
@@ -110,30 +90,30 @@ class Loads:
 def body_forces(problem: ContactProblem, skeleton: Skeleton) -> Loads:
     """Sources or body forces on each element."""
     given = [(law.load, elements) for law, elements in problem.regions]
-    return _loads(problem, given, skeleton.corners, skeleton.displaced, skeleton.areas)
+    return _loads(problem, skeleton, given, 3, skeleton.displaced, skeleton.areas)
 
 
 def tractions(problem: ContactProblem, skeleton: Skeleton) -> Loads:
     """Given tractions on each edge."""
     given = [(load.value, np.unique(problem.mesh.boundaries[load.boundary])) for load in problem.tractions]
-    nodes = skeleton.along(problem.order)
-    return _loads(problem, given, skeleton.nodes[:, skeleton.ends], nodes, skeleton.lengths)
+    return _loads(problem, skeleton, given, 2, skeleton.along(problem.order), skeleton.lengths)
 
 
 def _loads(
     problem: ContactProblem,
+    skeleton: Skeleton,
     given: Sequence[tuple[Sequence[Coefficient], Index]],
-    corners: Array,
+    vertices: int,
     nodes: Index,
     measure: Array,
 ) -> Loads:
-    order, degree, vertices = problem.order, element_of(problem).pieces.degree, corners.shape[1]
+    order, degree = problem.order, element_of(problem).pieces.degree
     value, doubt = np.zeros((2, problem.components, *nodes.shape))
     remainder, is_certain = np.zeros(measure.size), True
     for coefficients, cells in given:
         unmet = np.zeros(len(cells))  # mean square of what the best approximation leaves
         for i, coefficient in enumerate(coefficients):
-            part = integrals(coefficient, corners[:, :, cells], order)
+            part = integrals(coefficient, skeleton, cells, vertices, order)
             value[i][:, cells] += part.moments
             doubt[i][:, cells] += part.doubt
             is_certain &= part.is_certain

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,8 @@ import numpy as np
 from rmesh_nlp.certificate.polynomials import Index, raised
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem import ContactProblem, Motion, Place
+from rmesh_nlp.problem.body import Body
 
 AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 """Vertices of edge i of a triangle, the one opposite vertex i, counter-clockwise."""
@@ -37,12 +38,40 @@ class Skeleton:
     opposite its vertex i and runs counter-clockwise from vertex i + 1 to vertex i + 2.
     """
 
-    nodes: Array  # (2, nodes)
-    triangles: Index  # (3, elements), counter-clockwise
-    ends: Index  # (2, edges)
-    edges: Index  # (3, elements), the edges of each element
-    place: Index  # (3, 2, elements), where the ends of an element's edge stand in ``ends``: 0 or 1
-    order: int = 1  # of displacements on it
+    body: Body  # without curves
+
+    @property
+    def nodes(self) -> Array:
+        """(2, nodes) positions."""
+        return self.body.nodes
+
+    @property
+    def triangles(self) -> Index:
+        """(3, elements) vertices of each element, counter-clockwise."""
+        return self.body.triangles
+
+    @property
+    def order(self) -> int:
+        """Of displacements on it."""
+        return self.body.problem.order
+
+    @cached_property
+    def ends(self) -> Index:
+        """(2, edges) ends of each edge."""
+        return np.asarray(self.body.problem.mesh.facets, dtype=np.int64)
+
+    @cached_property
+    def edges(self) -> Index:
+        """(3, elements) the edges of each element."""
+        beside = np.asarray(self.body.problem.mesh.t2f, dtype=np.int64)
+        has = np.any(self.ends[:, None, beside] == self.triangles[None, :, None], axis=0)
+        return np.take_along_axis(beside, np.argmin(has, axis=1), axis=0)  # of has: (vertex, edge, element)
+
+    @cached_property
+    def place(self) -> Index:
+        """(3, 2, elements) where the ends of an element's edge stand in ``ends``: 0 or 1."""
+        tail_is_second = self.ends[0, self.edges] != self.triangles[AFTER[:, 0]]
+        return np.stack([tail_is_second, ~tail_is_second], axis=1).astype(np.int64)
 
     @cached_property
     def areas(self) -> Array:
@@ -123,14 +152,8 @@ class Skeleton:
 
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
-    """The mesh of a problem with its nodes at ``nodes`` (2, nodes)."""
-    triangles, ends = problem.triangles, np.asarray(problem.mesh.facets, dtype=np.int64)
-    beside = np.asarray(problem.mesh.t2f, dtype=np.int64)
-    has = np.any(ends[:, None, beside] == triangles[None, :, None], axis=0)  # (vertex, edge, element)
-    edges = np.take_along_axis(beside, np.argmin(has, axis=1), axis=0)
-    tail_is_second = ends[0, edges] != triangles[AFTER[:, 0]]
-    place = np.stack([tail_is_second, ~tail_is_second], axis=1).astype(np.int64)
-    return Skeleton(np.asarray(nodes, dtype=float), triangles, ends, edges, place, problem.order)
+    """The mesh of a problem with its nodes at ``nodes`` (2, nodes), its edges straight."""
+    return Skeleton(Body(replace(problem, motion=Motion(None)), nodes))
 
 
 def same_domain(problem: ContactProblem, nodes: Array) -> bool:

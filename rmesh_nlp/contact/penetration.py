@@ -46,6 +46,5 @@ def penetrations(
         where = edges.at(np.arange(edges.size), np.broadcast_to(points[1], (edges.size, points.shape[1])))[0]
     length = np.linalg.norm(body.nodes[:, cells[1]] - body.nodes[:, cells[0]], axis=0)
     u = np.einsum("cve,vk->cek", displacement[:, space.nodes_of(cells)], functions(space.order, points))
-    u, flat = u.reshape(len(u), -1), where.reshape(2, -1)
-    gap = np.sum(obstacle.normals(flat) * u, axis=0) + obstacle.distances(flat)
-    return np.maximum(0.0, -gap.reshape(cells.shape[1], -1)).max(axis=1, initial=0.0), length
+    gap = np.sum(obstacle.normals(where) * u, axis=0) + obstacle.distances(where)
+    return np.maximum(0.0, -gap).max(axis=1, initial=0.0), length

@@ -191,6 +191,11 @@ class Edges:
         """Number of edges."""
         return int(self.facets.size)
 
+    @property
+    def are_straight(self) -> bool:
+        """Whether none is an arc."""
+        return not any(np.any(np.isin(self.facets, arcs.facets)) for arcs in self.body.arcs)
+
     def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
         """Points (2, m, k) and lengths per unit of s (m, k) of edges ``rows`` (m,) at ``s`` (m, k)."""
         a, b = self.body.nodes[:, self.ends[:, rows]].transpose(1, 0, 2)

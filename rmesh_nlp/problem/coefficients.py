@@ -78,17 +78,17 @@ def where(condition: Expression, a: Expression, b: Expression) -> Expression:
 
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
-    """Values (points,) of a coefficient at ``points`` (2, points); a ValueError if one is not finite."""
+    """Values (...) of a coefficient at ``points`` (2, ...); a ValueError if one is not finite."""
+    x, y = flat = points.reshape(2, -1)
     if not callable(coefficient):
-        values = np.full(points.shape[1], float(coefficient))
-    elif points.shape[1] == 0:
-        return np.zeros(0)
+        values = np.full(x.size, float(coefficient))
+    elif x.size == 0:
+        values = np.zeros(0)
     else:
-        values = columnwise(as_function(coefficient), points.shape[1])([points[:1], points[1:]])[0].ravel()
-    if not np.all(np.isfinite(values)):
-        bad = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise ValueError(f"{what} is {values[bad]} at ({points[0, bad]:.6g}, {points[1, bad]:.6g})")
-    return values
+        values = columnwise(as_function(coefficient), x.size)([flat[:1], flat[1:]])[0].ravel()
+    for bad in np.flatnonzero(~np.isfinite(values)):
+        raise ValueError(f"{what} is {values[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")
+    return values.reshape(points.shape[1:])
 
 
 @once

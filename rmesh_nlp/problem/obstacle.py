@@ -221,17 +221,17 @@ class Obstacle:
         return at(self.level, x, y) / ca.norm_2(ca.vertcat(*_gradient(self.level)(x, y)))
 
     def normals(self, points: Array) -> Array:
-        """Unit normals (components, points) at ``points`` (2, points)."""
+        """Unit normals (components, ...) at ``points`` (2, ...)."""
         if self.level is None:
-            return np.outer(self.normal, np.ones(points.shape[1]))
-        if points.shape[1] == 0:
-            return np.zeros((2, 0))
-        slope = _gradient(self.level)(ca.DM(points[0]).T, ca.DM(points[1]).T)
-        normals = np.vstack([part.full() for part in slope])
+            return np.multiply.outer(np.array(self.normal), np.ones(points.shape[1:]))
+        if points.size == 0:
+            return np.zeros(points.shape)
+        slope = _gradient(self.level)(ca.DM(points[0].ravel()).T, ca.DM(points[1].ravel()).T)
+        normals = np.vstack([part.full() for part in slope]).reshape(points.shape)
         return np.asarray(normals / np.linalg.norm(normals, axis=0))
 
     def distances(self, points: Array) -> Array:
-        """Gaps (points,) without displacement at ``points`` (2, points), all finite or a ValueError."""
+        """Gaps (...) without displacement at ``points`` (2, ...), all finite or a ValueError."""
         return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
 
     def feet(self, points: Array) -> Array:

@@ -42,6 +42,11 @@ def block(obstacle: Obstacle | tuple[Obstacle, ...], n: int = 3) -> ContactProbl
     )
 
 
+def standoff(found: Admissible) -> np.ndarray:
+    offset = found.system.offset
+    return Continuous(found.parts, found.body.nodes).system(np.zeros(offset.size)).offset - offset
+
+
 def deepest(found: Admissible) -> float:
     return penetration(found.parts.space, found.body.nodes, found.displacement)
 
@@ -53,9 +58,8 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
     exact = ContactSolver(problem.with_rule(25)).solve(problem.mesh.p)
     found = admissible(problem, start=exact.active)
     assert found.energy == pytest.approx(exact.energy, rel=1e-9)
-    assert found.energy == pytest.approx(found.strain - found.work + found.friction)
     assert 0 <= found.doubt < 1e-6
-    assert not np.any(found.standoff)
+    assert not np.any(standoff(found))
     assert found.state.iterations == 1  # begun with the contact that was given
     if problem.exact is not None:
         assert found.energy > problem.exact.energy
@@ -97,7 +101,7 @@ def test_beside_a_narrow_bump_nodes_come_closer_than_its_height() -> None:
 def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
     ripples = Obstacle.graph("bottom", lambda x, y: -0.02 + 1e-6 * np.sin(24 * np.pi * x))
     found = admissible(block(ripples))
-    assert 1e-7 < np.max(found.standoff) < 1e-5
+    assert 1e-7 < np.max(standoff(found)) < 1e-5
     assert deepest(found) < 1e-10
 
 
@@ -117,7 +121,7 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     """Normals are the same everywhere on each, so what points press is shared among nodes exactly."""
     found = admissible(replace(block(obstacles), tractions=(load,), order=order))
     system, state = found.system, found.state
-    assert np.any(found.standoff > 0)
+    assert np.any(standoff(found) > 1e-12)
     for part in found.parts.space.contact_sets:
         assert np.max(state.normal_force[part.rows]) > 1
     assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9

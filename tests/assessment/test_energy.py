@@ -17,7 +17,7 @@ from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain, PointLoad, Traction
-from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.body import Body, Edges
 from support.curved import HOLE, plate
 
 
@@ -62,19 +62,20 @@ def test_work_of_polynomial_loads_is_exact(order: int) -> None:
 
 
 def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    def at(rows: Array, s: Array) -> tuple[Array, Array]:
-        return np.stack([s, 0 * s]), 0 * s + 2.0  # edges of length 2
+    problem = ContactProblem(rectangle(1, 1, x=(0, 2), y=(0, 2)), Laplace(1.0), ("left",))
+    body = Body(problem, problem.mesh.p)
+    edges = Edges(body, np.concatenate([problem.mesh.boundaries[side] for side in ("bottom", "top")]))
 
     def kink(_: Array, s: Array, __: Array) -> Array:
         return np.stack([np.abs(s - 0.3), s > 1 / 3])
 
-    found, doubt, _ = over_edges(at, 2, kink)
+    found, doubt, _ = over_edges(edges, kink)
     assert found[0] == pytest.approx(np.full(2, 0.09 + 0.49), abs=1e-6)
     error = np.abs(found[1] - 4 / 3)
     assert np.all((error > 0) & (error < 2 * doubt[1]) & (doubt[1] < 2 / 2**8))
     monkeypatch.setattr(integrals, "CHUNK", 20)  # many parts, the same sums
-    np.testing.assert_allclose(over_edges(at, 2, kink)[0], found, rtol=1e-14)
-    assert over_edges(at, 0, kink)[0].size == 0
+    np.testing.assert_allclose(over_edges(edges, kink)[0], found, rtol=1e-14)
+    assert over_edges(Edges(body, np.zeros(0, dtype=np.int64)), kink)[0].size == 0
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -82,7 +83,7 @@ def test_rules_suffice_beside_arcs(order: int, monkeypatch: pytest.MonkeyPatch) 
     problem = replace(plate({"hole": HOLE}), order=order)
     body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
     K = stiffness(body, space).toarray()
-    monkeypatch.setattr(integrals, "FIRST", (14, 16))
+    monkeypatch.setattr(integrals, "RULES", (14, 16))
     monkeypatch.setattr(integrals, "CHUNK", 40)  # many parts, the same sums
     np.testing.assert_allclose(K, stiffness(body, space).toarray(), atol=10.0 ** (order - 8) * np.max(K))
 

@@ -25,7 +25,7 @@ def body(n: int = 3) -> Body:
 
 
 def integrand(coefficient: Coefficient) -> Callable[..., Array]:
-    return lambda _, __, x: on_points(coefficient, x.reshape(2, -1)).reshape(1, *x.shape[1:])
+    return lambda _, __, x: on_points(coefficient, x)[None]
 
 
 def disc(x, y):
@@ -71,7 +71,7 @@ def test_triangles_are_split_along_jumps_and_kinks(
 )
 def test_edges_are_split_at_jumps_and_kinks(coefficient: Coefficient, exact: float, is_certain: bool) -> None:
     top = body().edges("top")
-    total = over_edges(top.at, top.size, integrand(coefficient), (coefficient,))
+    total = over_edges(top, integrand(coefficient), (coefficient,))
     assert total.value.sum() == pytest.approx(exact, rel=1e-12)
     assert total.is_certain is is_certain
     assert total.doubt.sum() < 1e-12

@@ -14,8 +14,9 @@ from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.integrals import body_forces, integrals
 from rmesh_nlp.certificate.oscillation import POINCARE, korn, oscillation
 from rmesh_nlp.certificate.skeleton import Skeleton, same_domain, skeleton_of
+from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.certificates import distorted
 
 JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
@@ -46,13 +47,14 @@ def on(problem: ContactProblem, nodes=None) -> Skeleton:
 
 
 def test_what_jumps_is_integrated_part_by_part() -> None:
-    corners = np.array([[[0.0], [1.0]], [[0.0], [0.0]]])
-    wave = integrals(lambda x, y: ca.sin(14 * x), corners)
+    square = ContactProblem(rectangle(1, 1), Laplace(1.0), ("left",))
+    bottom = on(square), square.mesh.boundaries["bottom"], 2
+    wave = integrals(lambda x, y: ca.sin(14 * x), *bottom)
     assert np.sum(wave.moments) == pytest.approx((1 - np.cos(14)) / 14, rel=1e-9)
-    jump = integrals(JUMP, corners)
+    jump = integrals(JUMP, *bottom)
     assert jump.moments[:, 0] == pytest.approx([0.63**2 / 2, (1 - 0.37**2) / 2])
     assert jump.is_certain
-    assert not integrals(HIDDEN, corners).is_certain
+    assert not integrals(HIDDEN, *bottom).is_certain
 
 
 def test_a_friction_bound_is_not_exceeded_where_it_is_low_between_samples() -> None:
@@ -128,8 +130,8 @@ def test_data_are_doubted_by_what_any_displacement_may_make_of_them() -> None:
 
 
 def triangle(*corners: tuple[float, float]) -> Skeleton:
-    ends, place = np.array([[1, 0, 0], [2, 2, 1]]), np.array([[[0], [1]], [[1], [0]], [[0], [1]]])
-    return Skeleton(np.array(corners).T, np.arange(3)[:, None], ends, np.arange(3)[:, None], place)
+    mesh = from_arrays(corners, [[0, 1, 2]], {"side": [[0, 1]]})
+    return on(ContactProblem(mesh, Laplace(1.0), ("side",)))
 
 
 def test_constants_of_the_oscillation_are_those_of_the_literature() -> None:
@@ -141,7 +143,7 @@ def test_constants_of_the_oscillation_are_those_of_the_literature() -> None:
     # h / j |f| + h sqrt(|e| / |T| (1 / j^2 + 1 / j)) |g|, times the constant of the energy
     area, only = np.sqrt(3) / 4, np.array([0.0, 5.0, 0.0])
     edge = np.sqrt((POINCARE**2 + POINCARE) / area)
-    wide = replace(equilateral, nodes=3 * equilateral.nodes)
+    wide = on(equilateral.body.problem, 3 * equilateral.nodes)
     for one, load, edges, constant, wanted in (
         (equilateral, 2.0, only, 7.0, 7 * (2 * POINCARE + 5 * edge)),
         (wide, 2.0, 0 * only, 7.0, 42 * POINCARE),
