@@ -16,7 +16,7 @@ from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.embedding import ON
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
@@ -151,7 +151,7 @@ def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
         if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
             continue
         turns = _turns(problem, name)
-        round_ones = np.count_nonzero((turns > ON) & (turns < BEND))
+        round_ones = np.count_nonzero((turns > SEVEN_DIGITS) & (turns < BEND))
         if round_ones >= FEW and 2 * round_ones > turns.size:
             text = f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say "
             text += f"which curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide "
