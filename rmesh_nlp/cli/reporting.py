@@ -18,7 +18,7 @@ from rmesh_nlp.report.histories import with_common_costs
 from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
 from rmesh_nlp.report.pictures import Drawable, pictures
 from rmesh_nlp.report.style import Page, write
-from rmesh_nlp.report.tables import frame, markdown, short_markdown, write_tables
+from rmesh_nlp.report.tables import frame, markdown, write_tables
 from rmesh_nlp.study.reproduction import reproduce as derive
 from rmesh_nlp.study.study_file import read_study
 
@@ -30,7 +30,7 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
     records = with_common_costs(results)
     write_tables(records, folder)
     if voice == "text":
-        print(markdown(records) if verbose else short_markdown(records), end="")
+        print(markdown(records, short=not verbose), end="")
         if not verbose:
             print(f"all columns: {folder / 'table.md'}, or --verbose", file=sys.stderr)
 

@@ -234,9 +234,8 @@ class Series:
         return path
 
     def _chosen(self) -> list[Step]:
-        last = len(self._steps) - 1
-        every = 1 if self.most is None else max(1, -(-last // max(self.most - 1, 1)))
-        return [s for i, s in enumerate(self._steps) if i % every == 0 or i == last]
+        most = min(self.frames, max(2, self.most or self.frames))
+        return [self._steps[i] for i in np.unique(np.linspace(0, self.frames - 1, most, dtype=int))]
 
     @staticmethod
     def _file(step: Step, name: str) -> str:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
 
@@ -106,24 +108,14 @@ class Table:
         room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
         first = max(LABEL, room)
         whole = min(widths[0], first) + PAGE - room
-        place = "table" if whole <= COLUMN else "table*"
-        size = r"\footnotesize" if whole <= PAGE else r"\scriptsize"
-        caption = latex_words(self.caption)
-        tables = []
-        for number, part in enumerate(_parts(self.groups)):
-            again = (r"\addtocounter{table}{-1}", " (continued)") if number else ("", "")
-            lines = [
-                rf"\begin{{{place}}}[tbp]",
-                r"\setlength{\abovecaptionskip}{0pt}\setlength{\belowcaptionskip}{5pt}",
-                rf"{again[0]}\caption{{{caption}{again[1]}}}",
-                rf"\centering{size}\setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
-                *_tabular(self.head, part, first if widths[0] > first else None),
-            ]
-            if self.notes:
-                said = " ".join(map(latex_words, self.notes))
-                lines += [r"\par\smallskip", rf"\parbox{{\linewidth}}{{\scriptsize {said}}}"]
-            tables.append("\n".join([*lines, rf"\end{{{place}}}"]) + "\n")
-        return "\n".join(tables)
+        return LATEX.get_template("table.tex").render(
+            table=self,
+            parts=_parts(self.groups),
+            place="table" if whole <= COLUMN else "table*",
+            size="footnotesize" if whole <= PAGE else "scriptsize",
+            gap=GAP,
+            first=first,  # longer labels are set in several lines
+        )
 
 
 def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
@@ -141,34 +133,6 @@ def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
             room -= 2 + len(taken)
     if part:
         yield part
-
-
-def _tabular(head: Sequence[str], groups: Groups, first: float | None) -> list[str]:
-    """As wide as the line; labels longer than ``first`` points are set in several lines."""
-    lines = [
-        rf"\begin{{tabular*}}{{\linewidth}}{{@{{\extracolsep{{\fill}}}}l{'r' * (len(head) - 1)}@{{}}}}",
-        r"\toprule",
-        " & ".join(map(latex_heading, head)) + r" \\",
-    ]
-    for title, rows in groups:
-        # without a width of its own a title does not widen the columns below it
-        text = rf"\raggedright\emph{{{latex_words(title)}}}\strut"
-        box = rf"\makebox[0pt][l]{{\parbox[t]{{\linewidth}}{{{text}}}}}"
-        lines += [r"\midrule", rf"\multicolumn{{{len(head)}}}{{@{{}}l@{{}}}}{{{box}}} \\"]
-        for row in rows:
-            name = latex_cell(row[0])
-            if first is not None and _width(row[0]) > first:
-                name = rf"\parbox[t]{{{first:.0f}pt}}{{\raggedright {name}\strut}}"
-            lines.append(" & ".join([name, *map(latex_cell, row[1:])]) + r" \\")
-    return [*lines, r"\bottomrule", r"\end{tabular*}"]
-
-
-def latex_heading(text: str) -> str:
-    """A heading whose two lines are separated by a bar."""
-    first, *second = map(latex_words, text.split("|"))
-    return (
-        rf"\begin{{tabular}}[b]{{@{{}}r@{{}}}}{first}\\ {{{second[0]}}}\end{{tabular}}" if second else first
-    )
 
 
 def _width(text: str) -> float:
@@ -201,3 +165,20 @@ def latex_words(text: str) -> str:
 def latex_text(text: str) -> str:
     """Plain text with LaTeX's special characters escaped."""
     return text.translate(_ESCAPED)
+
+
+LATEX = Environment(
+    loader=PackageLoader("rmesh_nlp.report", ""),
+    block_start_string="<%",
+    block_end_string="%>",
+    variable_start_string="<<",
+    variable_end_string=">>",
+    comment_start_string="<#",
+    comment_end_string="#>",
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+    undefined=StrictUndefined,
+)
+LATEX.filters |= {"words": latex_words, "cell": latex_cell, "width": _width}
+"""Templates in which braces and per cent signs are those of LaTeX."""

@@ -61,26 +61,22 @@ def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
     return made + joined_tables(records)
 
 
-def markdown(records: Sequence[Record]) -> str:
-    """The short tables of :func:`short_markdown`, and below ``DETAILS`` all others."""
+def markdown(records: Sequence[Record], *, short: bool = False) -> str:
+    """One row per solve, what else was asked for, and what is needed to read it; below ``DETAILS`` the rest.
+
+    A ``short`` one ends before the details.
+    """
     study = is_study(records)
-    every = [summary_table(records)] if study else tables(records)
-    sections = [table.section() for table in every if table.is_detail]
-    notes = [] if study else [f"## Notes\n\n{_items(block_notes(records))}"]
-    details = for_markdown("\n".join([f"{DETAILS}\n", *sections, *notes]))
-    return f"{short_markdown(records)}\n{details}"
-
-
-def short_markdown(records: Sequence[Record]) -> str:
-    """One row per solve, what else was asked for, and what is needed to read it."""
-    if is_study(records):
-        parts, notes = ["# Study\n", median_table(records).section()], study_notes(records)
-    else:
-        parts, notes = ["# Comparison of formulations\n"], main_notes(records)
-        parts += [table.section() for table in tables(records, named=True) if not table.is_detail]
-    if not records:
-        parts.append("No solve has ended yet.\n")
-    return for_markdown("\n".join([*parts, _items(notes)]))
+    every = [median_table(records), summary_table(records)] if study else tables(records, named=True)
+    parts = ["# Study\n" if study else "# Comparison of formulations\n"]
+    parts += [table.section() for table in every if not table.is_detail]
+    notes = study_notes(records) if study else main_notes(records)
+    parts.append(_items(notes) if records else "No solve has ended yet.\n")
+    if not short:
+        parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
+    if not short and not study:
+        parts.append(f"## Notes\n\n{_items(block_notes(records))}")
+    return for_markdown("\n".join(parts))
 
 
 def _items(notes: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ from rmesh_nlp.report.joined import FEW, multistart_rows, refinement_notes, refi
 from rmesh_nlp.report.notes import block_notes, main_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
 from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
-from rmesh_nlp.report.tables import DETAILS, latex, markdown, short_markdown, write_tables
+from rmesh_nlp.report.tables import DETAILS, latex, markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
 from support.reporting import ROWS, designed, failed, joint_61, joint_62
 
@@ -143,10 +143,10 @@ MANY = [
 def test_markdown_literally() -> None:
     text = markdown(ROWS)
     assert text.startswith(MARKDOWN)
-    short = short_markdown(ROWS)
+    short = markdown(ROWS, short=True)
     assert text.startswith(short)
     assert DETAILS not in short
-    assert short_markdown([]).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
+    assert markdown([], short=True).startswith("# Comparison of formulations\n\nNo solve has ended yet.")
 
 
 def test_designs_have_tables_of_their_own_and_no_energies() -> None:
@@ -156,7 +156,7 @@ def test_designs_have_tables_of_their_own_and_no_energies() -> None:
     assert "J is the total" not in text
     assert "Problem seal: lengths in mm, forces in N per mm of depth." in text
     assert "J given" not in text
-    both = short_markdown([*DESIGN_ROWS, *ROWS])
+    both = markdown([*DESIGN_ROWS, *ROWS], short=True)
     assert "| 6.2, joint | -4.854190 |" in both
     assert "| seal, " not in both
     assert DESIGNS.split("\n", 2)[2] in both
@@ -186,11 +186,11 @@ def test_many_design_variables_have_a_row_each() -> None:
 
 def test_coulomb_friction_with_another_objective_has_no_energies() -> None:
     row = joint_62(formulation="nested", objective="shear(top)", coulomb_residual=1e-3)
-    text = short_markdown([{**row, "objective_initial": -2.0, "objective_value": -3.0}])
+    text = markdown([{**row, "objective_initial": -2.0, "objective_value": -3.0}], short=True)
     assert "J relocated" not in text
     assert "| nested      |      -2.000000e+00 |    -3.000000e+00 |       50 |" in text
     assert "bounds" not in text
-    assert "J relocated" in short_markdown([joint_62(formulation="fixed", coulomb_residual=1e-3)])
+    assert "J relocated" in markdown([joint_62(formulation="fixed", coulomb_residual=1e-3)], short=True)
 
 
 def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
@@ -309,7 +309,7 @@ def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
     text = markdown([{**row, "objective_initial": 2.929e-3, "objective_value": 9.08e-4}])
     assert "| mpcc, lin-fukushima, error-l2 |       2.929000e-03 |     9.080000e-04 |        2 |" in text
     assert "I1" not in markdown(ROWS)
-    assert "objective at end" not in short_markdown(ROWS)
+    assert "objective at end" not in markdown(ROWS, short=True)
 
 
 def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
