@@ -164,9 +164,7 @@ def remesh(
     ] = None,
     out: Annotated[
         Path,
-        Option(
-            "--out", metavar="MESH", help="The mesh to write, in a format that keeps names, such as .msh."
-        ),
+        Option("--out", metavar="MESH", help="The mesh to write, a file .msh: it keeps names."),
     ] = Path("mesh.msh"),
     order: o.Order = None,
 ) -> None:

@@ -49,6 +49,11 @@ def notes(kind: type[Warning], head: str) -> Iterator[None]:
 
 
 def read_quietly(folder: Path) -> list[Result]:
-    """The results of a folder; what is passed over is printed in one line each."""
+    """The results of a folder; what is passed over is printed in one line each.
+
+    What killed writers left aside goes.
+    """
     with notes(DamagedRecordsWarning, "rmesh: warning"):
-        return read_results(folder)
+        results = read_results(folder)
+    remove_leftovers(folder)
+    return results

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from rich.console import Console
-from skfem import MeshTri
 
 from rmesh_nlp.cli import load
 from rmesh_nlp.contact.setup_warnings import setup_warnings
@@ -27,7 +25,6 @@ from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import MeshRepairWarning
-from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.advice import advise as advice
@@ -94,13 +91,12 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> None:
 
 def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> None:
     """Write a mesh that suits the solution of the problem of a file."""
-    if not out.parent.is_dir():
-        raise BadInputError(f"cannot write {out}: there is no folder {str(out.parent)!r}")
+    if out.suffix != ".msh" or not out.parent.is_dir():
+        raise BadInputError(f"--out {out}: expected a file .msh, which keeps names, in a folder that exists")
     source = read_table(path).mesh.file
     if source is not None and out.exists() and out.samefile(path.parent / source):
         raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
     problem = replace(with_edge_gaps(_first_design(path, load_problem(path, order))), quadrature="auto")
-    _check_format(problem.mesh, out)
     with located(path):
         first = Solved.of(problem)
         made = metric_start(first, problem.mesh.p.shape[1] if nodes is None else nodes).solved
@@ -120,24 +116,6 @@ def _first_design(path: Path, problem: ContactProblem, *, says: bool = True) -> 
     if says and problem.design:
         print(f"note: {path}: for the first design; `rmesh solve` finds others")
     return problem.at_design()
-
-
-def _check_format(mesh: MeshTri, out: Path) -> None:
-    """Raise if a file cannot be written in its format here, or would not keep the names of a mesh."""
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a mesh that is thrown away
-        trial = Path(folder) / out.name
-        try:
-            write_mesh(mesh, trial)
-            written = read_mesh(trial)
-        except Exception as error:  # meshio's writers raise anything
-            reason = one_line(error).replace(str(trial), out.name)
-            said = f"--out {out}: cannot be written as {out.suffix or 'a mesh'}, take .msh"
-            raise BadInputError(f"{said}: {reason}") from error
-    for had, has in ((mesh.boundaries, written.boundaries), (mesh.subdomains, written.subdomains)):
-        names = {name for name in had or {} if not name.startswith("gmsh:")}
-        if lost := names - set(has or {}):
-            raise BadInputError(f"--out {out}: {out.suffix} loses names such as {min(lost)!r}, take .msh")
 
 
 def load_problem(path: Path, order: int | None = None, *, says: bool = True) -> ContactProblem:

@@ -11,7 +11,7 @@ from rmesh_nlp.cli.folders import read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
-from rmesh_nlp.io.folder import Manifest, remove_leftovers, write_whole
+from rmesh_nlp.io.folder import Manifest, write_whole
 from rmesh_nlp.io.results import RECORD, Results
 from rmesh_nlp.report.figures import figures as drawn
 from rmesh_nlp.report.histories import with_common_costs
@@ -26,7 +26,6 @@ from rmesh_nlp.study.study_file import read_study
 def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
     """Write the tables of a folder and print the main one, or with ``verbose`` all of them."""
     results = read_quietly(folder)
-    remove_leftovers(folder)
     records = with_common_costs(results)
     write_tables(records, folder)
     if voice == "text":
@@ -51,7 +50,6 @@ def figures(folder: Path, page: Page) -> None:
 def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
     """Write the figures of a folder and print where they are."""
     results = read_quietly(folder)
-    remove_leftovers(folder)
     paths = write(drawn(results, page), Manifest(folder), page)
     if voice == "text":
         print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
@@ -67,7 +65,6 @@ def draw_solution(results: Results, solution: Drawable, page: Page) -> list[Path
 def report(folder: Path) -> None:
     """Write the page of a folder and print where it is."""
     results = read_quietly(folder)
-    remove_leftovers(folder)
     path, question, title = folder / STUDY_FILE, "", ""
     if path.exists():
         stated = read_study(path)

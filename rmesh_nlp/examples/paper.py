@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from numbers import Integral
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -30,6 +29,7 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
+from rmesh_nlp.problem.conditions import as_tuple
 
 Size = int | tuple[int, int] | str
 """``8``, ``(12, 6)`` or ``"12x6"``, columns by rows."""
@@ -220,10 +220,8 @@ EXAMPLES = _Examples({"6.1": example_61, "6.2": example_62, "6.3": example_63})
 
 def as_size(n: Size) -> tuple[int, int]:
     """Columns and rows of ``8``, ``(12, 6)`` or ``"12x6"``."""
-    numbers: Any = n
-    if isinstance(n, str):
-        numbers = [int(part) if part.isdecimal() else part for part in n.lower().split("x")]
-    pair = tuple(numbers) if isinstance(numbers, (tuple, list)) else (numbers,)
+    pair = as_tuple(n.lower().split("x") if isinstance(n, str) else n)
+    pair = tuple(int(part) if isinstance(part, str) and part.isdecimal() else part for part in pair)
     if len(pair) > 2 or any(not isinstance(k, Integral) or k < 2 for k in pair):
         raise ValueError(f"the size must be a whole number of at least 2, or two such as 12x6, got {n!r}")
     return int(pair[0]), int(pair[-1])
@@ -235,10 +233,8 @@ def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float
     paper = PAPER[name]
     if delta is None:
         return (paper.delta[0] * paper.size[0] / size[0], paper.delta[1] * paper.size[1] / size[1])
-    given: Any = delta.split(",") if isinstance(delta, str) else delta
-    pair = tuple(given) if isinstance(given, (tuple, list)) else (given,)
     try:
-        numbers = [float(value) for value in pair]
+        numbers = [float(value) for value in as_tuple(delta.split(",") if isinstance(delta, str) else delta)]
     except (TypeError, ValueError):
         numbers = []
     if len(numbers) not in (1, 2):

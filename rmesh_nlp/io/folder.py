@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from itertools import count
 from pathlib import Path, PurePosixPath
 
@@ -184,15 +185,13 @@ class Manifest:
         Names that lead out of the folder, by themselves or through a link, are left out: whoever
         reads, replaces, moves or removes by these names stays inside.
         """
-        if not self.exists:
-            return []
-        lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines()
-        names = {name: PurePosixPath(name) for name in lines if name and name[0] != "#"}
-        inside = {parent for parent in {path.parent for path in names.values()} if self._is_inside(parent)}
+        lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines() if self.exists else []
+        is_inside = cache(self._is_inside)
         return [
             name
-            for name, path in names.items()
-            if path.parent in inside and path.name != MANIFEST and not os.path.islink(self.folder / name)
+            for name in dict.fromkeys(lines)
+            if name and name[0] != "#" and not name.endswith(MANIFEST)
+            if is_inside(PurePosixPath(name).parent) and not os.path.islink(self.folder / name)
         ]
 
     def _is_inside(self, path: PurePosixPath) -> bool:

@@ -206,7 +206,7 @@ class Obstacle:
         """Unit normal at a point as a CasADi column."""
         if self.level is None:
             return ca.DM(self.normal)
-        slope = ca.vertcat(*_gradient(self.level)(x, y))
+        slope = _gradient(self.level)(x, y)
         return slope / ca.norm_2(slope)
 
     def tangential(self, x: Expression, y: Expression) -> Expression:
@@ -218,7 +218,7 @@ class Obstacle:
         """The gap without displacement at a point."""
         if self.level is None:
             return at(self.offset, x, y)
-        return at(self.level, x, y) / ca.norm_2(ca.vertcat(*_gradient(self.level)(x, y)))
+        return at(self.level, x, y) / ca.norm_2(_gradient(self.level)(x, y))
 
     def normals(self, points: Array) -> Array:
         """Unit normals (components, ...) at ``points`` (2, ...)."""
@@ -226,9 +226,8 @@ class Obstacle:
             return np.multiply.outer(np.array(self.normal), np.ones(points.shape[1:]))
         if points.size == 0:
             return np.zeros(points.shape)
-        slope = _gradient(self.level)(ca.DM(points[0].ravel()).T, ca.DM(points[1].ravel()).T)
-        normals = np.vstack([part.full() for part in slope]).reshape(points.shape)
-        return np.asarray(normals / np.linalg.norm(normals, axis=0))
+        slope = _gradient(self.level)(ca.DM(points[0].ravel()).T, ca.DM(points[1].ravel()).T).full()
+        return np.asarray(slope / np.linalg.norm(slope, axis=0)).reshape(points.shape)
 
     def distances(self, points: Array) -> Array:
         """Gaps (...) without displacement at ``points`` (2, ...), all finite or a ValueError."""
@@ -273,10 +272,10 @@ FOOT_STEPS = 5
 
 @lru_cache(maxsize=32)
 def _gradient(level: PositionFunction) -> ca.Function:
-    """``(x, y) -> (d level / dx, d level / dy)``."""
+    """``(x, y) -> (d level / dx, d level / dy)``, a column."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    value = ca.SX(at(level, x, y))
-    return ca.Function("slope", [x, y], [ca.jacobian(value, x), ca.jacobian(value, y)], OPEN)
+    slope = ca.gradient(ca.SX(at(level, x, y)), ca.vertcat(x, y))
+    return ca.Function("slope", [x, y], [ca.densify(slope)], OPEN)
 
 
 NO_CONTACT: tuple[Obstacle, ...] = ()
