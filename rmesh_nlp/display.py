@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from abc import ABC, abstractmethod
 from html import escape
 from numbers import Real
@@ -25,19 +26,16 @@ def rich_table(title: str, rows: Rows) -> Table:
     return table
 
 
-SCREEN = 80
-"""Columns of a terminal."""
-
-
 def plain_table(title: str, rows: Rows) -> str:
     """The same as plain text that fits a screen: one line per row, long values cut."""
     width = max((len(label) for label, _ in rows), default=0)
-    room = SCREEN - width - 4
+    screen = shutil.get_terminal_size().columns
+    room = screen - width - 4
     lines = [
         f"  {label:<{width}}  {value if len(value) <= room else value[: room - 3] + '...'}"
         for label, value in rows
     ]
-    return "\n".join([title[:SCREEN], *lines])
+    return "\n".join([title[:screen], *lines])
 
 
 def html_table(title: str, rows: Rows) -> str:

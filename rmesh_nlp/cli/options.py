@@ -5,7 +5,7 @@ Nothing heavy is imported here. What depends on the problem (an odd number of co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -45,11 +45,19 @@ Seed = Annotated[
         "--seed", min=0, metavar="NUMBER", help="Start from random node positions instead of the given mesh."
     ),
 ]
+
+
+def parse_quadrature(text: str) -> str | int:
+    """``midpoint`` or a degree."""
+    return int(text) if text.isdecimal() else text
+
+
 Quadrature = Annotated[
     str | None,
     Option(
         "--quadrature",
         metavar="RULE",
+        parser=parse_quadrature,
         help="Rule for the load: midpoint, or a degree such as 6. Default: midpoint, the paper's; with "
         "--order 2 one that is exact or of degree 8.",
     ),
@@ -177,11 +185,6 @@ Figures = Annotated[
 ]
 
 
-def parse_quadrature(text: str) -> str | int:
-    """``midpoint`` or a degree."""
-    return int(text) if text.isdecimal() else text
-
-
 def parse_names(text: str) -> tuple[str, ...]:
     """The value of ``--formulations``, separated by commas: without repetitions, in the order given."""
     names = [part.strip() for part in text.split(",")]
@@ -189,11 +192,6 @@ def parse_names(text: str) -> tuple[str, ...]:
         raise BadInputError(f"--formulations must be names separated by commas, got {text!r}")
     return tuple(dict.fromkeys(names))
 
-
-PARSERS: Mapping[str, Callable[..., Any]] = {
-    "quadrature": parse_quadrature,
-    "settings": from_texts,
-}
 
 ABOUT = ("n", "delta", "order", "quadrature", "certify", "repeats")
 """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison` beside the options of a formulation."""
@@ -215,14 +213,10 @@ OPTIONS = (
 
 def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
-    given = {
-        name: PARSERS[name](value) if name in PARSERS else value
-        for name, value in typed.items()
-        if not (value is None or value is False or value in ([], ()))
-    }
+    given = {k: v for k, v in typed.items() if not (v is None or v is False or v in ([], ()))}
+    chosen = from_texts(given.get("settings", ())) | {name: given[name] for name in OPTIONS if name in given}
     if "nodes" in given:
-        given["remesh"] = given["nodes"]
-    chosen = {**given.get("settings", {}), **{name: given[name] for name in OPTIONS if name in given}}
+        chosen["remesh"] = given["nodes"]
     if limits := {field: given[name] for name, field in LIMITS.items() if name in given}:
         chosen["limits"] = {**chosen.get("limits", {}), **limits}
     return {"options": chosen, **{name: given[name] for name in ABOUT if name in given}}

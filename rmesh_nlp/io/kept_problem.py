@@ -48,22 +48,21 @@ class KeptSolution:
     displacement: Array
     pressure: Array
     multipliers: Multipliers | None
-    is_remeshed: bool = False
-    designed: ContactProblem | None = None
-    objective: str = "energy"
-    history: Sequence[Mapping[str, Any]] = ()
+    is_remeshed: bool
+    designed: ContactProblem | None
+    objective: str
+    history: Sequence[Mapping[str, Any]]
 
 
-def names(table: ProblemTable) -> list[str]:
-    """The files that :func:`keep` writes: the problem and the mesh file that it names."""
-    return [PROBLEM] if table.mesh.file is None else [PROBLEM, MESH + Path(table.mesh.file).suffix]
+def names(table: ProblemTable) -> dict[str, Path]:
+    """The files that :func:`keep` writes, by name what they are copies of: the problem, and its mesh file."""
+    path, mesh = table.source.path, table.mesh.file
+    return {PROBLEM: path} | ({} if mesh is None else {MESH + Path(mesh).suffix: path.parent / mesh})
 
 
 def keep(table: ProblemTable, folder: Path) -> None:
     """Copy a problem file, and the mesh file that it names, into a folder."""
-    path = table.source.path
-    sources = [path, path.parent / (table.mesh.file or "")]
-    for source, name in zip(sources, names(table), strict=False):
+    for name, source in names(table).items():
         write_whole(folder / name, partial(shutil.copyfile, source))
 
 
@@ -77,13 +76,11 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
         return None
     table = read_table(path)
     if table.mesh.file is not None:
-        mesh_table = table.mesh.model_copy(update={"file": names(table)[1]})
-        table = table.model_copy(update={"mesh": mesh_table})
-    problem = build(table)
+        *_, copy = names(table)
+        table = table.model_copy(update={"mesh": table.mesh.model_copy(update={"file": copy})})
     # the command line may have given another order, and some formulations raise the degree of the rule
-    asked = {name: record[name] for name in ("order", "quadrature") if record.get(name) is not None}
-    if asked:
-        problem = replace(problem, **asked)
+    problem, rule = build(table, record.get("order")), record.get("quadrature")
+    problem = problem if rule is None else problem.with_rule(rule)
     designed = problem if problem.design else None
     problem = problem.at_design(record.get("design"))
     fields = read_vtu(folder / "solution.vtu")
@@ -97,10 +94,17 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     vertices, multipliers = space.number[: space.n_vertices], fields.multipliers
     if multipliers is not None:
         multipliers = replace(multipliers, limit=multipliers.limit[vertices])
-    mesh = relocated_mesh(problem.mesh, fields.nodes[:, vertices])
-    solution = KeptSolution(problem, mesh, fields.displacement, fields.pressure, multipliers, is_remeshed)
-    steps = single_result(folder, record).steps()
-    return replace(solution, designed=designed, objective=str(record.get("objective")), history=steps)
+    return KeptSolution(
+        problem=problem,
+        mesh=relocated_mesh(problem.mesh, fields.nodes[:, vertices]),
+        displacement=fields.displacement,
+        pressure=fields.pressure,
+        multipliers=multipliers,
+        is_remeshed=is_remeshed,
+        designed=designed,
+        objective=str(record.get("objective")),
+        history=single_result(folder, record).steps(),
+    )
 
 
 def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> ContactProblem | None:
@@ -113,14 +117,11 @@ def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> C
         return None
     mesh = read_mesh(path)
     vertices, triangles = fields.initial[:, : mesh.p.shape[1]], fields.triangles[:3]  # which files have first
-    if mesh.t.shape != triangles.shape:
-        return None
-    mesh_corners, field_corners = np.sort(mesh.t, axis=0), np.sort(triangles, axis=0)
     # files group elements by name
-    order, place = np.lexsort(mesh_corners), np.empty(mesh_corners.shape[1], dtype=np.int64)
-    place[order] = np.lexsort(field_corners)
-    if not np.array_equal(mesh_corners, field_corners[:, place]):
+    number = {frozenset(corners): k for k, corners in enumerate(triangles.T.tolist())}
+    if number.keys() != {frozenset(corners) for corners in mesh.t.T.tolist()}:
         return None
+    place = np.array([number[frozenset(corners)] for corners in mesh.t.T.tolist()])
     edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
     zones = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}
     return on_mesh(problem, from_arrays(vertices.T, triangles.T, edges, zones), problem.motion)

@@ -126,8 +126,7 @@ def _check_values(problem: ProblemData) -> None:
 
 def _given(problem: ProblemData) -> Iterator[tuple[Place, str, Sequence[Coefficient | None], Array]]:
     """Place in the problem, description, a value per component, and points (2, n)."""
-    laws = problem.law if isinstance(problem.law, Mapping) else {"": problem.law}
-    for (name, law), (_, elements) in zip(laws.items(), problem.regions, strict=True):
+    for (name, law), (_, elements) in zip(problem.laws_by_name.items(), problem.regions, strict=True):
         key = "source" if law.components == 1 else "body_force"
         place, of = (("materials", name, key), f" of {name!r}") if name else (("material", key), "")
         yield place, f"the {key.replace('_', ' ')}{of}", law.load, _inside(problem, elements)

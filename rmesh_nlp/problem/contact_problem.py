@@ -147,8 +147,7 @@ class ContactProblem(Shown, ProblemData):
         at = {**self.start, **(values or {})}
         amplitudes = np.array([at[shape.name] for shape in self.shapes])
         moved = self.mesh.p + np.tensordot(amplitudes, self.shape_motions, 1)
-        named = self.law if isinstance(self.law, Mapping) else {"": self.law}
-        laws = {name: at_design(law, at) for name, law in named.items()}
+        laws = {name: at_design(law, at) for name, law in self.laws_by_name.items()}
         return replace(
             self,
             mesh=replace(self.mesh, doflocs=moved) if np.any(amplitudes) else self.mesh,

@@ -75,7 +75,12 @@ class ProblemData:
     @property
     def laws(self) -> tuple[Law, ...]:
         """The law of each region."""
-        return tuple(self.law.values()) if isinstance(self.law, Mapping) else (self.law,)
+        return tuple(self.laws_by_name.values())
+
+    @property
+    def laws_by_name(self) -> Mapping[str, Law]:
+        """The law of each subdomain, or one alone by the name ""."""
+        return self.law if isinstance(self.law, Mapping) else {"": self.law}
 
     @cached_property
     def regions(self) -> tuple[tuple[Law, NDArray[np.int64]], ...]:

@@ -13,11 +13,10 @@ from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.expressions import FUNCTIONS
-from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, on_points, once
+from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, once
 
 RESERVED = ("x", "y", "pi", "inf", "nan", *FUNCTIONS)
 """Names that expressions of position have already."""
@@ -204,13 +203,3 @@ def at_design(part: Any, values: Mapping[str, float]) -> Any:
     new = {name: at_design(value, values) for name, value in old.items()}
     is_unchanged = all(new[name] is value for name, value in old.items())
     return part if is_unchanged or isinstance(part, type) else replace(part, **new)
-
-
-def motions(shapes: tuple[Shape, ...], points: Array, on: list[NDArray[np.int64]]) -> Array:
-    """(shapes, 2, nodes) displacements at amplitude 1 of the nodes ``on`` the boundary of each shape."""
-    result = np.zeros((len(shapes), *points.shape))
-    for moved, shape, nodes in zip(result, shapes, on, strict=True):
-        for i, component in enumerate(shape.motion):
-            what = f"the motion of the shape {shape.name!r}"
-            moved[i, nodes] = on_points(component, points[:, nodes], what)
-    return result

@@ -21,8 +21,8 @@ from skfem.models.poisson import laplace
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import nodes_of
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ProblemData
-from rmesh_nlp.problem.design import motions
 
 Index = NDArray[np.int64]
 
@@ -81,13 +81,13 @@ def harmonic_motions(problem: ProblemData) -> Array:
     Nodes that may slide along a straight line do so, all others on lines stay. A ValueError names a node that
     would move although a displacement is given there as a function of position.
     """
-    mesh = problem.mesh
-    on = [nodes_of(mesh, shape.boundary) for shape in problem.shapes]
-    displacements = motions(problem.shapes, np.asarray(mesh.p), on)
+    mesh, displacements = problem.mesh, np.zeros((len(problem.shapes), *problem.mesh.p.shape))
     on_line, tangent = sliding_directions(problem)
     held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
-    for moved, shape, given in zip(displacements, problem.shapes, on, strict=True):
-        along = tangent.copy()
+    for moved, shape in zip(displacements, problem.shapes, strict=True):
+        given, along = nodes_of(mesh, shape.boundary), tangent.copy()
+        for row, component in zip(moved, shape.motion, strict=True):
+            row[given] = on_points(component, mesh.p[:, given], f"the motion of the shape {shape.name!r}")
         along[:, given] = 0.0
         moved[:] = _harmonic(mesh, moved, np.union1d(on_line, given), along)
         for name in held:

@@ -28,7 +28,7 @@ def test_a_kept_solution_is_read_back_from_its_folder_alone(tmp_path, mesh, orde
     write_mesh(rectangle(8, 3, x=(0, 4)), tmp_path / "body.msh")
     path.write_text(f"order = {order}\n{VALID.replace(SHAPE, mesh)}")
     table = read_table(path)
-    assert names(table) == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
+    assert [*names(table)] == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
     keep(table, folder)
     solution = joint.solve(load_problem(path), limits={"iterations": 5})
     write_solution(solution, folder / "solution.vtu")
