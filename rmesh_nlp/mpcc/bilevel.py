@@ -104,7 +104,7 @@ def _level(name: str, level: Mapping[str, Any], p: list[Symbolic]) -> MPCC:
     if level.get("g") is not None and not {"lbg", "ubg"} & set(level):
         raise ValueError(f"{name}: g has neither lbg nor ubg, so it constrains nothing")
     try:
-        return MPCC(**{"g": None, "G": None, "H": None, **level, "p": p})
+        return MPCC(**{**level, "p": p})
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
 

@@ -10,8 +10,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -26,7 +27,8 @@ from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.status import Status
 
-_KEYS = ("x", "f", "g", "G", "H", "p")
+_COLUMNS = ["f", "g", "G", "H"]
+_KEYS = ("x", *_COLUMNS, "p")
 _BOUNDS = ("lbx", "ubx", "lbg", "ubg")
 _INPUTS = (*ca.nlpsol_in(), "lam_G0", "lam_H0")
 _OUTPUTS = (*ca.nlpsol_out(), "G", "H", "lam_G", "lam_H")
@@ -59,7 +61,7 @@ class MPCCFunction(ca.Function):
     """
 
     def __init__(self, name: str, solve: _Solve) -> None:
-        inputs = [ca.MX.sym(key, size) for key, size in zip(_INPUTS, solve.sizes(_INPUTS), strict=True)]
+        inputs = [ca.MX.sym(key, solve.sizes[key]) for key in _INPUTS]
         defaults = [_DEFAULTS.get(key, 0.0) for key in _INPUTS]
         outputs = solve.call(inputs)
         super().__init__(ca.Function(name, inputs, outputs, _INPUTS, _OUTPUTS, {"default_in": defaults}))
@@ -104,23 +106,23 @@ class _Solve(ca.Callback):
     """The solver as a callback on numbers."""
 
     def __init__(
-        self, name: str, problem: dict[str, Any], options: Options, error_on_fail: bool, own: dict[str, Any]
+        self, name: str, mpcc: MPCC, options: Options, error_on_fail: bool, own: dict[str, Any]
     ) -> None:
         ca.Callback.__init__(self)
-        self._mpcc = mpcc = MPCC(**problem)
-        self._name, self._options, self._error_on_fail = name, options, error_on_fail
-        self._lam_p = _derivative_by_parameters(mpcc)
-        self._solvers: dict[tuple[bytes, ...], MPCCSolver] = {}
+        self._mpcc, self._name, self._options, self._error_on_fail = mpcc, name, options, error_on_fail
+        sums = {"gamma": _COLUMNS}
+        weights = [f"lam:{column}" for column in _COLUMNS]
+        self._slope = _oracle(mpcc).factory("slope", ["x", "p", *weights], ["grad:gamma:p"], sums)
+        self._solver = lru_cache(_KEPT)(self._made)
         self.result: MPCCResult | None = None
         self.error: BaseException | None = None
         self.is_called = False  # by a user with numbers, who is shown the error itself
-        self._size = {"f": 1, **{key: int(getattr(mpcc, key).shape[0]) for key in _KEYS if key != "f"}}
+        self.sizes = {
+            name.format(part): int(getattr(mpcc, part).shape[0])
+            for part in _KEYS
+            for name in ("{}", "{}0", "lb{}", "ub{}", "lam_{}", "lam_{}0")
+        }
         self.construct(f"{name}_solve", own)
-
-    def sizes(self, names: Sequence[str]) -> list[int]:
-        """The lengths of inputs or outputs."""
-        parts = (name.removeprefix("lam_").removeprefix("lb").removeprefix("ub") for name in names)
-        return [self._size[part.removesuffix("0")] for part in parts]
 
     def get_n_in(self) -> int:
         """Number of inputs."""
@@ -132,11 +134,11 @@ class _Solve(ca.Callback):
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         """A column."""
-        return ca.Sparsity.dense(self.sizes(_INPUTS)[i], 1)
+        return ca.Sparsity.dense(self.sizes[_INPUTS[i]], 1)
 
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         """A column."""
-        return ca.Sparsity.dense(self.sizes(_OUTPUTS)[i], 1)
+        return ca.Sparsity.dense(self.sizes[_OUTPUTS[i]], 1)
 
     def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
         """Solve for numbers."""
@@ -147,40 +149,30 @@ class _Solve(ca.Callback):
             if not self.is_called:
                 raise
             self.error = error  # CasADi would print it and lose its kind
-            return [ca.DM.nan(size, 1) for size in self.sizes(_OUTPUTS)]
+            return [ca.DM.nan(self.sizes[name], 1) for name in _OUTPUTS]
 
     def _outputs(self, given: dict[str, Array]) -> list[Any]:
         duals = Duals(*(given[f"lam_{part}0"] for part in ("x", "g", "G", "H")))
         is_warm = any(np.any(np.nan_to_num(values)) for values in vars(duals).values())
-        solver = self._solver({name: given[name] for name in _BOUNDS})
+        solver = self._solver(*(given[name].tobytes() for name in _BOUNDS))
         self.result = result = solver(given["x0"], p=given["p"], start=duals if is_warm else None)
         if self._error_on_fail and not result.success:
             raise RuntimeError(f"{self._name}: {result.message}")
-        lam_p = self._lam_p(result.x, given["p"], result.lam_g, result.lam_G, result.lam_H)
+        lam_p = -self._slope(result.x, given["p"], 1, result.lam_g, result.lam_G, result.lam_H)
         return [lam_p if name == "lam_p" else getattr(result, name) for name in _OUTPUTS]
 
-    def _solver(self, bounds: dict[str, Any]) -> MPCCSolver:
-        """The solver for these bounds; those of the last calls are kept, and CasADi's derivatives."""
-        key = tuple(bound.tobytes() for bound in bounds.values())
-        solver = self._solvers.pop(key, None)
-        if solver is None:
-            solver = MPCCSolver(replace(self._mpcc, **bounds), self._options)
-            self._mpcc = replace(self._mpcc, derivatives=solver.nlps.lifted.base)
-        self._solvers[key] = solver
-        if len(self._solvers) > _KEPT:
-            del self._solvers[next(iter(self._solvers))]
+    def _made(self, *bounds: bytes) -> MPCCSolver:
+        """The solver for these bounds; CasADi's derivatives are shared with those before."""
+        values: dict[str, Any] = dict(zip(_BOUNDS, map(np.frombuffer, bounds), strict=True))
+        solver = MPCCSolver(replace(self._mpcc, **values), self._options)
+        self._mpcc = replace(self._mpcc, derivatives=solver.nlps.lifted.base)
         return solver
 
 
-def _derivative_by_parameters(mpcc: MPCC) -> ca.Function:
-    """``(x, p, lam_g, lam_G, lam_H) -> lam_p``, minus the derivative of the Lagrangian with respect to p."""
-    names = ("g", "G", "H")
-    column = ca.vertcat(mpcc.f, *(getattr(mpcc, name) for name in names))
-    function = ca.Function("column", [mpcc.x, mpcc.p], [column])
-    x, p = ca.MX.sym("x", mpcc.n_x), ca.MX.sym("p", mpcc.p.shape[0])
-    weights = [ca.MX.sym(f"lam_{name}", getattr(mpcc, name).shape[0]) for name in names]
-    lagrangian = ca.dot(ca.vertcat(1, *weights), function(x, p))
-    return ca.Function("lam_p", [x, p, *weights], [-ca.densify(ca.gradient(lagrangian, p))])
+def _oracle(mpcc: MPCC) -> ca.Function:
+    """``(x, p) -> (f, g, G, H)``."""
+    columns = [getattr(mpcc, column) for column in _COLUMNS]
+    return ca.Function("oracle", [mpcc.x, mpcc.p], columns, ["x", "p"], _COLUMNS)
 
 
 def mpccsol(
@@ -217,14 +209,10 @@ def mpccsol(
     ipopt = {key.removeprefix("ipopt."): value for key, value in dotted.items()}
     settings["ipopt"] = {**settings.get("ipopt", {}), **ipopt}
     changed = Options().having({**settings, "relaxation": plugin})
-    parts = {key: problem.get(key) for key in _KEYS}
-    return MPCCFunction(name, _Solve(name, _expanded(parts) if expand else parts, changed, fails, own))
-
-
-def _expanded(problem: dict[str, Any]) -> dict[str, Any]:
-    """The problem in SX."""
-    mpcc = MPCC(**problem)
-    names = ("f", "g", "G", "H")
-    function = ca.Function("problem", [mpcc.x, mpcc.p], [getattr(mpcc, name) for name in names]).expand()
-    x, p = ca.SX.sym("x", mpcc.n_x), ca.SX.sym("p", mpcc.p.shape[0])
-    return {"x": x, "p": p, **dict(zip(names, function.call([x, p]), strict=True))}
+    parts: dict[str, Any] = {key: problem.get(key) for key in _KEYS}
+    mpcc = MPCC(**parts)
+    if expand:
+        x, p = ca.SX.sym("x", mpcc.n_x), ca.SX.sym("p", mpcc.p.shape[0])
+        columns = _oracle(mpcc).expand().call([x, p])
+        mpcc = replace(mpcc, x=x, p=p, **dict(zip(_COLUMNS, columns, strict=True)))
+    return MPCCFunction(name, _Solve(name, mpcc, changed, fails, own))

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
-from rmesh_nlp.mpcc.mixed import PlainPairs
+from rmesh_nlp.mpcc.mixed import plain_pairs
 from rmesh_nlp.mpcc.names import Symbolic, of_symbol
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
@@ -66,9 +66,9 @@ class MPCC:
 
     x: Symbolic
     f: Symbolic
-    g: Symbolic
-    G: Symbolic
-    H: Symbolic
+    g: Symbolic = None
+    G: Symbolic = None
+    H: Symbolic = None
     lbx: ArrayLike = -np.inf
     ubx: ArrayLike = np.inf
     lbg: ArrayLike = -np.inf
@@ -200,43 +200,42 @@ class MPCC:
     @classmethod
     def mixed(
         cls,
-        x: Symbolic,
-        f: Symbolic,
-        g: Symbolic | None = None,
-        G: Symbolic | None = None,
-        H: Symbolic | None = None,
-        *,
+        *problem: Any,
         lbG: ArrayLike = -np.inf,
         ubG: ArrayLike = np.inf,
         lbH: ArrayLike = -np.inf,
         ubH: ArrayLike = np.inf,
-        lbx: ArrayLike = -np.inf,
-        ubx: ArrayLike = np.inf,
-        lbg: ArrayLike = -np.inf,
-        ubg: ArrayLike = np.inf,
-        p: Symbolic | None = None,
+        **others: Any,
     ) -> MPCC:
         """An MPCC whose pairs have bounds of their own: ``lbG <= G <= ubG _|_ lbH <= H <= ubH``.
 
         For each pair two of the four bounds are finite, see :mod:`rmesh_nlp.mpcc.mixed`. Pairs with both
         bounds on one side get two new unknowns each, after the user's; a start ``x0`` may leave them out.
+        All other arguments are those of the constructor.
 
         Raises
         ------
         ValueError
             As the constructor, or if the bounds of a pair make no complementarity.
         """
-        plain = cls(x, f, g, G, H, lbx, ubx, lbg, ubg, p)
-        bounds = *_bounds("G", lbG, ubG, plain.n_pairs), *_bounds("H", lbH, ubH, plain.n_pairs)
-        pairs = PlainPairs(type(plain.x))
-        for i in range(plain.n_pairs):
-            pairs.add(i, plain.G[i], plain.H[i], *(float(bound[i]) for bound in bounds))
-        n_new, n_rows = len(pairs.unknowns), len(pairs.rows)
-        return cls(
-            [plain.x, *pairs.unknowns], plain.f, [plain.g, *pairs.rows], pairs.G, pairs.H,
-            lbx=np.append(plain.lbx, np.zeros(n_new)), ubx=np.append(plain.ubx, np.full(n_new, np.inf)),
-            lbg=np.append(plain.lbg, np.zeros(n_rows)), ubg=np.append(plain.ubg, np.zeros(n_rows)),
-            p=plain.p, n_added=n_new, completion=pairs.completion(plain.x, plain.p),
+        given = cls(*problem, **others)
+        x, n, kind = given.x, given.n_pairs, type(given.x)
+        first, second = (
+            [(column[i], float(lower[i]), float(upper[i])) for i in range(n)]
+            for column, (lower, upper) in (
+                (given.G, _bounds("G", lbG, ubG, n)),
+                (given.H, _bounds("H", lbH, ubH, n)),
+            )
+        )
+        plain = plain_pairs(zip(first, second, strict=True), kind)
+        n_new, none = len(plain.unknowns), np.zeros(len(plain.rows))
+        starts = ca.densify(ca.vertcat(kind(0, 1), *plain.starts))
+        return replace(
+            given, x=[x, *plain.unknowns], g=[given.g, *plain.rows],
+            G=[G for G, _ in plain.pairs], H=[H for _, H in plain.pairs],
+            lbx=np.append(given.lbx, np.zeros(n_new)), ubx=np.append(given.ubx, np.full(n_new, np.inf)),
+            lbg=np.append(given.lbg, none), ubg=np.append(given.ubg, none),
+            n_added=n_new, completion=ca.Function("completion", [x, given.p], [starts]) if n_new else None,
         )  # fmt: skip
 
 

@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.mixed import Member, sides
 from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
@@ -105,22 +104,19 @@ def mpcc_of(rows: Rows, p: ca.SX | None = None) -> MPCC:
     ValueError
         If a row complements a bound that its unknown does not have, or bounds leave no value.
     """
-    pairs: list[tuple[Member, Member]] = []
-    for i, (bits, j) in rows.complements.items():
-        lower = float(rows.lbx[j]) if bits & 1 else -np.inf
-        upper = float(rows.ubx[j]) if bits & 2 else np.inf
-        if bits and lower == -np.inf and upper == np.inf:  # of two bounds one may be infinite
-            raise ValueError(
-                f"row {i} ({rows.row_names[i]}) complements an infinite bound of {named(rows.x, j)}"
-            )
-        one_sided = np.isfinite(lower) != np.isfinite(upper)
-        sign = (0.0, np.inf) if np.isfinite(lower) else (-np.inf, 0.0)
-        body = (rows.bodies[i], *(sign if one_sided else (-np.inf, np.inf)))
-        pairs.append((body, (rows.x[j], lower, upper)))
+    at = list(rows.complements)
+    bits, j = np.array(list(rows.complements.values()), dtype=int).reshape(-1, 2).T
+    lower, upper = np.where(bits & 1, rows.lbx[j], -np.inf), np.where(bits & 2, rows.ubx[j], np.inf)
+    is_lower, is_upper = np.isfinite(lower), np.isfinite(upper)
+    for k in np.flatnonzero((bits != 0) & ~is_lower & ~is_upper):  # of two bounds one may be infinite
+        row, unknown = f"row {at[k]} ({rows.row_names[at[k]]})", named(rows.x, int(j[k]))
+        raise ValueError(f"{row} complements an infinite bound of {unknown}")
     kept = [i for i in range(len(rows.bodies)) if i not in rows.complements]
     return MPCC.mixed(
-        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept] or None, lbx=rows.lbx, ubx=rows.ubx,
-        lbg=rows.lower[kept], ubg=rows.upper[kept], p=p, **sides(pairs),
+        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept],
+        G=[rows.bodies[i] for i in at], lbG=np.where(is_lower & ~is_upper, 0.0, -np.inf),
+        ubG=np.where(is_upper & ~is_lower, 0.0, np.inf), H=rows.x[j.tolist()], lbH=lower, ubH=upper,
+        lbx=rows.lbx, ubx=rows.ubx, lbg=rows.lower[kept], ubg=rows.upper[kept], p=p,
     )  # fmt: skip
 
 
