@@ -15,7 +15,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.errors import nearest
 from rmesh_nlp.evaluation import ROUNDING
@@ -80,13 +79,6 @@ class Expression:
     def __call__(self, x: Any, y: Any) -> Any:
         """Value at a point: CasADi symbols or numbers."""
         return self._function(x, y)
-
-    def on(self, points: NDArray) -> NDArray[np.float64]:
-        """Values at ``points`` (2, points)."""
-        if points.shape[1] == 0:
-            return np.zeros(0)
-        value = self._function(ca.DM(points[0]).T, ca.DM(points[1]).T)
-        return np.asarray(value.full(), dtype=float).ravel()
 
     def __repr__(self) -> str:
         return f"Expression({self.text!r})"

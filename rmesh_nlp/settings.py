@@ -164,12 +164,17 @@ def from_texts(given: Iterable[str], where: str = "--set ") -> dict[str, Any]:
     return found
 
 
-WORDS: Mapping[type, str] = {bool: "true or false", str: "a name"}
+WORDS: Mapping[object, str] = {
+    bool: "true or false",
+    str: "a name",
+    Mapping: "a mapping from names to values",
+}
 
 
 def _check(name: str, value: object, kind: Any) -> None:
     """Raise a BadInputError if a value is not what the type of its field says, beyond what Python's says."""
-    if get_origin(kind) is Annotated:
+    plain = get_origin(kind) or kind
+    if plain is Annotated:
         base, *rules = get_args(kind)
         _check(name, value, base)
         for rule in rules:
@@ -177,15 +182,13 @@ def _check(name: str, value: object, kind: Any) -> None:
     elif type(None) in get_args(kind):
         if value is not None:
             _check(name, value, get_args(kind)[0])
-    elif get_origin(kind) is tuple and get_origin(get_args(kind)[0]) is Annotated:
+    elif plain is tuple and get_origin(get_args(kind)[0]) is Annotated:
         if not (isinstance(value, (tuple, list)) and value):
             raise BadInputError(f"{name} must be one or more numbers, got {value!r}")
         for one in value:
             _check(name, one, get_args(kind)[0])
-    elif get_origin(kind) is Mapping and not isinstance(value, Mapping):
-        raise BadInputError(f"{name} must be a mapping from names to values, got {value!r}")
-    elif kind in WORDS and not isinstance(value, kind):
-        raise BadInputError(f"{name} must be {WORDS[kind]}, got {value!r}")
+    elif plain in WORDS and not isinstance(value, plain):
+        raise BadInputError(f"{name} must be {WORDS[plain]}, got {value!r}")
     elif isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
         raise BadInputError(f"{name} must be settings of the method, or a mapping, got {value!r}")
 

@@ -18,7 +18,7 @@ from rmesh_nlp.display import figure, rich_table
 from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.io.export import write_mesh
-from rmesh_nlp.io.folder import safe_name, write_new, write_whole
+from rmesh_nlp.io.folder import safe_name, write_whole
 from rmesh_nlp.io.problem_file import load_problem as read_problem
 from rmesh_nlp.io.problem_file import read_table, template
 from rmesh_nlp.io.records import to_json
@@ -41,7 +41,8 @@ def new(path: Path, study: bool) -> None:
     else:
         name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
         text, following = template(name, name + path.suffix), f"rmesh check {path}"
-    write_new(path, text)
+    with path.open("x", encoding="utf-8") as file:
+        file.write(text)
     print(f"wrote {path}; next: {following}")
 
 

@@ -120,16 +120,6 @@ def write_text(path: Path, text: str) -> None:
     write_whole(path, lambda aside: aside.write_text(text, encoding="utf-8"))
 
 
-def write_new(path: Path, text: str) -> None:
-    """Write a text file whole; a FileExistsError is raised if something has this name, which stays."""
-    path.touch(exist_ok=False)
-    try:
-        write_text(path, text)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
-
-
 def append_whole(path: Path, text: str) -> None:
     """Append a text and force it to the disk; if that raises an OSError the file is as it was before.
 

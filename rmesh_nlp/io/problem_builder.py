@@ -28,6 +28,7 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.conditions import symmetric
 
 
@@ -93,7 +94,9 @@ def _mesh(table: ProblemTable) -> MeshTri:
     for kind, conditions in (("boundaries", table.boundaries), ("subdomains", table.subdomains)):
         for name, condition in conditions.items():
             with table.source.at(kind, name):
-                mesh = named(mesh, **{kind: {name: lambda p, c=condition: c.on(p) > 0.5}})
+                mesh = named(
+                    mesh, **{kind: {name: lambda p, c=condition: on_points(c, p, "the condition") > 0.5}}
+                )
     return mesh
 
 

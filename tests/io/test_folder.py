@@ -21,7 +21,6 @@ from rmesh_nlp.io.folder import (
     folder_lock,
     remove_leftovers,
     safe_name,
-    write_new,
     write_text,
     write_whole,
 )
@@ -98,14 +97,6 @@ def test_nobody_can_foresee_where_a_file_is_written(tmp_path):
         write_whole(tmp_path / "a", lambda aside: (places.append(aside.parent), aside.write_text("x")))
     assert places[0] != places[1]
     assert str(os.getpid()) not in places[0].name
-
-
-def test_a_new_file_never_replaces(tmp_path):
-    write_new(tmp_path / "a", "one")
-    with pytest.raises(FileExistsError):
-        write_new(tmp_path / "a", "two")
-    assert (tmp_path / "a").read_text() == "one"
-    assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
 WRITER = """
