@@ -104,44 +104,39 @@ def design_figure(
     solves = {name: steps for name, steps in solves.items() if DESIGN + next(iter(bounds)) in steps}
     if not solves:
         return None
-    panels = {name: ([DESIGN + name], ends) for name, ends in bounds.items()}
-    if len(bounds) > PANELS:
-        for name, (low, high) in bounds.items():
-            for steps in solves.values():
-                steps[DESIGN + name] = (steps[DESIGN + name] - low) / (high - low)
-        parts = [DESIGN + name for name in bounds]
-        panels = {"design variables,\nparts of their bounds": (parts, (0.0, 1.0))}
-    panels = {"objective": (["objective"], ()), **panels}
+    panels: list[tuple[str, list[str], Sequence[float]]] = [("objective", ["objective"], ())]
+    if len(bounds) <= PANELS:
+        panels += [(name, [DESIGN + name], ends) for name, ends in bounds.items()]
+    else:
+        names, (low, high) = [DESIGN + name for name in bounds], np.transpose([*bounds.values()])
+        for steps in solves.values():
+            steps[names] = (steps[names] - low) / (high - low)
+        panels.append(("design variables,\nparts of their bounds", names, (0.0, 1.0)))
     across = 1 + page.columns
     down = -(-len(panels) // across)
     figure = new_figure(page.width, 0.6 + 1.55 * down)
     axes = figure.subplots(down, across, squeeze=False, sharex=True).ravel()
-    for axis in axes[len(panels) :]:
-        axis.remove()
-    lengths = [len(steps) for steps in solves.values()]
-    for number, (axis, (title, (columns, ends))) in enumerate(zip(axes, panels.items(), strict=False)):
+    for axis, (title, names, ends) in zip(axes, panels, strict=False):
         for end in ends:
             axis.axhline(end, color="0.55", linestyle=(0, (4, 3)), linewidth=0.8)
         for position, (name, steps) in enumerate(solves.items(), 1):
-            for column in columns:
+            for column in names:
                 _draw(axis, steps["iteration"], steps[column], is_feasible(steps), pen_of(position), name)
-        axis.set_ylabel(title)
+        axis.set(xlabel="iteration", ylabel=title)
         axis.grid(visible=True)
-        if max(lengths) > SPREAD * min(lengths):
-            axis.set_xscale("symlog", linthresh=1)
-            axis.set_xlim(left=-0.3)
-        else:
-            axis.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-        if number + across >= len(panels):  # the last panel of its column
-            axis.set_xlabel("iteration")
-            axis.tick_params(labelbottom=True)
-    values = pd.concat([steps["objective"] for steps in solves.values()]).dropna()
-    if values.size and values.min() > 0 and values.max() > SPREAD * values.min():
+        axis.tick_params(labelbottom=True)
+    for axis in axes[len(panels) :]:
+        axis.remove()
+    every, lengths = pd.concat([*solves.values()]), [len(steps) for steps in solves.values()]
+    if max(lengths) > SPREAD * min(lengths):  # of all panels
+        axes[0].set_xscale("symlog", linthresh=1)
+        axes[0].set_xlim(left=-0.3)
+    else:
+        axes[0].xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    if 0 < SPREAD * every["objective"].min() < every["objective"].max():
         axes[0].set_yscale("log")
     said = fill(objective, int(LETTERS * page.width))
-    if not all(is_feasible(steps).all() for steps in solves.values()):
-        said += f"\n{UNMET}"
-    figure.suptitle(said, fontsize="medium")
+    figure.suptitle(said if is_feasible(every).all() else f"{said}\n{UNMET}", fontsize="medium")
     if len(solves) > 1:
         add_legend(figure, [axes[0]], "outside lower center")
     return figure
