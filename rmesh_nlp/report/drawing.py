@@ -5,7 +5,7 @@ All pictures of meshes draw what a :class:`Body` holds by :func:`side_by_side` a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -172,6 +172,13 @@ def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
 def draw_lines(axis: Axes, points: Array, **options: Any) -> None:
     """Lines through points (2, lines, points)."""
     axis.add_collection(LineCollection(list(points.transpose(1, 2, 0)), **options))
+
+
+def draw_nodes(axis: Axes, nodes: Array, kinds: Iterable[tuple[Any, ...]], **options: Any) -> None:
+    """Nodes (2, nodes) with a look for each kind: which they are, label, colour and marker."""
+    for chosen, label, colour, marker in kinds:
+        if np.any(chosen):
+            axis.scatter(*nodes[:, chosen], c=colour, marker=marker, label=label, **options)
 
 
 def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any) -> None:

@@ -30,6 +30,7 @@ from rmesh_nlp.report.drawing import (
     displacement_figure,
     draw_contact_set,
     draw_lines,
+    draw_nodes,
     foundations,
     side_by_side,
 )
@@ -174,12 +175,8 @@ def limits_figure(solution: Drawable, body: Body, page: Page) -> Figure:
     def paint(axis: Axes, body: Body) -> None:
         if not fine:
             plotting.draw_mesh(axis, body.nodes, body.triangles, color="0.85")
-        for limit in Limit:
-            label, colour, marker = limit.value
-            limited = used & (kinds == limit)
-            if np.any(limited):
-                look: dict[str, Any] = {"marker": marker, "linewidths": 0, "label": label, "rasterized": fine}
-                axis.scatter(X[0, limited], X[1, limited], s=size, c=colour, zorder=2, **look)
+        looks = ((used & (kinds == limit), *limit.value) for limit in Limit)
+        draw_nodes(axis, X, looks, s=size, linewidths=0, zorder=2, rasterized=fine)
 
     figure = side_by_side([body], paint, page, solution.problem.units.length, title="what limits each node")
     for handle in figure.legends[0].legend_handles:

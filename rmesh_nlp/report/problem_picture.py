@@ -15,14 +15,13 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report import style
-from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, foundations
+from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, draw_nodes, foundations
 from rmesh_nlp.solving import plotting
 
 MARKERS = {
-    Mobility.PINNED: ("s", "pinned"),
-    Mobility.SLIDING: ("|", "slides along"),
-    Mobility.FREE: (".", "free"),
-    Mobility.TIED: ("D", "tied"),
+    Mobility.PINNED: ("pinned", "black", "s"),
+    Mobility.FREE: ("free", "black", "."),
+    Mobility.TIED: ("tied", "black", "D"),
 }
 
 
@@ -70,15 +69,14 @@ def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
     edges = p[:, problem.mesh.facets]
     length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
-    for kind, (marker, label) in MARKERS.items():
-        places = p[:, free.mobility == kind]
-        if places.size and kind is Mobility.SLIDING:
-            step = free.positions.slopes(np.zeros(free.n))[:, free.mobility == kind]
-            step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
-            ends = np.stack([places - step, places + step], axis=2)
-            draw_lines(axis, ends, color="black", linewidth=1.5, label=label)
-        elif places.size:
-            axis.scatter(places[0], places[1], s=size, marker=marker, color="black", label=label, zorder=3)
+    looks = ((free.mobility == kind, *look) for kind, look in MARKERS.items())
+    draw_nodes(axis, p, looks, s=size, zorder=3)
+    sliding = free.mobility == Mobility.SLIDING
+    if np.any(sliding):
+        places, step = p[:, sliding], free.positions.slopes(np.zeros(free.n))[:, sliding]
+        step *= np.minimum(1.0, length / np.maximum(np.linalg.norm(step, axis=0), 1e-300))
+        ends = np.stack([places - step, places + step], axis=2)
+        draw_lines(axis, ends, color="black", linewidth=1.5, label="slides along")
 
 
 def _draw_gaps(axis: Axes, body: Body) -> None:
