@@ -161,8 +161,7 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
         names[name] = np.array((len(names) + 1, 2))
         elements = np.arange(tags.size)[elements]
         tags[elements[tags[elements] == 0]] = len(names)  # a triangle is written once, under its first name
-    order = np.argsort(np.where(tags == 0, len(names) + 1, tags), kind="stable")
-    blocks, numbers = [("triangle", triangles[:, order].T)], [tags[order]]
+    blocks, numbers = [("triangle", triangles.T)], [tags]
     if line_tags:
         blocks.append(("line", np.vstack(lines)))
         numbers.append(np.array(line_tags))

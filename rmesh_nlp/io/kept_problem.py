@@ -117,11 +117,8 @@ def _on_written_mesh(problem: ContactProblem, folder: Path, fields: Fields) -> C
         return None
     mesh = read_mesh(path)
     vertices, triangles = fields.initial[:, : mesh.p.shape[1]], fields.triangles[:3]  # which files have first
-    # files group elements by name
-    number = {frozenset(corners): k for k, corners in enumerate(triangles.T.tolist())}
-    if number.keys() != {frozenset(corners) for corners in mesh.t.T.tolist()}:
+    if not np.array_equal(np.sort(mesh.t, axis=0), np.sort(triangles, axis=0)):
         return None
-    place = np.array([number[frozenset(corners)] for corners in mesh.t.T.tolist()])
     edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
-    zones = {name: place[elements] for name, elements in (mesh.subdomains or {}).items()}
-    return on_mesh(problem, from_arrays(vertices.T, triangles.T, edges, zones), problem.motion)
+    made = from_arrays(vertices.T, triangles.T, edges, mesh.subdomains)
+    return on_mesh(problem, made, problem.motion)
