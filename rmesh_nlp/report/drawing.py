@@ -178,7 +178,8 @@ def draw_nodes(axis: Axes, nodes: Array, kinds: Iterable[tuple[Any, ...]], **opt
     """Nodes (2, nodes) with a look for each kind: which they are, label, colour and marker."""
     for chosen, label, colour, marker in kinds:
         if np.any(chosen):
-            axis.scatter(*nodes[:, chosen], c=colour, marker=marker, label=label, **options)
+            look = {"c": colour, "marker": marker, "label": label, **options}
+            axis.scatter(nodes[0, chosen], nodes[1, chosen], **look)
 
 
 def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any) -> None:
