@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Residuals, excess, residuals
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
@@ -217,27 +217,9 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
 
 def elastic_nlp(nlp: NLP) -> NLP:
     """``min sum(up + down)`` subject to ``lbg <= g + up - down <= ubg`` and ``up, down >= 0``."""
-    own, m = nlp.derivatives, nlp.n_g
-    assert own is not None
-    n, unit, none = nlp.n_x, ca.horzcat(ca.DM.eye(m), -ca.DM.eye(m)), np.zeros(2 * m)
-    y = ca.MX.sym("y", n + 2 * m)
-    z, apart = ca.vertsplit(y, [0, n, n + 2 * m])
-    rows, jacobian = own.jac_g(z, nlp.p)
-    f, g = ca.sum1(apart), rows + unit @ apart
-    hess_lag = None
-    if own.hess_lag is not None:
-        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", m)
-        hessian = ca.diagcat(own.hess_lag(z, nlp.p, 0, lam_g), ca.MX(2 * m, 2 * m))
-        hess_lag = ca.Function("nlp_hess_l", [y, nlp.p, lam_f, lam_g], [hessian])
-    slope = ca.vertcat(ca.DM.zeros(n, 1), ca.DM.ones(2 * m, 1))
-    derivatives = Derivatives(
-        grad_f=ca.Function("nlp_grad_f", [y, nlp.p], [f, slope]),
-        jac_g=ca.Function("nlp_jac_g", [y, nlp.p], [g, ca.horzcat(jacobian, unit)]),
-        hess_lag=hess_lag,
-        kernels=own.kernels,
-    )
-    lower, upper = np.append(nlp.lbx, none), np.append(nlp.ubx, none + np.inf)
-    return NLP(y, nlp.p, f, g, lower, upper, nlp.lbg, nlp.ubg, derivatives)
+    apart = ca.MX.sym("apart", 2 * nlp.n_g)
+    up, down = ca.vertsplit(apart, [0, nlp.n_g, 2 * nlp.n_g])
+    return nlp.extended(x=apart, lbx=0, weight=0, f=ca.sum1(apart), shift=up - down)
 
 
 class _AnySize:
@@ -269,8 +251,8 @@ class _AnySize:
             return self._solver(z, **arguments)
         n, extra = nlp.n_x, nlp.n_g + 1
         if self._padded is None:
-            idle, free = type(nlp.x).sym("idle", extra), np.full(extra, np.inf)
-            padded = nlp.extended(x=idle, f=0.5 * (idle.T @ idle), lbx=-free, ubx=free)
+            idle = type(nlp.x).sym("idle", extra)
+            padded = nlp.extended(x=idle, f=0.5 * (idle.T @ idle))
             self._padded = self._ready(padded)
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
