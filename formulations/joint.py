@@ -13,7 +13,7 @@ import numpy as np
 
 from formulations.finish import Finish, finished, is_above
 from formulations.units import half_energy, length, pull
-from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -103,7 +103,7 @@ class Joint(Formulation):
         before = monitor.budget.iterations
         finish = Finish(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
         if finish.q is end:
-            return Outcome(outer, end, status, own=_own(outer, end, program, result))
+            return Outcome(outer, end, status, own=_own(program, result))
         status = Status.CONVERGED if finish.is_stationary else status
         return Outcome(outer, finish.q, status, details={"newton_steps": monitor.budget.iterations - before})
 
@@ -136,11 +136,9 @@ def build(problem: ContactProblem) -> NLP:
     return relocation(problem).nlp
 
 
-def _own(outer: Outer, q: Array, program: Relocation, result: NLPResult) -> Equilibrium:
+def _own(program: Relocation, result: NLPResult) -> OwnState:
     """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
     (_, u, _), (normal, friction) = program.split(result.x), program.forces(result.lam_g)
     tangential = np.zeros(program.n_contact if program.n_s else 0)
     tangential[program.friction_rows] = friction
-    active = ActiveSet(normal > 0, np.sign(tangential).astype(np.int8))
-    system = outer.contact.system_at(q)
-    return Equilibrium(u, system.energy(u), normal, tangential, active, Status.CONVERGED, 0)
+    return OwnState(u, normal, tangential)

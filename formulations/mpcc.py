@@ -17,7 +17,7 @@ import numpy as np
 
 from formulations.finish import is_above, is_stationary
 from formulations.units import pull
-from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -143,14 +143,16 @@ class AllAtOnce(Formulation):
         relaxation = {"relaxation": self.relaxation}
         if result.status in (*LIMITS, Status.INFEASIBLE):
             return Outcome(outer, track.best(q), result.status, label="", details=relaxation)
-        end = _equilibrium(outer, program, result)
-        if is_energy and not outer.is_near and is_above(end.energy, point.value):
-            return self._path(outer.near(), q, monitor)
+        end, *state = program.split(result.x)
+        if is_energy and not outer.is_near:
+            energy = outer.contact.system_at(end).energy(state[0])
+            if is_above(energy, point.value):
+                return self._path(outer.near(), q, monitor)
         return Outcome(
             outer,
-            outer.clipped(program.split(result.x)[0]),
+            outer.clipped(end),
             result.status,
-            own=end,
+            own=OwnState(*state),
             label=result.stationarity,
             details={**relaxation, **_figures(outer, program, result)},
         )
@@ -217,12 +219,3 @@ def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, An
         "nlp_solves": result.counts["nlp_solves"],
         "rescues": result.counts["rescues"],
     }
-
-
-def _equilibrium(outer: Outer, program: Bilevel, result: MPCCResult) -> Equilibrium:
-    """The MPCC's own displacement and forces, to be audited as they are."""
-    q, u, normal, tangential = program.split(result.x)
-    system = outer.contact.system_at(q)
-    slip = system.tangents @ u if system.slip_bound.size else np.zeros(0)
-    active = ActiveSet(normal > 0, np.sign(slip).astype(np.int8))
-    return Equilibrium(u, system.energy(u), normal, tangential, active, result.status, 0)

@@ -13,7 +13,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, OwnState
 from rmesh_nlp.evaluation import Array
 
 TOLERANCE = 1e-6
@@ -85,8 +85,8 @@ def corrections(
     return {"quadrature": exact.energy - solved.energy - sum(causes.values()), **causes}
 
 
-def residuals(system: ContactSystem, state: Equilibrium) -> ContactResiduals:
-    """Those of a contact solution."""
+def residuals(system: ContactSystem, state: Equilibrium | OwnState) -> ContactResiduals:
+    """Those of a contact solution, or of what is to be one."""
     forces = state.u, state.normal_force, state.tangential_force
     return ContactResiduals(equilibrium_residual(system, *forces), law_residual(system, *forces))
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -114,6 +115,14 @@ class ActiveSet:
     def key(self) -> bytes:
         """A hashable name."""
         return self.touching.tobytes() + self.sliding.tobytes()
+
+
+class OwnState(NamedTuple):
+    """Displacement and contact forces of a solver, as in :class:`Equilibrium`, whether they hold or not."""
+
+    u: Array
+    normal_force: Array
+    tangential_force: Array
 
 
 @dataclass(frozen=True)

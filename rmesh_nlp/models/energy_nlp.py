@@ -38,8 +38,8 @@ class Relocation:
 
     Attributes
     ----------
-    energies, rows : tuples of ElementGroup
-        Of the objective, and of the gaps and the two slip rows of each contact node.
+    groups : tuple of ElementGroup
+        Of the objective, of the gaps and of the two slip rows of each contact node.
     displacement, slip : Field
         (components, nodes) and (obstacles, nodes), functions of ``x``; slip is zero where there is no
         friction.
@@ -53,8 +53,7 @@ class Relocation:
 
     discretisation: Discretisation
     x: ca.MX
-    energies: tuple[ElementGroup, ...]
-    rows: tuple[ElementGroup, ...]
+    groups: tuple[ElementGroup, ...]
     displacement: Field
     slip: Field
     validity: Validity
@@ -67,15 +66,12 @@ class Relocation:
         """Objective, all rows and derivatives by ``x``, each built when it is first asked for."""
         first = self.n_contact + 2 * self.n_s
         valid = replace(self.validity.upright_group, rows=self.validity.group.rows + first)
-        return self._assembled((*self.energies, *self.rows, valid), self.n_rows)
+        return Assembled((*self.groups, valid), self.x, ca.MX(0, 1), self.n_rows)
 
     @cached_property
     def lagrangian(self) -> Assembled:
         """The same without validity rows."""
-        return self._assembled((*self.energies, *self.rows), self.n_contact + 2 * self.n_s)
-
-    def _assembled(self, groups: tuple[ElementGroup, ...], n_rows: int) -> Assembled:
-        return Assembled(groups, self.x, ca.MX(0, 1), n_rows)
+        return Assembled(self.groups, self.x, ca.MX(0, 1), self.n_contact + 2 * self.n_s)
 
     @cached_property
     def nlp(self) -> NLP:
@@ -203,13 +199,11 @@ def relocation(
     ]
     if length != 1:
         rows = [group.in_units(length) for group in rows]
-    energies = (*parts.energy(free.positions, displacement, slip), *position_groups)
-    x = ca.MX.sym("x", free.n + n_u + n_s)
+    groups = (*parts.energy(free.positions, displacement, slip), *position_groups, *rows)
     return Relocation(
         parts,
-        x,
-        energies,
-        tuple(rows),
+        ca.MX.sym("x", free.n + n_u + n_s),
+        groups,
         displacement,
         slip,
         validity,

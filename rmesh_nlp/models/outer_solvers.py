@@ -16,17 +16,13 @@ from rmesh_nlp.models.descent import descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.reduced_nlp import ReducedProblem, reduced_nlp
 from rmesh_nlp.optimize.callbacks import Monitor
+from rmesh_nlp.optimize.constraints import LARGEST_DENSE
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Count, Positive, Settings
 
 NEWTON, INTERIOR = "newton", "interior point"  # as records name them
-
-LARGEST_DENSE = 1500
-"""Number of outer variables up to which an interior point has the Hessian of an objective other than the
-energy, a dense matrix; above it Newton-CG goes as far as the areas let it. That of the energy is sparse in
-outer variables and displacements, for any number."""
 
 WARM_BARRIER, WARM_PUSH = 1e-8, 1e-6
 """Ipopt's first barrier and least distance to bounds where the start is given. Of 1e-4, 1e-6 and 1e-8, with
@@ -119,11 +115,17 @@ def interior(
 
 
 def solved(problem: ReducedProblem, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
-    """Projected Newton-CG where move limits alone keep the elements valid, else an interior point."""
+    """Projected Newton-CG where move limits alone keep the elements valid, else an interior point.
+
+    The Hessian of an objective other than the energy is a dense matrix; where that is too large Newton-CG
+    goes as far as the areas let it.
+    """
     function, constraints = problem.function, problem.constraints
     is_part = settings.enough is not None and constraints is None
     has_rows = problem.n_g > 0 or function.objective.has_barrier
-    is_small = isinstance(function, ReducedEnergy) or start.size <= LARGEST_DENSE or constraints is not None
+    is_small = (
+        isinstance(function, ReducedEnergy) or start.size**2 <= LARGEST_DENSE or constraints is not None
+    )
     if has_rows and is_small and not is_part:
         return interior(problem, start, monitor, settings)
     result = descend(

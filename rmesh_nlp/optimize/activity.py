@@ -1,8 +1,8 @@
 """What counts as active: every tolerance of it, with the reason for its size.
 
 Distances have no unit: outer variables are parts of their move limits, validity rows parts of an element's
-area on the given mesh, gaps and forces parts of the largest displacement and of the loads. Three tolerances
-are needed because three kinds of solver leave a point near a bound in three ways.
+area on the given mesh, gaps and forces parts of the largest displacement and of the loads. Two tolerances
+are needed because descents and active sets put a point onto a bound, and interior points near it.
 """
 
 from __future__ import annotations
@@ -22,13 +22,8 @@ BOUND_OF_AN_NLP = 1e-5
 """Distance, relative to ``1 + |bound|``, at which an interior-point method may leave an active bound or row.
 
 It stops with multiplier times distance near 1e-11, the tightest barrier of :mod:`rmesh_nlp.mpcc`: further
-away than 1e-5 the multiplier is below 1e-6 and negligible."""
-
-ROW_WITH_MULTIPLIER = 1e-4
-"""Slack below which a validity row may have a multiplier.
-
-Interior points stop at about the square root of their tolerance where a row is weakly active. Whether slack
-and multiplier agree is part of the first-order residual, so a wide tolerance proves nothing wrong."""
+away than 1e-5 the multiplier is below 1e-6 and negligible. Validity rows with a smaller slack may have a
+multiplier. Whether the two agree is part of the first-order residual."""
 
 
 def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:

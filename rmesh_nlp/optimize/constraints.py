@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.activity import ROW_WITH_MULTIPLIER
+from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
 
 LARGEST_DENSE = 2_000_000
-"""Entries of a least-squares matrix that is solved densely."""
+"""Entries of a matrix that is kept densely: of a least-squares problem, or a Hessian."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Linearised:
         Only the variables ``inside`` their bounds count: the others have multipliers of their own.
         """
         multipliers = np.zeros(self.slack.size)
-        active = np.flatnonzero(self.slack < ROW_WITH_MULTIPLIER)
+        active = np.flatnonzero(self.slack < BOUND_OF_AN_NLP)
         if active.size and np.any(inside):
             multipliers[active] = nonnegative_fit(self.jacobian[active][:, inside].T, gradient[inside])
         return multipliers

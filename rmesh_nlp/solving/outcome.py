@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from rmesh_nlp.contact.system import Equilibrium
+from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
@@ -25,7 +25,7 @@ class Outcome:
         Outer variables of ``outer``.
     status : Status
         How the solver says that it ended.
-    own : Equilibrium, optional
+    own : OwnState, optional
         The formulation's own displacement and forces. The solution is the contact solution at ``q``; a solver
         that met its own test is believed only if these hold as well.
     label : str, optional
@@ -39,7 +39,7 @@ class Outcome:
     outer: Outer
     q: Array
     status: Status
-    own: Equilibrium | None = None
+    own: OwnState | None = None
     label: str | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()

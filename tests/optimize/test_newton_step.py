@@ -34,7 +34,7 @@ def test_a_limit_of_products_is_kept() -> None:
 def test_multipliers_are_not_negative_and_of_active_rows_alone(largest, monkeypatch) -> None:
     monkeypatch.setattr(constraints, "LARGEST_DENSE", largest)
     jacobian = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 5.0], [1.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
-    rows = Linearised(np.array([0.0, 5e-5, 2e-4, 0.0]), sp.csr_array(jacobian))
+    rows = Linearised(np.array([0.0, 5e-6, 2e-5, 0.0]), sp.csr_array(jacobian))
     inside = np.array([True, True, False])
     found = rows.fitted(np.array([2.0, 3.0, 99.0]), inside)
     np.testing.assert_allclose(found[[1, 2]], [3.0, 0.0], atol=1e-8)
