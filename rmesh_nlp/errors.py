@@ -64,3 +64,12 @@ class ProblemError(BadInputError):
         super().__init__(message)
         self.place = (place,) if isinstance(place, str) else place
         self.part = self.place[0]
+
+
+@contextmanager
+def contradicting(place: Place) -> Iterator[None]:
+    """A ValueError in this context is a ProblemError at a place."""
+    try:
+        yield
+    except ValueError as error:
+        raise ProblemError(place, str(error)) from error

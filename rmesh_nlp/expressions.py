@@ -53,6 +53,8 @@ _OPERATORS: dict[type, Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Not: ca.logic_not,
+    ast.And: ca.logic_and,
+    ast.Or: ca.logic_or,
     ast.Lt: operator.lt,
     ast.LtE: operator.le,
     ast.Gt: operator.gt,
@@ -132,8 +134,7 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
         operands = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.operand,)
         return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))
     elif isinstance(node, ast.BoolOp):
-        combine = ca.logic_and if isinstance(node.op, ast.And) else ca.logic_or
-        return reduce(combine, [_walk(value, names) for value in node.values])
+        return reduce(_OPERATORS[type(node.op)], [_walk(value, names) for value in node.values])
     elif isinstance(node, ast.Compare) and all(type(op) in _OPERATORS for op in node.ops):
         sides = [_walk(side, names) for side in (node.left, *node.comparators)]
         tests = zip(node.ops, sides, sides[1:], strict=False)

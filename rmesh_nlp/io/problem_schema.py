@@ -258,7 +258,10 @@ class ContactTable(Table):
         (kind,) = self.given(*FOUNDATIONS) or ["offset"]
         make, argument = FOUNDATIONS[kind]
         value = getattr(self, kind)
-        given |= value.entries() if isinstance(value, Table) else {} if value is None else {argument: value}
+        if isinstance(value, Table):
+            given |= value.entries()
+        elif value is not None:
+            given[argument] = value
         if kind == "offset":
             given["normal"] = (1.0,) if components == 1 else unit(self.normal or (0.0, 1.0))
         return replace(make(**given), gap=self.gap)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.errors import Place, ProblemError
+from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import members_of
@@ -168,10 +168,9 @@ def _check_contact_values(problem: ProblemData) -> None:
 
 def _values(place: Place, value: Coefficient, points: Array, what: str) -> Array:
     """Values (n,) at ``points`` (2, n); functions of position must take symbols, and be finite there."""
-    try:
-        return on_points(value, points, what)
-    except ValueError as error:
-        raise ProblemError(place, str(error)) from error
+    with contradicting(place):
+        values = on_points(value, points, what)
+    return values
 
 
 def _inside(problem: ProblemData, elements: Any) -> Array:

@@ -103,10 +103,7 @@ class ContactProblem(Shown, ProblemData):
             self._check_design()
         else:
             check(self)
-        try:
-            object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
-        except ValueError as error:
-            raise ProblemError("curves", str(error)) from error
+        object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
 
     def _check_design(self) -> None:
         """Whether the names are known, and the problem makes sense at the first design."""
@@ -131,10 +128,7 @@ class ContactProblem(Shown, ProblemData):
     @cached_property
     def shape_motions(self) -> Array:
         """(shapes, 2, nodes) displacements of all nodes at amplitude 1 of each shape."""
-        try:
-            return harmonic_motions(self)
-        except ValueError as error:
-            raise ProblemError("design", str(error)) from error
+        return harmonic_motions(self)
 
     def at_design(self, values: Mapping[str, float] | None = None) -> ContactProblem:
         """The problem with numbers in the place of its design variables, by default those of its start.

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, ElementTriP1, MeshTri
 from skfem.models.poisson import laplace
 
+from rmesh_nlp.errors import ProblemError, contradicting
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import nodes_of
@@ -41,7 +42,7 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
     """The mesh with the nodes of named boundaries exactly on their curves.
 
     Nodes may be far from their curve if ``anywhere``, as new ones in the middle of an edge are; else a
-    ValueError names one that is not on it.
+    ProblemError names one that is not on it.
     """
     moved = np.array(mesh.p, dtype=float)
     for name, curve in curves.items():
@@ -52,9 +53,8 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
         worst = int(np.argmax(off))
         if not anywhere and off[worst] > OFF * np.min(np.linalg.norm(a - b, axis=0)):
             x, y = mesh.p[:, nodes[worst]]
-            raise ValueError(
-                f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
-            )
+            said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
+            raise ProblemError(("curves", name), said)
         shifted = off > EXACT * float(np.max(np.ptp(mesh.p, axis=1)))
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
@@ -78,22 +78,23 @@ def bent(mesh: MeshTri, curves: Mapping[str, Curve]) -> MeshTri:
 def harmonic_motions(problem: ProblemData) -> Array:
     """(shapes, 2, nodes) displacements at amplitude 1: given on the boundary of a shape, harmonic elsewhere.
 
-    Nodes that may slide along a straight line do so, all others on lines stay. A ValueError names a node that
-    would move although a displacement is given there as a function of position.
+    Nodes that may slide along a straight line do so, all others on lines stay. A ProblemError names a node
+    that would move although a displacement is given there as a function of position.
     """
     mesh, displacements = problem.mesh, np.zeros((len(problem.shapes), *problem.mesh.p.shape))
     on_line, tangent = sliding_directions(problem)
     held = [s.boundary for s in problem.supports if any(callable(value) for value in s.value)]
     for moved, shape in zip(displacements, problem.shapes, strict=True):
-        given, along = nodes_of(mesh, shape.boundary), tangent.copy()
-        for row, component in zip(moved, shape.motion, strict=True):
-            row[given] = on_points(component, mesh.p[:, given], f"the motion of the shape {shape.name!r}")
+        given, along, place = nodes_of(mesh, shape.boundary), tangent.copy(), ("design", "shapes", shape.name)
+        with contradicting((*place, "motion")):
+            for row, component in zip(moved, shape.motion, strict=True):
+                row[given] = on_points(component, mesh.p[:, given], f"the motion of the shape {shape.name!r}")
         along[:, given] = 0.0
         moved[:] = _harmonic(mesh, moved, np.union1d(on_line, given), along)
         for name in held:
             for node in nodes_of(mesh, name)[np.any(moved[:, nodes_of(mesh, name)] != 0, axis=0)][:1]:
                 said = f"the shape {shape.name!r} would move node {node}, where a displacement is given"
-                raise ValueError(f"{said} on {name!r} as a function of position")
+                raise ProblemError(place, f"{said} on {name!r} as a function of position")
     return displacements
 
 
