@@ -16,10 +16,10 @@ import scipy.sparse as sp
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
 from rmesh_nlp.assessment.parts import ZERO
-from rmesh_nlp.assessment.standoff import Cells, cells_of
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
+from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import ROUNDING, Array
@@ -30,10 +30,8 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined
 
 REPEATS = 12
-"""Contact solves with larger stand-offs, where normals vary along an edge."""
-
-REFINEMENTS = 4
-"""Times that triangles all of whose nodes are held are cut, where the foundation rises through them."""
+"""Contact solves with larger stand-offs, where normals vary along an edge, and meshes on which triangles are
+cut all of whose nodes are held, where the foundation rises through them."""
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,7 @@ def admissible(
     ``nodes`` (2, vertices) are the positions of the vertices, by default those of the mesh; ``start`` is the
     contact to begin with.
     """
-    for _ in range(REFINEMENTS):
+    for _ in range(REPEATS):
         continuous = Continuous(problem, nodes)
         inside = [cells for cells in continuous.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
         cut = [cells.number[cells.unreachable(continuous.given_along(cells))] for cells in inside]

@@ -13,7 +13,8 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 
 CLEAR = 0.01
-"""Part of a result below which it got no worse."""
+"""Part of a result below which it got no worse, and of the contact force below which a residual of Coulomb's
+law is small: with edges of a tenth of the contact's length, solutions that partly stick have 5e-4 to 8e-3."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from rmesh_nlp.assessment.contact_results import CLEAR
 from rmesh_nlp.assessment.integrals import over_edges
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import functions
@@ -21,10 +22,6 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Index
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
-
-NOTICED = 1e-3
-"""Residual below which growth is not warned of. With edges of a tenth of the contact's length, solutions that
-partly stick have 5e-4 to 8e-3."""
 
 
 def coulomb_residual(
@@ -85,7 +82,7 @@ def _integral(
 
 def growth(before: float | None, after: float | None) -> str | None:
     """A sentence for a residual that relocation has more than doubled; None for others."""
-    if before is None or after is None or after <= max(2 * before, NOTICED):
+    if before is None or after is None or after <= max(2 * before, CLEAR):
         return None
     return (
         f"Coulomb's law along edges holds less well than on the given mesh: {after:.1e} of the contact force "

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.assessment.standoff import Cells
+from rmesh_nlp.contact.standoff import Cells
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.fields import Field

@@ -31,16 +31,13 @@ from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
 from rmesh_nlp.contact.factorisation import condensed
-from rmesh_nlp.contact.next_set import holding, next_set, rank, single_change
+from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, rank, single_change
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.optimize.status import Status
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""
-
-PATIENCE = 3
-"""Block changes of the active set without fewer violations before single changes begin."""
 
 
 def solve(

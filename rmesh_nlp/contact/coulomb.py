@@ -20,16 +20,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rmesh_nlp.contact.next_set import holding, next_set
+from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.optimize.status import Status
 
 PARTS = 0.5 ** np.arange(9)
 """Parts of a Newton step that are tried."""
-
-RESTARTS = 4
-"""Full steps that may be taken where no part of one is a gain. Without any 7 of 240 pressed blocks of linear
-triangles, nu = 0.3 to 0.499, were not solved, with one 2, with four none."""
 
 
 def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equilibrium:
@@ -54,7 +50,7 @@ def newton(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equ
                 if residual < least:
                     break
             else:
-                if restarts == RESTARTS:
+                if restarts == PATIENCE:
                     return replace(state, status=Status.CYCLED)
                 restarts, trial = restarts + 1, state
                 residual, proposal = laws(state)

@@ -8,6 +8,11 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
 
+PATIENCE = 3
+"""Full steps without progress: of blocks that leave as many violations, before single changes begin, and with
+Coulomb friction where no part of a step is a gain. Of 392 systems with coefficients up to 10 Newton's method
+fails for 4 with 3, 4 or 8 such steps, for 16 with none."""
+
 
 def next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
     """The active set that the signs of gaps and forces ask for, and how many signs are wrong."""

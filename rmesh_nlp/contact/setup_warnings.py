@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.standoff import cells_of
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
@@ -83,12 +83,14 @@ def penetration_warnings(
     space: DisplacementSpace, nodes: Array, displacement: Array
 ) -> Iterator[SetupWarning]:
     """Where foundations pass into the body between contact nodes, at any vertex positions (2, vertices)."""
-    problem = space.problem
-    for part in problem.contact_sets:
-        if problem.components == 1 or part.obstacle.boundary is Place.INTERIOR:
+    body = Body(space.problem, nodes)
+    for part in space.contact_sets:
+        if space.problem.components == 1:
             continue  # a displacement of its own unit: there is no edge to compare with
-        depth, length = penetrations(Body(problem, nodes), space, part.obstacle, displacement)
-        ratio = float(np.max(depth / length, initial=0.0))
+        ratio = 0.0
+        for cells in cells_of(body, space, part):
+            length = np.linalg.norm(cells.points[:, :, -1] - cells.points[:, :, 0], axis=0)
+            ratio = max(ratio, float(np.max(cells.depths(displacement) / length, initial=0.0)))
         if ratio > NEGLECTED:
             text = f"between its nodes {_name(part)} passes into the foundation by {ratio:.0%} of an edge "
             text += f"(more than {NEGLECTED:.0%}): refine it where the foundation is curved"

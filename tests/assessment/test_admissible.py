@@ -11,10 +11,10 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.assessor import equilibrium_residual
-from rmesh_nlp.assessment.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.bernstein import functions

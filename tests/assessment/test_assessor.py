@@ -13,8 +13,8 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.assessment.assessor import EXPLOITS, Assessor, residuals
-from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, of_all, worse
-from rmesh_nlp.assessment.coulomb import NOTICED, coulomb_residual, growth
+from rmesh_nlp.assessment.contact_results import CLEAR, ContactResult, contact_results, of_all, worse
+from rmesh_nlp.assessment.coulomb import coulomb_residual, growth
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
@@ -282,11 +282,11 @@ def test_only_with_coulomb_friction() -> None:
     assert "coulomb_residual" not in row
 
 
-def test_growth_is_said_above_a_thousandth_only() -> None:
+def test_growth_is_said_above_a_hundredth_only() -> None:
     assert growth(None, None) is None
-    assert growth(NOTICED, 1.9 * NOTICED) is None
-    assert growth(0.1 * NOTICED, 0.9 * NOTICED) is None
-    assert "holds less well" in (growth(0.1 * NOTICED, 1.1 * NOTICED) or "")
+    assert growth(CLEAR, 1.9 * CLEAR) is None
+    assert growth(0.1 * CLEAR, 0.9 * CLEAR) is None
+    assert "holds less well" in (growth(0.1 * CLEAR, 1.1 * CLEAR) or "")
 
 
 def test_record_and_summary_have_both_and_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,10 +75,18 @@ class Cells:
         """(components, m, k) unit normals at the points."""
         return self.contact.obstacle.normals(self.points)
 
-    def gaps(self, displacement: Array) -> Array:
-        """(m, k) least gaps about the points under a displacement (components, nodes)."""
+    def along(self, displacement: Array) -> Array:
+        """(m, k) components of a displacement (components, nodes) along the normals at the points."""
         u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
-        return np.sum(self.normals * u, axis=0) + self.low - self.dips(displacement)
+        return np.asarray(np.sum(self.normals * u, axis=0))
+
+    def gaps(self, displacement: Array) -> Array:
+        """(m, k) least gaps about the points."""
+        return self.along(displacement) + self.low - self.dips(displacement)
+
+    def depths(self, displacement: Array) -> Array:
+        """(m,) how far the foundation passes into each cell at its points, 0 without."""
+        return np.maximum(0.0, -np.min(self.along(displacement) + self.distance, axis=1))
 
     def dips(self, displacement: Array) -> Array:
         """(m, k) by how much the normal displacement is less between the points: of a parabola an eighth."""
