@@ -6,6 +6,7 @@ import json
 import math
 import warnings
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -171,13 +172,10 @@ def damaged_last_line(path: Path) -> tuple[int, bytes]:
 
 
 def _is_json(line: bytes) -> bool:
-    try:
-        json.loads(line)
-    except (json.JSONDecodeError, UnicodeDecodeError):
-        return False
-    except (ValueError, RecursionError):
-        pass  # JSON that the reader refuses with a reason
-    return True
+    with suppress(ValueError):
+        from_json(line)
+        return True
+    return False
 
 
 def warn_of(path: Path, damaged: bytes, what: str) -> None:

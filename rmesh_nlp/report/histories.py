@@ -20,10 +20,8 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
 from rmesh_nlp.report.blocks import RELOCATING_NOTHING, blocks_of, grouped, label, seconds_of_work
+from rmesh_nlp.solving.outer import TOLERANCE
 
-# up to this primal residual the objective of an iterate means something, and below it first-order residuals
-# are not told apart
-FEASIBLE = 1e-6
 SLACK = 1e-3  # part of the worst gain by which the common level may miss it: last digits are not compared
 
 
@@ -63,8 +61,8 @@ def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | 
 
 
 def is_feasible(steps: pd.DataFrame) -> pd.Series:
-    """Where constraints and contact conditions are met, or nothing is known of them."""
-    return ~(steps["primal_residual"] > FEASIBLE)
+    """Where constraints and contact conditions are met to the default tolerance, or are not known."""
+    return ~(steps["primal_residual"] > TOLERANCE)
 
 
 def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
@@ -99,7 +97,7 @@ def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     level = ends["end"].max()
     level += SLACK * max(0.0, (ends["start"] - level).min())
     residuals = pd.Series([record.get("stationarity_residual") for record in records], dtype=float)
-    common = residuals.clip(lower=FEASIBLE).max()
+    common = residuals.clip(lower=TOLERANCE).max()  # less is not told apart
     rows = []
     for result, record in zip(results, records, strict=True):
         total = seconds_of_work(record) or math.nan

@@ -39,13 +39,12 @@ from rmesh_nlp.report.blocks import (
 from rmesh_nlp.report.columns import KINDS, Column, cells, of, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures
-from rmesh_nlp.report.joined import FEW
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, Table
 from rmesh_nlp.report.tables import sections_of
-from rmesh_nlp.solving.parts import DESIGN
+from rmesh_nlp.solving.parts import DESIGN, FEW
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
 

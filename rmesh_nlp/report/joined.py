@@ -7,7 +7,6 @@ constrained quantities beside their bounds.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import pandas as pd
 
@@ -24,9 +23,7 @@ from rmesh_nlp.report.blocks import (
 )
 from rmesh_nlp.report.columns import Column, cells, short_label, shown, table_of
 from rmesh_nlp.report.table import MISSING, Groups, Table
-
-FEW = 6
-"""Names that have a column each; of more each has a row, and so many solves have a column."""
+from rmesh_nlp.solving.parts import FEW
 
 STARTS = (
     Column("formulation", "formulation"),
@@ -43,11 +40,7 @@ MESHES = (
     Column("gain", "gain", ".4g"),
     Column("time [s]", "wall_time_s", ".3g"),
 )
-NAMED = {
-    "design": ("Design variables", "Design variables: bounds, first design, and where each solve ended."),
-    "constraints": ("Constrained quantities", "Constrained quantities: bounds, and values of each solve."),
-}
-"""Titles and captions."""
+NAMED = {"design": "Design variables", "constraints": "Constrained quantities"}
 
 
 def joined_tables(records: Sequence[Record]) -> list[Table]:
@@ -188,10 +181,10 @@ def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[
         for record, own in zip(solved, known, strict=True)
         if record["formulation"] != RELOCATING_NOTHING or entry == "constraints"
     ]
-    words: dict[str, Any] = dict(zip(("title", "caption"), NAMED[entry], strict=True))
+    said = f"{NAMED[entry]}: bounds, where there is one the start, and the end of each solve."
     if len(names) <= FEW:
-        yield Table(["formulation", *names], [(title, [*rows, *solves])], **words)
+        yield Table(["formulation", *names], [(title, [*rows, *solves])], said, NAMED[entry])
         return
     for first in range(0, max(len(solves), 1), FEW):
         head, *body = zip(["name", *names], *rows, *solves[first : first + FEW], strict=True)
-        yield Table(head, [(title, body)], **words, is_detail=True)
+        yield Table(head, [(title, body)], said, NAMED[entry], is_detail=True)

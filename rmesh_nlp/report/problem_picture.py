@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 
+from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.sampling import along, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
@@ -83,7 +84,7 @@ def _draw_gaps(axis: Axes, body: Body) -> None:
     """The initial gap of every contact node; overlaps are red."""
     for one in body.near:
         ends = np.stack([one.nodes, one.feet], axis=2)
-        overlaps = one.gaps < -1e-9 * np.ptp(body.nodes)
+        overlaps = one.gaps < -ROUNDING * np.ptp(body.nodes)
         for chosen, colour, width, label in (
             (one.gaps > 0, "0.5", 0.8, "initial gap"),
             (overlaps, "red", 2.0, "initial overlap"),

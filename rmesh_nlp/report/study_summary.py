@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.optimize.status import Status
@@ -52,7 +52,6 @@ MEDIANS = (
     "of its size on the given mesh."
 )
 LEVELS = (0.9, 0.99, 0.999)  # parts of the best gain for data profiles
-SAME = 1e-9  # ratios that agree to this are one: costs of two clocks' ticks are ties
 INF = float("inf")
 
 # costs of performance profiles by the names of their figures: words, and the cost of a success
@@ -72,8 +71,8 @@ class Profile:
     share: Array
 
     def __call__(self, x: ArrayLike) -> Array:
-        """The share at ``x``."""
-        place = np.searchsorted(self.at, np.asarray(x, dtype=float) * (1 + SAME), side="right")
+        """The share at ``x``; values that differ by rounding are ties."""
+        place = np.searchsorted(self.at, np.asarray(x, dtype=float) * (1 + ROUNDING), side="right")
         return np.concatenate([[0.0], self.share])[place]
 
 

@@ -63,6 +63,10 @@ DESIGN = "design."
 """What stands before the name of a design variable in columns of histories and tables."""
 
 
+FEW = 6
+"""Design variables that lines and tables name beside each other; of more, tables have a row for each."""
+
+
 @dataclass(frozen=True)
 class Step:
     """One line of a history.

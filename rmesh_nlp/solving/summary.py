@@ -7,10 +7,8 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
+from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
-
-AT_BOUND = 1e-6
-"""Distance to a bound, as a part of the range, up to which a design variable is said to be at it."""
 
 
 def summary(solution: Any) -> Rows:
@@ -72,7 +70,7 @@ def _objective_rows(solution: Any) -> list[tuple[str, str]]:
         if variable.name not in solution.design:
             continue
         value, (low, high) = solution.design[variable.name], variable.bounds
-        at_bound = min(value - low, high - value) <= AT_BOUND * (high - low)
+        at_bound = min(value - low, high - value) <= ZERO * (high - low)
         said = figure(value) + (", at its bound," if at_bound else "")
         said += f" from {figure(variable.start)}, bounds {bounds_in_words(low, high)}"
         rows.append((f"design variable {variable.name}", said))

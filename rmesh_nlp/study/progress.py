@@ -19,11 +19,10 @@ from rich.progress import (
 from rmesh_nlp.io.records import Record, ends_of, gain_of, has_energy, objective_of
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
-from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.parts import FEW, Step
 from rmesh_nlp.study.plan import PlannedSolve
 
 EVERY_S = 10.0  # seconds between lines about a solve that goes on, where there is no terminal
-NAMED = 6  # design variables of a line about a row
 EVERY = 100  # solves between lines about a study, where there is no terminal
 
 
@@ -104,8 +103,8 @@ def summary(row: Record) -> str:
         if before:
             line += f" (gain {before - after:.4g}, {gain_of(before, after):.3g} %)"
     design = [f"{name} = {value:.4g}" for name, value in (row.get("design") or {}).items()]
-    line += "".join(f", {text}" for text in design[:NAMED])
-    line += f" and {len(design) - NAMED} more" if len(design) > NAMED else ""
+    line += "".join(f", {text}" for text in design[:FEW])
+    line += f" and {len(design) - FEW} more" if len(design) > FEW else ""
     if row.get("iterations") is not None:
         line += f", {row['iterations']} iterations"
     line += f", {row['wall_time_s']:.2f} s"

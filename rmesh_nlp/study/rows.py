@@ -6,7 +6,6 @@ outlive their client finish their row first, so that no solve is done twice.
 
 from __future__ import annotations
 
-import json
 import os
 import socket
 import uuid
@@ -15,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
+from pydantic_core import from_json
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import append_whole, write_text
@@ -79,8 +79,8 @@ class Keys:
 
 def _row(line: bytes) -> Record:
     """The row of a line; empty if it is none."""
-    with suppress(ValueError, RecursionError):
-        row = json.loads(line)
+    with suppress(ValueError):
+        row = from_json(line)
         return row if isinstance(row, dict) else {}
     return {}
 

@@ -12,12 +12,13 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.io.records import REQUIRED, Record
-from rmesh_nlp.report.joined import FEW, multistart_rows, refinement_notes, refinement_rows
+from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.notes import block_notes, main_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
 from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, write_tables
 from rmesh_nlp.report.tables import csv as as_csv
+from rmesh_nlp.solving.parts import FEW
 from support.reporting import ROWS, designed, failed, joint_61, joint_62
 
 MARKDOWN = """\
