@@ -16,7 +16,6 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
-from rmesh_nlp.mpcc.polish import polish
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
@@ -54,42 +53,28 @@ class Finish:
 def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
-    From the multipliers ``warm`` of the lifted problem at ``z`` Newton's method is tried before the interior
-    point, or the interior point begins with them. ``search`` looks for another branch if the one next to the
-    point is infeasible.
+    ``search`` looks for another branch if the one next to the point is infeasible, from the multipliers
+    ``warm`` of the lifted problem at ``z`` on.
     """
     zero = run.lifted.smaller(z)
-    if warm is not None and run.options.newton_finish:
-        near = polished(run, warm)
-        if near is not None:
-            near = pivot(run, near)
-            if near.solved:
-                return near
-        warm = None
-    result = _by_signs(run, z, zero, warm) if search else run.branch(z, zero, warm=warm)
-    if result is None or (warm is not None and not run.exact(result.x)):
-        result = run.branch(z, zero)
+    result = _by_signs(run, z, zero, warm) if search else None
+    return settled(run, result or run.branch(z, zero))
+
+
+def settled(run: Run, result: NLPResult) -> Finish:
+    """Descend over the branches from the solution of one, if it is exact."""
     if not run.exact(result.x):
         return Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
     if result.status is Status.UNBOUNDED:
         return Finish(result.x, result.f, Status.UNBOUNDED)
-    return pivot(run, _labelled(run, result.x, result.f))
+    return pivot(run, _labelled(run, result.x, result.f, result.lam_g))
 
 
-def polished(run: Run, warm: NLPResult) -> Finish | None:
-    """The exact point next to a relaxed one by Newton's method, labelled; None if there is none."""
-    point = polish(run, warm.x, run.lifted.smaller(warm.x), warm.lam_g, warm.lam_x)
-    if point is None:
-        return None
-    run.record("polished", 0.0, point[0])
-    return _labelled(run, *point)
-
-
-def _labelled(run: Run, z: Array, f: float) -> Finish:
-    """Label an exact point."""
+def _labelled(run: Run, z: Array, f: float, lam_rows: Array) -> Finish:
+    """Label an exact point that a solve ended at with these multipliers of the rows."""
     options = run.options
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
-    result = stationarity(run.lifted, lin, options.stationarity, run.budget)
+    result = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows)
     return Finish(z, f, result.status, result, lin)
 
 
@@ -107,7 +92,7 @@ def pivot(run: Run, point: Finish) -> Finish:
             return point
         if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
             return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1)
-        point = _labelled(run, better.x, better.f)
+        point = _labelled(run, better.x, better.f, better.lam_g)
     return replace(point, status=Status.ITERATION_LIMIT)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.mpcc.finish import Finish, finish, polished
+from rmesh_nlp.mpcc.finish import Finish, finish, settled
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
@@ -17,10 +17,7 @@ from rmesh_nlp.optimize.status import Status
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 _SAME = 1e-4  # relaxed solutions whose objectives differ by less, relative, are one
-_FREE, _LEAP = (
-    1e-6,
-    100,
-)  # relative change of the objective in which pairs cost nothing; iterations to the end
+_FREE = 1e-6  # relative change of the objective in which pairs cost nothing
 
 
 @dataclass(eq=False)
@@ -91,7 +88,7 @@ def follow(
         if path.joined is not None:
             return
         if len(path.levels) == 2 and abs(objective - path.levels[t0]) <= _FREE * abs(objective):
-            last = run.relaxed(result.x, t_final, result, max_iter=_LEAP)
+            last = run.relaxed(result.x, t_final, result, last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last
                 t = t_final
@@ -101,12 +98,8 @@ def follow(
             break
         is_settled = before is not None and _settled(before, sides)
         if is_settled and t <= options.crossover * (1 + ROUNDING):
-            near = (
-                polished(run, clear)
-                if options.newton_finish
-                else finish(run, result.x, search=False, warm=clear)
-            )
-            if near is not None and path.keep(near) and _at_the_limit(near.f, objective):
+            near = settled(run, run.branch(result.x, sides, warm=clear))
+            if path.keep(near) and _at_the_limit(near.f, objective):
                 return
         z, is_first, warm = result.x, False, result if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)

@@ -1,18 +1,12 @@
-"""Multipliers of a linearised point by least squares, which decide its label if there are no others.
+"""Multipliers of a linearised point: ``lambda`` with ``gradient + M lambda = 0``.
 
-The stationarity of a point asks for ``lambda`` with ``gradient + M lambda = 0``, the columns of M the
-gradients of active rows, of active bounds and of zero members of pairs. With one sparse factorisation ::
-
-    [ I    M  ] [ r ]   [ -gradient ]
-    [ M^T  -e ] [ l ] = [     0     ]
-
-is solved, and once more for random multipliers, which come back if the columns are independent. Linear
-programs over the same columns (see ``stationarity``) decide the cases that are left.
+The columns of M are the gradients of active rows, of active bounds and of zero members of pairs. Those with
+which a solve ended prove S where they have its signs. Linear programs over the same columns (see
+``stationarity``) decide the cases that are left.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,14 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.factors import factorised
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 from rmesh_nlp.mpcc.lpec import Linearisation
-from rmesh_nlp.optimize.budget import Budget
-
-_PROXIMAL = 1e-12  # columns have length one
-_REFINEMENTS = 4  # each takes out what the proximal term left
-_RECOVERED = 1e-6  # independent columns give back random multipliers this well
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,40 +91,24 @@ class Columns:
         return lam
 
 
-def only_multipliers(
-    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
-) -> Multipliers | None:
-    """Multipliers with the signs of W if there are no others; None if there are, or none at all.
+def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: float) -> Multipliers | None:
+    """Multipliers with the signs of S from those of the rows at the end of a solve; None if they have others.
 
-    With them the Lagrangian is stationary within ``tolerance``.
+    Those of bounds and members are what the Lagrangian leaves to them. It is stationary within ``tolerance``.
     """
-    columns = Columns(lifted, lin)
-    matrix, slack = columns.matrix, tolerance * lin.scale
-    n, k = matrix.shape
-    if not k:
-        return None
-    length = np.sqrt(np.asarray(matrix.multiply(matrix).sum(axis=0)).ravel())
-    size = np.where(length > 0, length, 1.0)
-    scaled = matrix @ sp.diags(1.0 / size)
-    random = np.random.default_rng(0).normal(size=k)
-    gradients = np.stack([-(scaled @ random), lin.gradient], axis=1)
-    system = sp.bmat([[sp.identity(n), scaled], [scaled.T, -_PROXIMAL * sp.identity(k)]], format="csc")
-
-    def refined(solve: Callable[[Array], Array]) -> Array:
-        values = np.zeros((k, 2))
-        for _ in range(_REFINEMENTS):
-            rests = np.vstack([-(gradients + scaled @ values), np.zeros((k, 2))])
-            values = values + np.stack([solve(rest)[n:] for rest in rests.T], axis=1)
-        return values
-
-    try:
-        again, values = factorised(system, refined, budget).T
-    except RuntimeError:  # exactly singular
-        return None
-    own = signed(values / size, columns.may_fall, columns.may_rise)
-    is_only = np.max(np.abs(again - random)) <= _RECOVERED
-    is_stationary = np.max(np.abs(lin.gradient + matrix @ own)) <= slack
-    return columns.scattered(own) if is_only and is_stationary else None
+    columns, slack = Columns(lifted, lin), tolerance * lin.scale
+    n_rows, n_bounds = columns.rows.size, columns.bounds.size
+    rows = signed(lam_rows[columns.rows], lin.row_lower[columns.rows], lin.row_upper[columns.rows])
+    values = np.append(rows, np.zeros(n_bounds + columns.members.size))
+    rest = -(lin.gradient + columns.matrix @ values)
+    # an unknown may be a member of several pairs: the one with the freest sign takes all
+    places = np.append(columns.bounds, lifted.pairs[lin.zero])
+    order = np.argsort(np.append(np.zeros(n_bounds, dtype=bool), columns.corner), kind="stable")
+    unknowns, first = np.unique(places[order], return_index=True)
+    values[n_rows + order[first]] = rest[unknowns]
+    values = signed(values, columns.may_fall, columns.may_rise_in_s)
+    residual = np.abs(lin.gradient + columns.matrix @ values)
+    return columns.scattered(values) if np.max(residual, initial=0.0) <= slack else None
 
 
 def signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:

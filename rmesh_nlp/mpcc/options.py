@@ -21,8 +21,10 @@ _EXACT = {
     # the start is the relaxed solution: do not push it back into the interior
     "bound_push": 1e-6, "bound_frac": 1e-6,
 }  # fmt: skip
+_SHORT = {"max_iter": 50}  # of 447 finishes that began next to their solution none took more than 20
 _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
+    **_SHORT,
 }  # fmt: skip
 _DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
 
@@ -48,11 +50,6 @@ class Options(Settings):
         pairs are those of the step before, and anyway at ``t_final``.
     warm_duals : bool
         Start each relaxation from the multipliers of the one before.
-    newton_finish : bool
-        Look for the exact point by Newton's method from the multipliers of the relaxed solution. False: by
-        Ipopt on the branch, from these multipliers and with a small barrier, and if that fails from the
-        relaxed point alone; better where many bounds are weakly active, or where a factorisation of the
-        whole KKT matrix is expensive.
     time_limit_s : float
         Wall time, the build included, after which the best point so far is returned, with status
         ``time_limit``. Nothing else depends on the clock.
@@ -88,7 +85,6 @@ class Options(Settings):
     seed: Limit = 0
     crossover: Positive = 1e-2
     warm_duals: bool = False
-    newton_finish: bool = True
     time_limit_s: Seconds = math.inf
     max_iterations: Count | None = None
     feasibility: Positive = 1e-8
@@ -112,15 +108,16 @@ class Options(Settings):
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
     def relaxed(
-        self, n: int, warm: bool, *, first: bool = False, dependent: bool = False, max_iter: int | None = None
+        self, n: int, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
     ) -> dict[str, Any]:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
-        ``dependent`` reckons with equations that follow from each other; that costs iterations.
+        The ``last`` one is given up early. ``dependent`` reckons with equations that follow from each other;
+        that costs iterations.
         """
-        own = {"max_iter": max_iter or _iterations(n), **_RELAXED}
+        own = {"max_iter": _iterations(n), **_RELAXED, **(_SHORT if last else {})}
         own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}

@@ -21,9 +21,8 @@ class Measured:
     Attributes
     ----------
     phase : str
-        ``relaxed`` (a relaxation solved at ``t``), ``branch``
-        (each pair fixed on one side), ``signs`` (a branch with free signs) or ``polished`` (Newton steps or a
-        projection onto the branch, no NLP).
+        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side), ``signs`` (a
+        branch with free signs) or ``feasible`` (the violation on a branch).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float

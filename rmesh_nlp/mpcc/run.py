@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -88,24 +87,21 @@ class Run:
         only_clock = self._on_iteration is None and self.budget.iterations_left is None
         result = nlp(Watch(self._monitor(phase, t), only_clock))
         self.budget.iterations = before + result.iterations
-        self.record(phase, t, result.x, result)
+        self._record(phase, t, result)
         self.budget.check()
         return result
 
-    def record(self, phase: str, t: float, z: Array, result: NLPResult | None = None) -> None:
-        """Measure a point on the source problem and show it; without ``result`` no NLP led to it."""
-        measured = self._measured(phase, t, z)
-        self.keep(z, measured["objective"])
-        step = Step(**measured)
-        if result is not None:
-            multiplier = np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0) if t > 0 else 0.0
-            step = replace(
-                step,
-                iterations=result.iterations,
-                status=result.status,
-                seconds=result.seconds,
-                multiplier=float(multiplier),
-            )
+    def _record(self, phase: str, t: float, result: NLPResult) -> None:
+        """Measure the end of an NLP on the source problem and show it."""
+        measured = self._measured(phase, t, result.x)
+        self.keep(result.x, measured["objective"])
+        step = Step(
+            **measured,
+            iterations=result.iterations,
+            status=result.status,
+            seconds=result.seconds,
+            multiplier=float(np.max(result.lam_g[self.lifted.nlp.n_g :], initial=0.0)) if t > 0 else 0.0,
+        )
         self.steps.append(step)
         if self._progress is not None:
             self._progress(step.line())

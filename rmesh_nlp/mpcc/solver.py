@@ -9,7 +9,7 @@ from itertools import islice
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import finish, polished
+from rmesh_nlp.mpcc.finish import finish, settled
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
@@ -107,7 +107,7 @@ class MPCCSolver:
         limit, rescues, infeasible, curvature = None, 0, False, "not tested"
         try:
             if first is not None and is_first:
-                paths.append(Path(finish=polished(run, first)))
+                paths.append(Path(finish=settled(run, run.branch(z0, nlps.lifted.smaller(z0), warm=first))))
             if not any(path.ended for path in paths):
                 paths.append(main)
                 follow(run, main, z0, self.options.t0, first if is_first else None, former)
@@ -162,9 +162,9 @@ def solve(
     p : array_like
         Values of the parameters.
     start : MPCCResult or Duals, optional
-        Multipliers that belong to ``x0``, say the result of a neighbouring problem. Newton's method is tried
-        at once with them, and if it does not end at a stationary point, the first relaxation starts from
-        them.
+        Multipliers that belong to ``x0``, say the result of a neighbouring problem. The branch of ``x0`` is
+        tried at once with them, and if it does not end at a stationary point, the first relaxation starts
+        from them.
     options : Options, optional
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.

@@ -11,9 +11,9 @@ The multiplier of the zero member of a pair that is not biactive is free. H. Sch
 Mathematical programs with complementarity constraints: stationarity, optimality, and sensitivity,
 Math. Oper. Res. 25 (2000) 1-22; J. Outrata, Math. Oper. Res. 24 (1999) 627-644 for M.
 
-Multipliers of degenerate problems are not unique, and those an interior-point method returns say
-little. So the existence is asked of linear programs in the multipliers. B: no branch descends to first
-order, asked of the linear program with equilibrium constraints (LPEC).
+Multipliers of degenerate problems are not unique. Those an interior-point method returns prove S where they
+have its signs, and else say little: then the existence is asked of linear programs in the multipliers.
+B: no branch descends to first order, asked of the linear program with equilibrium constraints (LPEC).
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
+from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
-from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, only_multipliers
+from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, proving
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -74,18 +74,22 @@ class Stationarity:
 
 
 def stationarity(
-    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
+    lifted: Lifted,
+    lin: Linearisation,
+    tolerance: float,
+    budget: Budget | None = None,
+    lam_rows: Array | None = None,
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
     ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
-    Multipliers by least squares decide if they are the only ones, else linear programs do.
+    ``lam_rows``, multipliers of the rows at the end of a solve, decide if they prove S; else linear programs.
     """
     if not (np.all(np.isfinite(lin.gradient)) and np.all(np.isfinite(lin.jacobian.data))):
         return Stationarity("")
-    only = only_multipliers(lifted, lin, tolerance, budget)
-    if only is not None:
-        return _of_unique(lifted, lin, only, tolerance)
+    proof = None if lam_rows is None else proving(lifted, lin, lam_rows, tolerance)
+    if proof is not None:
+        return Stationarity("S", proof, True)
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)
@@ -94,28 +98,6 @@ def stationarity(
         return Stationarity(label, multipliers)
     flat = direction.decrease >= -tolerance * lin.scale
     return Stationarity(label, multipliers, flat, None if flat else direction)
-
-
-def _of_unique(lifted: Lifted, lin: Linearisation, only: Multipliers, tolerance: float) -> Stationarity:
-    """The label of multipliers that are the only ones: no program is needed.
-
-    If it is not S some branch descends: one in which each member with a positive multiplier may leave zero.
-    The direction names that branch, and has no step.
-    """
-    zero, pairs = tolerance * lin.scale, lin.biactive
-    G, H = only.pairs[:, pairs]
-    if np.max(np.append(G, H), initial=0.0) <= zero:
-        return Stationarity("S", only, True)
-    fits = {
-        name: bool(np.all(np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)))
-        for name, pieces in _PIECES.items()
-    }
-    on_G = lin.zero[0].copy()
-    on_G[pairs] = G <= H
-    decrease = -float(np.max(np.append(G, H)))
-    direction = Direction(decrease, np.zeros(lifted.nlp.n_x), on_side(on_G), proven=False)
-    label = next((name for name, fit in fits.items() if fit), "W")
-    return Stationarity(label, only, False, direction)
 
 
 class _MultiplierLP:

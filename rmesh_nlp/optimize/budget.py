@@ -145,34 +145,6 @@ class Budget:
         if self.is_over():
             raise StoppedError(self.stopped or Status.INTERRUPTED)
 
-    def within(self, work: Callable[[], T]) -> T:
-        """What ``work`` returns, or a StoppedError when the time is over.
-
-        A sparse factorisation cannot be interrupted. It releases Python's lock, so it runs in a thread that
-        is left to itself then. (HiGHS does not bear that: its own threads abort the process.)
-        """
-        seconds = self.remaining
-        if not math.isfinite(seconds):
-            return work()
-        answers: list[T] = []
-        errors: list[BaseException] = []
-
-        def run() -> None:
-            try:
-                answers.append(work())
-            except BaseException as error:  # raised again by the caller
-                errors.append(error)
-
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
-        thread.join(min(seconds, threading.TIMEOUT_MAX))
-        if errors:
-            raise errors[0]
-        if not answers:
-            self.stopped = Status.TIME_LIMIT
-            raise StoppedError(Status.TIME_LIMIT)
-        return answers[0]
-
 
 def timed(first: Callable[[], object], again: Callable[[], object]) -> float:
     """Wall time of ``first``; where it is short, or known already, the median of a few of ``again``."""

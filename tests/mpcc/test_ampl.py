@@ -166,10 +166,10 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
     monkeypatch.setattr(
         ampl, "solve", lambda *names, **more: given.append(more["options"]) or solve(*names, **more)
     )
-    called(stub(), "time_limit_s=50", "newton_finish=no", "ipopt.tol=1e-9")
+    called(stub(), "time_limit_s=50", "warm_duals=yes", "ipopt.tol=1e-9")
     (options,) = given
     assert (options.t0, options.relaxation) == (0.5, "l1-penalty")
-    assert (options.time_limit_s, options.newton_finish) == (50, False)
+    assert (options.time_limit_s, options.warm_duals) == (50, True)
     assert options.ipopt == {"tol": 1e-9}
 
 

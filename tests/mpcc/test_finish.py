@@ -30,14 +30,6 @@ def scripted(*results, **options):
     return ScriptedRun(branches=lambda _: waiting.pop(0) if len(waiting) > 1 else waiting[0], **options)
 
 
-def test_multipliers_are_tried_by_newton_s_method_before_any_branch_is_solved():
-    """From x = 0.1 to 0, where f = 5."""
-    run = scripted(BEST, mpcc=MPCC(XY, 5 - 0.4 * x + (y - 1) ** 2, None, x, y))
-    z = np.array([0.1, 1.0])
-    assert finish(run, z, search=True, warm=at(z)).f == pytest.approx(5.0)
-    assert (run.branch_calls, [step.phase for step in run.steps]) == ([], ["polished"])
-
-
 @pytest.mark.parametrize(
     ("result", "status"),
     [
@@ -117,8 +109,8 @@ def test_pairs_with_a_wrong_sign_change_sides_until_all_signs_are_right():
 
 def test_multipliers_that_lead_nowhere_are_left_and_so_is_a_place_without_a_feasible_point():
     for results, warms in (([BEST], [BEST]), ([INEXACT, BEST], [BEST, None])):
-        run = scripted(*results, newton_finish=False)
-        assert finish(run, NEAR, search=False, warm=BEST).solved
+        run = scripted(*results)
+        assert finish(run, NEAR, search=True, warm=BEST).solved
         assert [call.options.get("warm") for call in run.branch_calls] == warms
     nowhere = run_of(MPCC(XY, x, x**2 + y**2, x, y, ubg=-1))
     end = finish(nowhere, np.array([0.1, 0.2]), search=True)

@@ -49,7 +49,6 @@ def failing_below(status, t):
         # settled sides are finished early from the crossover on; two steps are needed to see that they are
         (settled(), {}, TENTHS[:3], None),
         (settled(), {"crossover": 1.0}, TENTHS[:2], None),
-        (settled(), {"newton_finish": False}, TENTHS[:3], None),
         # a minimum above what the path foretells lets it go on
         (settled(1.5), {}, TENTHS[:3], None),
         (settled(0.9995), {}, TENTHS[:3], None),

@@ -7,7 +7,7 @@ import pytest
 from mpcc_library.labels import descends_by_search, label_by_search, random_block
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
-from rmesh_nlp.mpcc.multipliers import only_multipliers
+from rmesh_nlp.mpcc.multipliers import proving
 from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity, strongest
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
@@ -230,8 +230,10 @@ def corners(slopes_G, slopes_H, g=None):
     return at(MPCC(v, f, None if g is None else g(v), v[:n], v[n:], ubg=0), np.zeros(2 * n))
 
 
-def test_only_multipliers_are_those_of_independent_columns():
-    """x1 + x2 <= 0 may hold with its multiplier what the corner's own may not: there are many."""
-    assert only_multipliers(*corners([-1, -1], [1, 1], lambda v: v[0] + v[1]), 1e-6) is None
-    lifted, lin = corners([-1, -1], [1, 1])
-    assert only_multipliers(lifted, lin, 1e-6).pairs == pytest.approx(np.array([[1, 1], [-1, -1]]))
+def test_multipliers_of_a_solve_prove_s_with_its_signs_alone():
+    """min x + y on x _|_ y, x - y <= 0 at 0: with lam of the row the members have -1 - lam and -1 + lam."""
+    lifted, lin = corners([1], [1], lambda v: v[0] - v[1])
+    for lam, pairs in ((0.0, (-1, -1)), (0.5, (-1.5, -0.5)), (-0.5, (-1, -1))):  # the last has no row's sign
+        assert proving(lifted, lin, np.array([lam]), 1e-6).pairs.ravel() == pytest.approx(pairs)
+    assert proving(lifted, lin, np.array([1.1]), 1e-6) is None
+    assert proving(*corners([1], [-1]), np.zeros(0), 1e-6) is None

@@ -99,9 +99,9 @@ class ScriptedRun(Run):
         """t of each relaxation."""
         return [call.t for call in self.calls]
 
-    def relaxed(self, z, t, warm=None, *, max_iter=None, **how):  # type: ignore[no-untyped-def]
+    def relaxed(self, z, t, warm=None, *, last=False, **how):  # type: ignore[no-untyped-def]
         assert self.relaxations is not None
-        self.calls.append(Call(z, t, warm, max_iter is not None))
+        self.calls.append(Call(z, t, warm, last))
         answer = self.relaxations(self.calls[-1])
         measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
         self.steps.append(
