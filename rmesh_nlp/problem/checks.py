@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.embedding import fault
-from rmesh_nlp.meshes.geometry import members_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
@@ -20,9 +20,6 @@ from rmesh_nlp.problem.rigid import rigid_motions, seen_by_contact
 
 FOUND = 1e-5
 """Part of the extent of the body by which an optimised design may violate it: the tolerance of a solve."""
-
-INDEPENDENT = 1e-6
-"""Least singular value of the normals of foundations that one node can keep off from."""
 
 ORDERS = (1, 2)
 """Orders of displacements that there are."""
@@ -230,7 +227,7 @@ def _check_shared_nodes(problem: ProblemData) -> None:
         meeting = [part.obstacle for part in problem.contact_sets if node in part.nodes]
         normals = np.hstack([obstacle.normals(problem.mesh.p[:, [node]]) for obstacle in meeting])
         said = f"node {node} belongs to {number} contact boundaries"
-        if number > 2 or np.linalg.matrix_rank(normals[~held[:, node]], tol=INDEPENDENT) < number:
+        if number > 2 or np.linalg.matrix_rank(normals[~held[:, node]], tol=SEVEN_DIGITS) < number:
             said += " and cannot obey all their gaps: end one of them before it"
             raise ProblemError("contact", said)
         if any(obstacle.frictional for obstacle in meeting):

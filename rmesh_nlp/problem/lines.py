@@ -21,14 +21,11 @@ from skfem.models.poisson import laplace
 from rmesh_nlp.errors import ProblemError, contradicting
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import nodes_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ProblemData
 
 Index = NDArray[np.int64]
-
-STRAIGHT = 1e-8
-"""Largest sine of the angle between two facets that count as one straight piece."""
 
 OFF = 1e-3
 """Distance from its curve, in units of the shortest edge of the boundary, at which a given node is not on it.
@@ -140,11 +137,11 @@ def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> 
         owner, first, second = _pairs(ends[:, part])
         first, second = part[first], part[second]
         turn = direction[0, first] * direction[1, second] - direction[1, first] * direction[0, second]
-        slides = (np.abs(turn) < STRAIGHT) & (label[first] == label[second])
+        slides = (np.abs(turn) < SEVEN_DIGITS) & (label[first] == label[second])
         chosen = direction[:, first[slides]]
         # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
         tangent[:, owner] = 0.0
-        tangent[:, owner[slides]] = np.where(np.abs(chosen) < STRAIGHT, 0.0, chosen)
+        tangent[:, owner[slides]] = np.where(np.abs(chosen) < SEVEN_DIGITS, 0.0, chosen)
     return np.unique(ends), tangent
 
 
