@@ -19,12 +19,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import located, unknown
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC, _column
 from rmesh_nlp.optimize.nlp import NLP
 
-_KEYS = {"x", "f", "g", "p", "lbx", "ubx", "lbg", "ubg"}
+_KEYS = ("x", "f", "g", "p", "lbx", "ubx", "lbg", "ubg")
 
 
 def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Symbolic) -> MPCC:
@@ -66,26 +67,35 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     if "p" in lower:
         raise ValueError("lower: parameters p belong to the upper level's mapping, for both levels")
     y, x = _column("variables", variables, None), _column("x", upper["x"], None)
-    if type(x) is not type(y):
-        raise ValueError(f"x is {type(x).__name__}, variables are {type(y).__name__}: SX and MX do not mix")
-    p = _column("p", upper.get("p"), type(x))
+    kind = type(x)
+    if kind is not type(y):
+        raise ValueError(f"x is {kind.__name__}, variables are {type(y).__name__}: SX and MX do not mix")
+    p = _column("p", upper.get("p"), kind)
     if "x" in lower and not ca.is_equal(_column("x", lower["x"], None), y, 1):
         raise ValueError("lower: x is not the column of the variables; it may be left out")
     above = _level("upper", upper, [y, p])
     below = _level("lower", {**lower, "x": y}, [x, p])
-    level = _lower_level(below, above.n_x)
+    oracle = ca.Function("oracle", [below.x, below.p], [below.f, below.g], ["y", "p"], ["f", "g"])
+    # in pure symbols, so that CasADi can derive it
+    pure_y, pure_p = kind.sym("y", below.n_x), kind.sym("p", below.p.shape[0])
+    f, g = oracle.call([pure_y, pure_p], True, False)
+    lbx, ubx, lbg, ubg = (np.asarray(bound) for bound in (below.lbx, below.ubx, below.lbg, below.ubg))
+    level = LowerLevel(NLP(pure_y, pure_p, f, g, lbx, ubx, lbg, ubg), above.n_x)
     sides, n_sides, n_y = level.sides, level.sides.entry.size, below.n_x
     shape, n_pairs = (n_y + below.n_g, n_sides), int(np.sum(~sides.equal))
     signs = ca.DM.triplet(sides.entry.tolist(), list(range(n_sides)), ca.DM(sides.sign), *shape)
-    multiplier = type(x).sym("multiplier", n_sides)
+    multiplier = kind.sym("multiplier", n_sides)
     lam_x, lam_g, _ = ca.vertsplit(ca.densify(signs @ multiplier), [0, n_y, shape[0], shape[0]])
+    lagrangian = {"gamma": ["f", "g"]}
+    gradient = oracle.factory("slope", ["y", "p", "lam:f", "lam:g"], ["grad:gamma:y"], lagrangian)
+    (slope,) = gradient.call([below.x, below.p, kind(1), lam_g], True, False)
     room = ca.DM(sides.sign * sides.bound) - signs.T @ ca.vertcat(below.x, below.g)
     member, _ = ca.vertsplit(multiplier, [0, n_pairs, n_sides])
     distance, equations = ca.vertsplit(room, [0, n_pairs, n_sides])
     zero, free = np.zeros(n_y + n_sides - n_pairs), np.full(n_y + n_sides, np.inf)
     return MPCC(
         [above.x, below.x, multiplier], above.f,
-        [above.g, _gradient(level, below, lam_g) + lam_x, equations], member, distance,
+        [above.g, slope + lam_x, equations], member, distance,
         lbx=np.append(above.lbx, -free), ubx=np.append(above.ubx, free),
         lbg=np.append(above.lbg, zero), ubg=np.append(above.ubg, zero), p=p,
         n_added=n_y + n_sides,
@@ -96,33 +106,12 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
 
 def _level(name: str, level: Mapping[str, Any], p: list[Symbolic]) -> MPCC:
     """One level, checked, as a program without pairs; its parameters are all that it does not choose."""
-    unknown = set(level) - _KEYS
-    if unknown:
-        raise ValueError(f"{name}: unknown key {min(unknown)!r}; there are {', '.join(sorted(_KEYS))}")
-    if "f" not in level:
-        raise ValueError(f"{name}: 'f' is missing, the objective")
-    if level.get("g") is not None and not {"lbg", "ubg"} & set(level):
-        raise ValueError(f"{name}: g has neither lbg nor ubg, so it constrains nothing")
-    try:
+    with located(name):
+        for key in level:
+            if key not in _KEYS:
+                raise unknown("key", key, _KEYS)
+        if "f" not in level:
+            raise ValueError("'f' is missing, the objective")
+        if level.get("g") is not None and not {"lbg", "ubg"} & set(level):
+            raise ValueError("g has neither lbg nor ubg, so it constrains nothing")
         return MPCC(**{**level, "p": p})
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
-
-
-def _lower_level(below: MPCC, n_upper: int) -> LowerLevel:
-    """The lower level in pure symbols, so that CasADi can derive it."""
-    kind, oracle = type(below.x), ca.Function("oracle", [below.x, below.p], [below.f, below.g])
-    y, p = kind.sym("y", below.n_x), kind.sym("p", below.p.shape[0])
-    f, g = oracle.call([y, p], True, False)
-    lbx, ubx, lbg, ubg = (np.asarray(bound) for bound in (below.lbx, below.ubx, below.lbg, below.ubg))
-    return LowerLevel(NLP(y, p, f, g, lbx, ubx, lbg, ubg), n_upper)
-
-
-def _gradient(level: LowerLevel, below: MPCC, lam_g: Symbolic) -> Symbolic:
-    """Gradient of ``f + lam_g^T g`` in the unknowns of the MPCC."""
-    nlp = level.nlp
-    lam = type(nlp.x).sym("lam_g", nlp.n_g)
-    gradient = ca.densify(ca.gradient(nlp.f + ca.dot(lam, nlp.g), nlp.x))
-    return ca.Function("gradient", [nlp.x, nlp.p, lam], [gradient]).call(
-        [below.x, below.p, lam_g], True, False
-    )[0]

@@ -31,9 +31,6 @@ _FACES = 6  # most weakly active constraints for that
 DENSE = 1000
 """Most variables of a lower level that is checked after each solve, by dense matrices: within a second."""
 
-SEARCHES = 20
-"""Starts from which a lower value is looked for at the end of a solve."""
-
 BoolArray = NDArray[np.bool_]
 
 
@@ -179,7 +176,7 @@ class LowerLevel:
         own = np.maximum(signed, 0.0) if multipliers is None else multipliers
         return np.concatenate([np.ravel(x), solution.x, np.where(sides.equal, signed, own)])
 
-    def check(self, x: ArrayLike, *, p: ArrayLike = (), searches: int = 0) -> LowerLevelCheck:
+    def check(self, x: ArrayLike, *, p: ArrayLike = (), search: bool = False) -> LowerLevelCheck:
         """Whether the lower level is at a minimum.
 
         Parameters
@@ -188,8 +185,8 @@ class LowerLevel:
             A point of the MPCC, such as ``result.x``.
         p : array_like
             Values of the parameters.
-        searches : int
-            Starts from which :meth:`lowest` looks for a lower value, if the lower level is not convex.
+        search : bool
+            Whether :meth:`lowest` looks for a lower value, if the lower level is not convex.
         """
         n_y, n_g, (entry, sign, bound, equal) = self.nlp.n_x, self.nlp.n_g, self.sides
         upper, y, multiplier = self.split(x)
@@ -213,8 +210,8 @@ class LowerLevel:
         is_quadratic, is_linear = self._shape
         is_convex = is_quadratic and is_linear and least_eigenvalue(matrix, np.eye(n_y))[0] >= -flat
         lowest = None
-        if searches and not is_convex:
-            end = self.lowest(upper, y, p=p, n=searches)
+        if search and not is_convex:
+            end = self.lowest(upper, y, p=p)
             lowest = end.x if end.converged and end.f < f[0] - ZERO * (1 + abs(f[0])) else None
         if not residual <= ZERO:
             verdict = "not stationary"

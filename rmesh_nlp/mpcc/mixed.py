@@ -28,7 +28,8 @@ Member = tuple[Symbolic, float, float]
 class PlainPairs(NamedTuple):
     """What mixed pairs become."""
 
-    pairs: list[tuple[Symbolic, Symbolic]]
+    G: list[Symbolic]
+    H: list[Symbolic]
     rows: list[Symbolic]
     """Expressions that vanish."""
     unknowns: list[Symbolic]
@@ -39,7 +40,7 @@ class PlainPairs(NamedTuple):
 
 def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) -> PlainPairs:
     """Rewrite mixed pairs; raises ValueError if the bounds of a pair make no complementarity."""
-    plain = PlainPairs([], [], [], [])
+    plain = PlainPairs([], [], [], [], [])
     for i, (first, second) in enumerate(pairs):
         n_first, n_second = (int(np.isfinite(member[1:]).sum()) for member in (first, second))
         if n_first + n_second not in (0, 2):
@@ -51,7 +52,8 @@ def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) ->
             )
         (partner, *_), (value, lower, upper) = (second, first) if n_first == 2 else (first, second)
         if n_first == n_second == 1:
-            plain.pairs.append((_room(*first), _room(*second)))
+            plain.G.append(_room(*first))
+            plain.H.append(_room(*second))
         elif n_first == n_second:
             plain.rows.append(partner)
         elif lower == upper:
@@ -60,7 +62,8 @@ def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) ->
             n = len(plain.unknowns) // 2
             up, down = kind.sym(f"up{n}"), kind.sym(f"down{n}")
             plain.rows.append(partner - up + down)
-            plain.pairs.extend([(up, value - lower), (down, upper - value)])
+            plain.G.extend([up, down])
+            plain.H.extend([value - lower, upper - value])
             plain.unknowns.extend([up, down])
             plain.starts.extend([ca.fmax(partner, 0), ca.fmax(-partner, 0)])
     return plain

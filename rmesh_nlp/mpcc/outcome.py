@@ -12,7 +12,7 @@ from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish
 from rmesh_nlp.mpcc.homotopy import Path
-from rmesh_nlp.mpcc.lower_level import DENSE, SEARCHES
+from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
@@ -118,7 +118,7 @@ def result_of(
     lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
     level, check, status = mpcc.lower_level, None, end.status
     if level is not None and level.nlp.n_x <= DENSE:
-        check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], searches=SEARCHES if end.solved else 0)
+        check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], search=end.solved)
         if end.solved and check.verdict == "no minimum":
             status = Status.NO_MINIMUM
     phases = {"homotopy": 0.0, "finish": 0.0}

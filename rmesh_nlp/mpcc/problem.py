@@ -173,9 +173,8 @@ class MPCC:
             As the constructor.
         """
         kind = type(self.x)
-        new_x, new_p, new_g, new_G, new_H = (
-            kind(0, 1) if part is None else ca.vertcat(kind(part)) for part in (x, p, g, G, H)
-        )
+        new = {"x": x, "p": p, "g": g, "G": G, "H": H}
+        new_x, new_p, new_g, new_G, new_H = (_column(name, part, kind) for name, part in new.items())
         kept = np.zeros(self.n_g + 2 * self.n_pairs)
         oracle = NLP(
             self.x, self.p, self.f, ca.vertcat(self.g, self.G, self.H), np.asarray(self.lbx),
@@ -228,15 +227,13 @@ class MPCC:
             )
         )
         plain = plain_pairs(zip(first, second, strict=True), kind)
-        n_new, none = len(plain.unknowns), np.zeros(len(plain.rows))
-        starts = ca.densify(ca.vertcat(kind(0, 1), *plain.starts))
-        return replace(
-            given, x=[x, *plain.unknowns], g=[given.g, *plain.rows],
-            G=[G for G, _ in plain.pairs], H=[H for _, H in plain.pairs],
-            lbx=np.append(given.lbx, np.zeros(n_new)), ubx=np.append(given.ubx, np.full(n_new, np.inf)),
-            lbg=np.append(given.lbg, none), ubg=np.append(given.ubg, none),
-            n_added=n_new, completion=ca.Function("completion", [x, given.p], [starts]) if n_new else None,
-        )  # fmt: skip
+        longer = replace(given, G=None, H=None).extended(
+            x=plain.unknowns, g=plain.rows, G=plain.G, H=plain.H, lbx=0, lbg=0, ubg=0
+        )
+        if not plain.unknowns:
+            return longer
+        completion = ca.Function("completion", [x, given.p], [ca.densify(ca.vertcat(*plain.starts))])
+        return replace(longer, n_added=len(plain.unknowns), completion=completion)
 
 
 def _numbers(name: str, value: object) -> Array:
