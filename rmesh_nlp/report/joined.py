@@ -21,8 +21,8 @@ from rmesh_nlp.report.blocks import (
     seedless,
     with_order,
 )
-from rmesh_nlp.report.columns import Column, cells, short_label, shown, table_of
-from rmesh_nlp.report.table import MISSING, Groups, Table
+from rmesh_nlp.report.columns import Column, cells, short_label, table_of
+from rmesh_nlp.report.table import Groups, Table
 from rmesh_nlp.solving.parts import FEW
 
 STARTS = (
@@ -147,44 +147,32 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}
 
 
-def _designed(record: Record) -> dict[str, tuple[float | None, str]]:
-    """Value and bounds in words of each design variable."""
-    bounds = record.get("design_bounds") or {}
-    return {
-        name: (value, bounds_in_words(*bounds[name]) if name in bounds else MISSING)
-        for name, value in record["design"].items()
-    }
-
-
-def _constrained(record: Record) -> dict[str, tuple[float | None, str]]:
-    """The same of each constrained quantity."""
-    return {
-        name: (one.get("value"), bounds_in_words(one.get("lower"), one.get("upper")))
-        for name, one in record["constraints"].items()
-    }
-
-
 def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[Table]:
     """Design variables or constrained quantities: bounds, the first design, and where each solve ended."""
     solved = [record for record in records if record.get(entry)]
-    of_solves = _constrained if entry == "constraints" else _designed
-    known = [of_solves(record) for record in solved]
-    bounds = {name: words for own in known[::-1] for name, (_, words) in own.items()}
-    if not bounds:
+    if not solved:
         return
-    names = list(dict.fromkeys(name for own in known for name in own))
-    rows = [["bounds", *(bounds[name] for name in names)]]
-    if start := solved[0].get(f"{entry}_initial"):
-        rows.append(["start", *(shown(start.get(name), ".5g") for name in names)])
+    if entry == "design":
+        values, bounds = [record["design"] for record in solved], solved[0].get("design_bounds") or {}
+    else:
+        known = [record["constraints"].items() for record in solved]
+        values = [{name: one.get("value") for name, one in own} for own in known]
+        bounds = {name: (one.get("lower"), one.get("upper")) for own in known[::-1] for name, one in own}
+    start = solved[0].get(f"{entry}_initial")
+    rows = [{"": "bounds", **{name: bounds_in_words(*pair) for name, pair in bounds.items()}}]
+    rows += [{"": "start", **start}] if start else []
     solves = [
-        [short_label(record), *(shown(own.get(name, (None,))[0], ".5g") for name in names)]
-        for record, own in zip(solved, known, strict=True)
+        {"": short_label(record), **own}
+        for record, own in zip(solved, values, strict=True)
         if record["formulation"] != RELOCATING_NOTHING or entry == "constraints"
     ]
+    names = list(dict.fromkeys(name for own in values for name in own))
+    columns = [Column("formulation", ""), *(Column(name, name, ".5g") for name in names)]
     said = f"{NAMED[entry]}: bounds, where there is one the start, and the end of each solve."
     if len(names) <= FEW:
-        yield Table(["formulation", *names], [(title, [*rows, *solves])], said, NAMED[entry])
+        yield Table(["formulation", *names], [(title, cells(columns, rows + solves))], said, NAMED[entry])
         return
     for first in range(0, max(len(solves), 1), FEW):
-        head, *body = zip(["name", *names], *rows, *solves[first : first + FEW], strict=True)
+        some = cells(columns, rows + solves[first : first + FEW])
+        head, *body = zip(["name", *names], *some, strict=True)
         yield Table(head, [(title, body)], said, NAMED[entry], is_detail=True)
