@@ -75,7 +75,7 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
                 integral = shape_integrals(edges, coefficient, space.order)
                 add(i, space.nodes_of(edges.ends), integral)
     for point in problem.point_loads:
-        load[space.number[point.node]] += point.force
+        load[point.node] += point.force
     return load.ravel(), doubt.ravel()
 
 

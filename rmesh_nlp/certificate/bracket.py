@@ -173,7 +173,7 @@ def refined_bracket(
     finer = replace(problem, mesh=mesh, motion=Motion(None))
     for _ in range(refinements):
         coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))
-        guess = guess.on_refined(DisplacementSpace.of(coarse), DisplacementSpace.of(finer))
+        guess = guess.on_refined(DisplacementSpace(coarse), DisplacementSpace(finer))
     refined = bracket(finer, np.asarray(finer.mesh.p), guess)
     children = 4**refinements
     return replace(

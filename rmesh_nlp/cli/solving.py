@@ -98,7 +98,7 @@ def _of_file(
     plan = planned(problem, name, options, certify=given.get("certify", stated.solve.certify))
     if options.keys() & {"starts", "remesh"}:
         return plan, None
-    return plan, Series(problem, most=max(2, SERIES_NODES // DisplacementSpace.of(problem).n_nodes))
+    return plan, Series(problem, most=max(2, SERIES_NODES // DisplacementSpace(problem).n_nodes))
 
 
 def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:

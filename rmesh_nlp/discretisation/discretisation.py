@@ -27,18 +27,14 @@ from rmesh_nlp.problem.rigid import rigid_motions
 
 @dataclass(frozen=True)
 class Discretisation:
-    """Space, fields, element terms and validity rows of one problem, each made once, when first asked for.
-
-    The nodes of the displacement space are by default numbered as the vertices, and then the edges, are.
-    """
+    """Space, fields, element terms and validity rows of one problem, each made once, when first asked for."""
 
     problem: ContactProblem
-    displacement_space: DisplacementSpace | None = None
 
     @cached_property
     def space(self) -> DisplacementSpace:
         """The displacement space: nodes, gaps, weights, values for output."""
-        return self.displacement_space or DisplacementSpace.of(self.problem)
+        return DisplacementSpace(self.problem)
 
     @cached_property
     def mesh_map(self) -> MeshMap:
@@ -63,7 +59,7 @@ class Discretisation:
     def rigid_motions(self, nodes: Array) -> Array:
         """(n_u, motions) the rigid motions at vertex positions (2, vertices) that only contact prevents."""
         free = self.displacement.index >= 0
-        motions = [self.space.of_linear(motion) for motion in rigid_motions(self.problem, nodes)]
+        motions = [self.space.points(motion) for motion in rigid_motions(self.problem, nodes)]
         result = np.zeros((self.n_u, len(motions)))
         for k, motion in enumerate(motions):
             result[self.displacement.index[free], k] = motion[free]

@@ -113,7 +113,7 @@ def given_gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
         if nodes.size:
             function = gap_function(part.obstacle, space.problem.components, shares)
             rows = np.arange(nodes.size)
-            places = nodes[None], space.number[nodes][None]
+            places = nodes[None], nodes[None]
             terms.append(ElementTerm(function, places, first + rows[None]))
             first += nodes.size
     return terms

@@ -45,7 +45,7 @@ class Fields(NamedTuple):
     @property
     def space(self) -> DisplacementSpace:
         """That of the displacement."""
-        return self.displacement.space or DisplacementSpace.of(self.problem)
+        return self.displacement.space or DisplacementSpace(self.problem)
 
     def group(self, function: ca.Function, vertices: Index, nodes: Index) -> ElementGroup:
         """The sum over cells of a function of X_e and u_e.

@@ -164,7 +164,7 @@ def nodal(
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
         at_nodes = Straight(chosen.size, on.problem.components, 1)
         value = at_nodes.function("quantity", _scalar(function(at_nodes.X, at_nodes.u), name))
-        return [on.group(value, chosen, on.space.number[chosen])]
+        return [on.group(value, chosen, chosen)]
 
     return quantity
 

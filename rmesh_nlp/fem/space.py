@@ -25,20 +25,10 @@ class DisplacementSpace:
 
     A node of the space carries one unknown for each component that is not given: a coefficient of Bernstein's
     polynomials (:mod:`rmesh_nlp.fem.bernstein`). There is one node at each vertex and, of order 2, one at
-    each edge. Gaps, weights, fields and output ask the space for nodes and never take vertices of the mesh
-    for them. ``number`` is the node at each vertex, then of order 2 at each edge, in the order of the mesh.
+    each edge; they are numbered as the vertices of the mesh are, then as its edges are.
     """
 
     problem: ContactProblem
-    number: Index
-
-    @staticmethod
-    def of(problem: ContactProblem) -> DisplacementSpace:
-        """The space of a problem, its nodes numbered as the vertices are, then as the edges are."""
-        mesh = problem.mesh
-        return DisplacementSpace(
-            problem, np.arange(mesh.p.shape[1] + (mesh.facets.shape[1] if problem.order == 2 else 0))
-        )
 
     @property
     def order(self) -> int:
@@ -48,7 +38,7 @@ class DisplacementSpace:
     @property
     def n_nodes(self) -> int:
         """Number of nodes."""
-        return int(self.number.size)
+        return self.n_vertices + (self.problem.mesh.facets.shape[1] if self.order == 2 else 0)
 
     @property
     def n_vertices(self) -> int:
@@ -65,43 +55,35 @@ class DisplacementSpace:
 
         Those at the vertices, and of order 2 those at the edges, in the order of ``bernstein.SIDES``.
         """
-        at_vertices = self.number[cells]
         sides = SIDES[len(cells)] if self.order == 2 else ()
-        return np.vstack([at_vertices, *(self.nodes_at(cells[a], cells[b])[None] for a, b in sides)])
+        return np.vstack([cells, *(self.nodes_at(cells[a], cells[b])[None] for a, b in sides)])
 
     def nodes_at(self, first: Index, second: Index) -> Index:
         """Nodes (n,) at the edges between vertices (n,), of order 2."""
         names, order = self._edge_names
         place = np.searchsorted(names, _names(first, second, self.n_vertices), sorter=order)
-        return np.asarray(self.number[self.n_vertices + order[place]])
+        return np.asarray(self.n_vertices + order[place])
 
     def kinds(self, nodes: Index) -> Iterator[tuple[Index, Index, Array]]:
         """Nodes by the vertices that carry them: ``(which, vertices, shares)`` for each kind of node.
 
         The nodes ``nodes[which]`` are at ``X[:, vertices] @ shares``, with ``vertices`` (per node, nodes).
         """
-        carrier = self._carrier[nodes]
-        at_vertex = carrier < self.n_vertices
-        yield np.flatnonzero(at_vertex), carrier[at_vertex][None], np.ones(1)
+        at_vertex = nodes < self.n_vertices
+        yield np.flatnonzero(at_vertex), nodes[at_vertex][None], np.ones(1)
         if not np.all(at_vertex):
-            facets = self.problem.mesh.facets[:, carrier[~at_vertex] - self.n_vertices]
+            facets = self.problem.mesh.facets[:, nodes[~at_vertex] - self.n_vertices]
             yield np.flatnonzero(~at_vertex), facets.astype(np.int64), np.full(2, 0.5)
 
     def points(self, X: Array) -> Array:
-        """(2, nodes) where the nodes are at vertex positions (2, vertices)."""
-        return self.of_linear(X)
+        """(2, nodes) where the nodes are at vertex positions (2, vertices).
 
-    def of_linear(self, values: Array) -> Array:
-        """(components, nodes) coefficients of a field linear on each triangle, by its values at vertices."""
+        Of any field that is linear on each triangle, by its values at vertices: values and coefficients.
+        """
         if self.order == 1:
-            return np.asarray(values[:, self._carrier])
-        ends = self.problem.mesh.facets
-        at_nodes = np.hstack([values, (values[:, ends[0]] + values[:, ends[1]]) / 2])
-        return np.asarray(at_nodes[:, self._carrier])
-
-    def at_vertices(self, coefficients: Array) -> Array:
-        """(components, vertices) values at vertices of the field with coefficients (components, nodes)."""
-        return np.asarray(coefficients[:, self.number[: self.n_vertices]])
+            return X
+        a, b = self.problem.mesh.facets
+        return np.hstack([X, (X[:, a] + X[:, b]) / 2])
 
     def values(self, coefficients: Array) -> Array:
         """(components, nodes) values at the nodes' points of the field with coefficients at the nodes."""
@@ -114,8 +96,9 @@ class DisplacementSpace:
     def _with_edges(self, given: Array, of_ends: float, of_own: float) -> Array:
         result = np.array(given, dtype=float)
         if self.order == 2:
-            ends, own = self.number[self.problem.mesh.facets], self.number[self.n_vertices :]
-            result[:, own] = of_own * given[:, own] + of_ends * (given[:, ends[0]] + given[:, ends[1]])
+            a, b = self.problem.mesh.facets
+            result[:, self.n_vertices :] *= of_own
+            result[:, self.n_vertices :] += of_ends * (given[:, a] + given[:, b])
         return result
 
     def given(self) -> tuple[NDArray[np.bool_], Array]:
@@ -126,7 +109,7 @@ class DisplacementSpace:
         if self.order == 2:
             of_edges = self._given_at_edges(value)
             held, value = (np.hstack(pair) for pair in zip((held, value), of_edges, strict=True))
-        return held[:, self._carrier], value[:, self._carrier]
+        return held, value
 
     def _given_at_edges(self, at_vertices: Array) -> tuple[NDArray[np.bool_], Array]:
         """The same at edges, by the values at vertices."""
@@ -149,7 +132,7 @@ class DisplacementSpace:
         """Per obstacle the nodes whose gap depends on an unknown, and the rows of their gaps among all."""
         sets, first = [], 0
         for part in self.problem.contact_sets:
-            nodes = self.number[part.nodes]
+            nodes = part.nodes
             if self.order == 2:
                 nodes = np.append(nodes, self._met_at_edges(self.problem.first_obstacles[part.number]))
             sets.append(ContactSet(part.number, part.obstacle, nodes, first + np.arange(nodes.size)))
@@ -162,7 +145,7 @@ class DisplacementSpace:
             facets = np.arange(mesh.facets.shape[1])
         else:
             facets = np.unique(mesh.boundaries[obstacle.boundary])
-        nodes = self.number[self.n_vertices + facets]
+        nodes = self.n_vertices + facets
         held, _ = self.given()
         seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > ROUNDING
         return np.asarray(nodes[np.any(~held[:, nodes] & seen, axis=0)])
@@ -196,11 +179,6 @@ class DisplacementSpace:
             whole = np.bincount(nodes.ravel(), share, self.n_nodes)
             weights.append(np.asarray(whole[part.nodes], dtype=float))
         return np.concatenate(weights)
-
-    @cached_property
-    def _carrier(self) -> Index:
-        """(nodes,) the vertex of each node, or the number of its edge after those of all vertices."""
-        return np.argsort(self.number)
 
     @cached_property
     def _edge_names(self) -> tuple[Index, Index]:

@@ -16,7 +16,7 @@ CENTRE = np.full(3, 1 / 3)
 
 def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Array = CENTRE) -> Array:
     """Displacement gradient (components, 2, elements, ...) at barycentric coordinates (3, ...)."""
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     # the linear fields that have the slopes of positions and displacement there
     turn = slopes(space.order, shares)
     x, u = (

@@ -68,11 +68,11 @@ def point_data(solution: Solution) -> dict[str, Array]:
     3 tied, -1 in the middle of an edge, which follows its ends; ``box_multiplier`` (of move limits) as in
     :class:`rmesh_nlp.models.residual.Multipliers`.
     """
-    space, fields = DisplacementSpace.of(solution.problem), fields_of(solution)
+    space, fields = DisplacementSpace(solution.problem), fields_of(solution)
     data = fields.point_data()
     data["gap"] = gaps(space, fields.nodes, solution.displacement)
     data["motion"] = three(fields.nodes - fields.initial)
-    vertices = space.number[: space.n_vertices]
+    vertices = slice(space.n_vertices)
     data["mobility"] = np.full(space.n_nodes, -1, np.int32)
     data["mobility"][vertices] = MeshMap.of(solution.problem).mobility
     if solution.multipliers is not None:
@@ -127,13 +127,13 @@ def write_solution(
 
     Formats without quadratic triangles get the vertices alone, with the values there.
     """
-    space, cells = DisplacementSpace.of(solution.problem), solution.problem.triangles
+    space, cells = DisplacementSpace(solution.problem), solution.problem.triangles
     points, of_nodes = points_of(space, np.asarray(solution.mesh.p)), point_data(solution)
     kind = file_format or meshio.extension_to_filetypes.get(Path(path).suffix, [""])[0]
     if space.order == 1 or kind in QUADRATIC:
         cells = space.elements
     else:
-        vertices = space.number[: space.n_vertices]
+        vertices = slice(space.n_vertices)
         points, of_nodes = points[:, vertices], {name: values[vertices] for name, values in of_nodes.items()}
     file_mesh(points, cells, of_nodes, cell_data(solution, certificate)).write(path, file_format)
 
@@ -243,13 +243,13 @@ class Series:
 
 def node_table(solution: Solution) -> pd.DataFrame:
     """The fields of the nodes as a pandas table, one row per node, vectors by component."""
-    x, y = points_of(DisplacementSpace.of(solution.problem), np.asarray(solution.mesh.p))
+    x, y = points_of(DisplacementSpace(solution.problem), np.asarray(solution.mesh.p))
     return _table({"x": x, "y": y, **point_data(solution)})
 
 
 def element_table(solution: Solution) -> pd.DataFrame:
     """The fields of the elements as a pandas table, one row per element."""
-    elements = DisplacementSpace.of(solution.problem).elements
+    elements = DisplacementSpace(solution.problem).elements
     nodes = {f"node_{k}": column for k, column in enumerate(elements, 1)}
     return _table({**nodes, **cell_data(solution)})
 

@@ -84,19 +84,19 @@ def read_kept(folder: Path, record: Record) -> KeptSolution | None:
     designed = problem if problem.design else None
     problem = problem.at_design(record.get("design"))
     fields = read_vtu(folder / "solution.vtu")
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     is_remeshed = not np.array_equal(fields.triangles, space.elements)
     if is_remeshed:
         remeshed = _on_written_mesh(problem, folder, fields)
         if remeshed is None:
             return None
-        problem, space = remeshed, DisplacementSpace.of(remeshed)
-    vertices, multipliers = space.number[: space.n_vertices], fields.multipliers
+        problem, space = remeshed, DisplacementSpace(remeshed)
+    multipliers = fields.multipliers
     if multipliers is not None:
-        multipliers = replace(multipliers, limit=multipliers.limit[vertices])
+        multipliers = replace(multipliers, limit=multipliers.limit[: space.n_vertices])
     return KeptSolution(
         problem=problem,
-        mesh=relocated_mesh(problem.mesh, fields.nodes[:, vertices]),
+        mesh=relocated_mesh(problem.mesh, fields.nodes[:, : space.n_vertices]),
         displacement=fields.displacement,
         pressure=fields.pressure,
         multipliers=multipliers,

@@ -85,7 +85,7 @@ def file_mesh(
 
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
-    space = DisplacementSpace.of(solution.problem)
+    space = DisplacementSpace(solution.problem)
     nodes = points_of(space, np.asarray(solution.mesh.p))
     contact, bound, foundation = np.zeros(space.n_nodes, dtype=bool), np.zeros(space.n_nodes), nodes.copy()
     for part in space.contact_sets:

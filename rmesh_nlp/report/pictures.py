@@ -48,7 +48,7 @@ def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: A
 
     Displacement ``u`` (components, nodes) and pressure (nodes,) are at the nodes of the displacement.
     """
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     nodes, contacts = points_of(space, X), []
     closed = np.zeros(space.elements.shape[1], dtype=bool)
     for part in space.contact_sets:
@@ -67,7 +67,7 @@ def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: A
 def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> Body:
     """The contact solution before relocation; ``pressure`` (nodes,) of a similar mesh says who touches."""
     model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
-    system, space = model.system(X), DisplacementSpace.of(problem)
+    system, space = model.system(X), DisplacementSpace(problem)
     start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)
     state = solve(system, start)
     pressure = np.zeros(space.n_nodes)
@@ -186,7 +186,7 @@ def limits_figure(solution: Drawable, body: Body, page: Page) -> Figure:
 
 def motion_figure(solution: Drawable, body: Body, begin: Array, end: Array, page: Page) -> Figure:
     """The way of each vertex, from ``begin`` to ``end`` (2, vertices), over the colours of its length."""
-    space, unit = DisplacementSpace.of(solution.problem), solution.problem.units.length
+    space, unit = DisplacementSpace(solution.problem), solution.problem.units.length
     motion = body.nodes - points_of(space, begin)
 
     def paint(axis: Axes, body: Body) -> Any:

@@ -33,7 +33,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     has a marker for its mobility, and sliding ones a short line along which they slide. Foundations are
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
-    mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace.of(problem)
+    mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
     nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
     body = Body("", nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
     extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)

@@ -76,7 +76,7 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
 
 def _bracket(state: State, continuous: Admissible, refinements: int | None) -> Bracket:
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
-    u = DisplacementSpace.of(state.problem).coefficients(state.displacement)
+    u = DisplacementSpace(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
     bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
     if state.problem.motion.curves:  # certified as the polygon of its mesh

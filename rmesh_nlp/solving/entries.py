@@ -48,7 +48,7 @@ def _units(solution: Solution) -> dict[str, str]:
 
 
 def _unknowns(solution: Solution) -> int:
-    return int(np.sum(~DisplacementSpace.of(solution.problem).given()[0]))
+    return int(np.sum(~DisplacementSpace(solution.problem).given()[0]))
 
 
 def _own_design(solution: Solution, of: Callable[[Any], object]) -> dict[str, object] | None:

@@ -43,7 +43,7 @@ def plot(
         from matplotlib import pyplot  # the windows that it can open are for this alone
 
         _, axes = pyplot.subplots(layout="constrained")
-    space, scalar = DisplacementSpace.of(problem), problem.components == 1
+    space, scalar = DisplacementSpace(problem), problem.components == 1
     nodes, cells = points_of(space, X), space.elements
     title = "flux" if scalar and what == "stress" else what
     if what == "mesh":
@@ -96,7 +96,7 @@ def size_of(u: Array) -> Array:
 
 def size_of_stress(problem: ContactProblem, X: Array, u: Array) -> Array:
     """(elements, pieces) von Mises stress, or the length of the flux of a scalar problem, as it is drawn."""
-    stress = stresses(problem, X, u, centres(DisplacementSpace.of(problem).elements))
+    stress = stresses(problem, X, u, centres(DisplacementSpace(problem).elements))
     return np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
 
 

@@ -126,7 +126,7 @@ def unassessed(seconds: float, solution: rm.Solution) -> float:
 
 def unknowns(problem: ContactProblem) -> int:
     """Number of displacement nodes."""
-    return int(DisplacementSpace.of(problem).n_nodes)
+    return int(DisplacementSpace(problem).n_nodes)
 
 
 def _row(case: Case, problem: ContactProblem) -> Row:

@@ -40,7 +40,7 @@ def problem(n: int) -> ContactProblem:
 def radius(case: Case) -> float:
     """Radius of the contact set from the total reaction, which is 2 per area of contact."""
     problem, nodes = case.after.problem, np.asarray(case.after.mesh.p)
-    reaction = case.after.pressure[problem.contact_nodes] @ DisplacementSpace.of(problem).weights(nodes)
+    reaction = case.after.pressure[problem.contact_nodes] @ DisplacementSpace(problem).weights(nodes)
     return float(np.sqrt(reaction / (2 * np.pi)))
 
 

@@ -59,7 +59,7 @@ def measure(solution: Solution) -> Contact:
     """Half-width and peak of the computed pressure over those of Hertz."""
     nodes = solution.problem.contact_nodes
     x, pressure = solution.mesh.p[0, nodes], solution.pressure[nodes]
-    load = 2 * float(pressure @ DisplacementSpace.of(solution.problem).weights(np.asarray(solution.mesh.p)))
+    load = 2 * float(pressure @ DisplacementSpace(solution.problem).weights(np.asarray(solution.mesh.p)))
     a = np.sqrt(4 * load * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG))
     touching = pressure > 0
     slope, square = np.polyfit(x[touching] ** 2, pressure[touching] ** 2, 1)

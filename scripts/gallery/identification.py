@@ -95,7 +95,7 @@ def problem(n: int, order: int = 2) -> rm.ContactProblem:
 def at_gauges(slab: rm.ContactProblem, design: Mapping[str, float]) -> NDArray[np.float64]:
     """(2, gauges) displacements; the gauges must be at nodes."""
     solution = rm.solve(slab.at_design(design), "fixed")
-    points = DisplacementSpace.of(solution.problem).points(np.asarray(solution.mesh.p))
+    points = DisplacementSpace(solution.problem).points(np.asarray(solution.mesh.p))
     distance = np.linalg.norm(points[:, :, None] - GAUGES[:, None], axis=0)
     assert np.max(distance.min(axis=0)) < 1e-9, "no node at a gauge"
     return solution.displacement[:, distance.argmin(axis=0)]

@@ -261,7 +261,7 @@ RIDGE = (SAMPLES / 2 + 0.5) / SAMPLES
 
 
 def cells_on(problem: ContactProblem) -> list[Cells]:
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     return list(cells_of(Body(problem, problem.mesh.p), space, space.contact_sets[0]))
 
 

@@ -41,7 +41,7 @@ def test_stiffness_and_loads_are_those_of_the_formulations(order: int) -> None:
     body, model = Body(problem, problem.mesh.p), ContactSolver(problem)
     system = model.system(problem.mesh.p)
     free = np.flatnonzero(model.displacement.index.T.ravel() >= 0)
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     K, (F, doubt) = stiffness(body, space)[free][:, free], load_vector(body, space)
     assert abs(K - system.stiffness).max() < 1e-4 * abs(K).max()
     np.testing.assert_allclose(F[free], system.load, atol=1e-6 * np.max(np.abs(F)))
@@ -54,7 +54,7 @@ def test_work_of_polynomial_loads_is_exact(order: int) -> None:
     for degree in range(4):
         source = Laplace(lambda x, y, k=degree: x**k + 0 * y)
         problem = ContactProblem(rectangle(1, 1), source, ("left",), order=order)
-        space = DisplacementSpace.of(problem)
+        space = DisplacementSpace(problem)
         load, doubt = load_vector(Body(problem, problem.mesh.p), space)
         u = space.coefficients(space.points(problem.mesh.p)[:1] ** order)
         assert load @ u[0] == pytest.approx(1 / (degree + order + 1), rel=1e-13)
@@ -81,7 +81,7 @@ def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pyte
 @pytest.mark.parametrize("order", [1, 2])
 def test_rules_suffice_beside_arcs(order: int, monkeypatch: pytest.MonkeyPatch) -> None:
     problem = replace(plate({"hole": HOLE}), order=order)
-    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace(problem)
     K = stiffness(body, space).toarray()
     monkeypatch.setattr(integrals, "RULES", (14, 16))
     monkeypatch.setattr(integrals, "CHUNK", 40)  # many parts, the same sums
@@ -96,7 +96,7 @@ def test_resultants_of_loads_are_those_of_the_true_domain(order: int) -> None:
         tractions=(Traction("right", (10.0, 0.0)), Traction("hole", (0.0, 4.0))),
         point_loads=(PointLoad(0, (0.5, 0.25)),),
     )
-    load, doubt = load_vector(Body(problem, problem.mesh.p), DisplacementSpace.of(problem))
+    load, doubt = load_vector(Body(problem, problem.mesh.p), DisplacementSpace(problem))
     area, arc = 100 - np.pi * 2.5**2, 2 * np.pi * 2.5
     assert load.reshape(-1, 2).sum(axis=0) == pytest.approx(
         [2 * area + 100 + 0.5, -3 * area + 4 * arc + 0.25]
@@ -114,7 +114,7 @@ def test_friction_of_a_slip_that_turns_by_hand(zeros: tuple[float, float]) -> No
         Obstacle.graph("bottom", 0.0, friction=lambda x, y: (1 + x) ** 2),
         order=2,
     )
-    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace(problem)
     edges, x = body.edges("bottom"), space.points(problem.mesh.p)[0]
     u = space.coefficients(np.stack([(x - zeros[0]) * (x - zeros[1]), np.full(x.size, 7.0)]))
     anti = (np.polynomial.Polynomial([1, 2, 1]) * np.polynomial.Polynomial.fromroots(zeros)).integ()
@@ -131,7 +131,7 @@ def test_friction_along_a_round_foundation(order: int) -> None:
     """The slip along it of a displacement that turns on the way, by a fine sum."""
     disc = Obstacle.circle("bottom", (1.0, -1.0), 1.1, friction=lambda x, y: 1 + x)
     problem = ContactProblem(rectangle(2, 1, x=(0, 2)), PlaneStrain(1.0, 1.0), ("top",), disc, order=order)
-    body, space = Body(problem, problem.mesh.p), DisplacementSpace.of(problem)
+    body, space = Body(problem, problem.mesh.p), DisplacementSpace(problem)
     edges = body.edges("bottom")
     u = np.random.default_rng(3).normal(size=(2, space.n_nodes))
     found, doubt = friction_energy(edges, disc, u[:, space.nodes_of(edges.ends)])

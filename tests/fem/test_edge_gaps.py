@@ -38,7 +38,7 @@ def passes(problem: ContactProblem, body: ContactProblem | None = None) -> tuple
     state = model.solve(nodes)
     assert np.sum(state.active.touching) >= 2
     return penetration(
-        DisplacementSpace.of(body or problem), nodes, model.displacement.values(state.u)
+        DisplacementSpace(body or problem), nodes, model.displacement.values(state.u)
     ), state.energy
 
 

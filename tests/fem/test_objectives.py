@@ -75,7 +75,7 @@ def plate() -> ContactProblem:
 
 def linear(problem: ContactProblem, *slopes: float) -> np.ndarray:
     """Coefficients of the displacement with these multiples of x."""
-    return discretise(problem).space.of_linear(np.multiply.outer(slopes, problem.mesh.p[0]))
+    return discretise(problem).space.points(np.multiply.outer(slopes, problem.mesh.p[0]))
 
 
 @pytest.mark.parametrize(
@@ -394,7 +394,7 @@ def test_derivatives_where_points_are_in_space(order: int) -> None:
 def _by_skfem(problem: ContactProblem, u: np.ndarray, points: np.ndarray, values: np.ndarray) -> float:
     """The weighted squares, the displacement of order 1 or 2 evaluated by barycentric coordinates."""
     basis = Basis(problem.mesh, ElementTriP1() if problem.order == 1 else ElementTriP2())
-    nodal = DisplacementSpace.of(problem).values(u)
+    nodal = DisplacementSpace(problem).values(u)
     dofs = np.hstack([basis.nodal_dofs, *([basis.facet_dofs] if problem.order == 2 else [])])[0]
     inside = points + 1e-12 * (np.array([[2.0], [0.5]]) - points)
     total = 0.0

@@ -138,7 +138,7 @@ def test_stresses_of_a_linear_displacement_obey_hookes_law_in_space(law, order) 
     young, poisson = 200.0, 0.3
     problem = rm.ContactProblem(mesh, law.from_young(young, poisson), ("left",), order=order)
     gradient = np.array([[0.01, 0.004], [-0.002, 0.006]])
-    points = points_of(DisplacementSpace.of(problem), mesh.p)
+    points = points_of(DisplacementSpace(problem), mesh.p)
     xx, yy, xy, zz = stresses(problem, mesh.p, gradient @ points)
     # strains from stresses by Hooke's law in space: another form than the one under test
     strain = (gradient + gradient.T) / 2
@@ -170,7 +170,7 @@ def test_the_flux_of_a_quadratic_displacement_is_linear(curved) -> None:
     curves = {"hole": HOLE} if curved else {}
     problem = replace(plate(curves), law=rm.Laplace(), dirichlet=("left",), tractions=(), order=2)
     X, shares = problem.mesh.p, np.array([[0.2, 0.7], [0.5, 0.0], [0.3, 0.3]])
-    x, y = points_of(DisplacementSpace.of(problem), X)
+    x, y = points_of(DisplacementSpace(problem), X)
     straight = np.ones(problem.triangles.shape[1], dtype=bool)
     if curved:  # on blended triangles of linear displacements alone
         straight[problem.mesh.f2t[0, problem.mesh.boundaries["hole"]]] = False

@@ -35,7 +35,7 @@ def on(mesh: MeshTri, law: Any = None) -> ContactProblem:
 
 def recovered(mesh: MeshTri, values: np.ndarray, law: Any = None) -> np.ndarray:
     """(components, 3, nodes) on a mesh of one region."""
-    (region,) = recovered_in(DisplacementSpace.of(on(mesh, law)), mesh.p, values)
+    (region,) = recovered_in(DisplacementSpace(on(mesh, law)), mesh.p, values)
     np.testing.assert_array_equal(region.nodes, np.arange(mesh.p.shape[1]))
     return region.derivatives
 
@@ -120,7 +120,7 @@ class TestCubics:
     THIRD = np.array([[1.7, -0.6, 0.4, 2.0], [-2.0, 0.9, 3.1, 0.5]])
 
     def found(self, mesh: MeshTri, function: Any) -> np.ndarray:
-        space = DisplacementSpace.of(replace(on(mesh), order=2))
+        space = DisplacementSpace(replace(on(mesh), order=2))
         values = function(space.points(np.asarray(mesh.p)))
         (region,) = recovered_in(space, mesh.p, space.coefficients(values))
         return region.derivatives
@@ -145,7 +145,7 @@ class TestRegions:
         x, y = mesh.p
         values = (np.where(x < 0, x, 5 * x) * y + np.where(x < 0, 2.0, -3.0) * x**2 / 2)[None]
         problem = on(mesh, {"a": Laplace(1.0), "b": Laplace(1.0, 5.0)})
-        left, right = recovered_in(DisplacementSpace.of(problem), mesh.p, values)
+        left, right = recovered_in(DisplacementSpace(problem), mesh.p, values)
         assert (left.law.conductivity, right.law.conductivity) == (1.0, 5.0)
         assert np.intersect1d(left.nodes, right.nodes).size == 5
         for region, expected in ((left, (2.0, 1.0, 0.0)), (right, (-3.0, 5.0, 0.0))):

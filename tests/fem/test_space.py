@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem import sampling
@@ -18,19 +17,17 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
 from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.contact_geometry import block_between_two_foundations
 from support.curved import HOLE, disc, plate
 from support.manufactured import smooth_block, smooth_membrane
-from support.problems import renumbered, sloped_block
+from support.problems import sloped_block
 from support.second_order import SecondOrder
 
 KINDS = {
@@ -50,46 +47,11 @@ KINDS = {
 }
 
 
-@pytest.fixture(params=[(name, 1 + k % 2) for k, name in enumerate(KINDS)], ids=str)
-def both(request: pytest.FixtureRequest) -> tuple[ContactProblem, Discretisation]:
-    """A problem, and its discretisation whose nodes are numbered in another order than the vertices."""
-    name, order = request.param
-    problem = replace(KINDS[name](), order=order)
-    return problem, renumbered(problem)
-
-
-def test_another_numbering_has_the_same_equilibrium(both: tuple[ContactProblem, Discretisation]) -> None:
-    problem, permuted = both
-    X = problem.mesh.p
-    solver, other = ContactSolver(problem), ContactSolver(permuted)
-    system, theirs = solver.system(X), other.system(X)
-    np.testing.assert_allclose(theirs.offset, system.offset, atol=1e-14)
-    np.testing.assert_allclose(theirs.slip_bound, system.slip_bound, rtol=1e-13)
-    np.testing.assert_allclose(permuted.space.weights(X), discretise(problem).space.weights(X), rtol=1e-14)
-    one, two = solver.solve(X), other.solve(X)
-    assert two.energy == pytest.approx(one.energy, rel=1e-12)
-    np.testing.assert_array_equal(two.active.touching, one.active.touching)
-    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-9 * system.force_scale)
-    values, nodal = solver.displacement.values(one.u), other.displacement.values(two.u)
-    scale = np.max(np.abs(values))
-    np.testing.assert_allclose(nodal[:, permuted.space.number], values, atol=1e-10 * scale)
-    assert np.max(np.abs(nodal - values)) > 1e-3 * scale  # the numbering is another one
-    strains = [s.strain_and_friction(X, e.u) for s, e in ((solver, one), (other, two))]
-    np.testing.assert_allclose(*strains, rtol=1e-9)
-    u, boundary = "u" if problem.components == 1 else "uy", next(iter(problem.mesh.boundaries))
-    text = f"body({u}_x**2 + x*{u}) + mean({boundary}, {u}*nx + y)"
-    text += " + error-l2 + contact" * bool(problem.exact)
-    energies = (ReducedEnergy(each, ENERGY) for each in (solver, other))
-    functions = [ReducedObjective(energy, parse_objective(text)) for energy in energies]
-    found = [function(np.zeros(permuted.n_q)).value for function in functions]
-    assert found[1] == pytest.approx(found[0], rel=1e-9)
-
-
 def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
     problem = EXAMPLES["6.2"]((6, 3))
-    assert np.sum(DisplacementSpace.of(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
+    assert np.sum(DisplacementSpace(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
     interior = KINDS["interior"]()
-    weights = DisplacementSpace.of(interior).weights(interior.mesh.p)
+    weights = DisplacementSpace(interior).weights(interior.mesh.p)
     x, y = interior.mesh.p[:, interior.contact_nodes]
     np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
 
@@ -181,8 +143,7 @@ ORDERS = pytest.mark.parametrize("order", [1, 2])
 
 
 def space_of(problem: ContactProblem, order: int) -> DisplacementSpace:
-    """A space whose nodes are numbered at random."""
-    return renumbered(replace(problem, order=order)).space
+    return DisplacementSpace(replace(problem, order=order))
 
 
 def polynomial(order: int, x: np.ndarray) -> np.ndarray:

@@ -54,7 +54,7 @@ def test_energy_does_not_depend_on_the_numbering(seed: int) -> None:
     one, two = ContactSolver(problem).solve(mesh.p), ContactSolver(other).solve(renumbered.p)
     assert two.energy == pytest.approx(one.energy, rel=1e-10, abs=1e-12)
     values = [
-        solver.discretisation.space.at_vertices(solver.displacement.values(state.u))
+        solver.displacement.values(state.u)[:, : mesh.p.shape[1]]
         for solver, state in ((ContactSolver(other), two), (ContactSolver(problem), one))
     ]
     np.testing.assert_allclose(values[0][:, new], values[1], atol=1e-10)

@@ -89,7 +89,7 @@ def test_file_has_all_fields(solution, tmp_path):
     nodes, cells = file.point_data, {name: data[0] for name, data in file.cell_data.items()}
     assert {"tangential_stress", "friction_bound", "contact", "foundation", "mobility"} <= set(nodes)
     assert {"stress", "von_mises", "least_angle", "zone"} <= set(cells)
-    space = DisplacementSpace.of(solution.problem)
+    space = DisplacementSpace(solution.problem)
     assert (file.cells[0].type, len(file.points)) == (
         {1: "triangle", 2: "triangle6"}[space.order],
         space.n_nodes,
@@ -124,11 +124,11 @@ def test_nodes_of_curved_bodies_are_on_the_curve_and_vtu_displacements_reproduce
     write_solution(solution, tmp_path / "disc.vtu")
     file, mesh = meshio.read(tmp_path / "disc.vtu"), solution.mesh
     ends = mesh.facets[:, mesh.boundaries["arc"]]
-    nodes = DisplacementSpace.of(problem).nodes_of(ends)
+    nodes = DisplacementSpace(problem).nodes_of(ends)
     np.testing.assert_allclose(np.linalg.norm(file.points[nodes, :2] - [0.0, 1.0], axis=-1), 1.0, rtol=1e-12)
     assert len(nodes) == 1 + order
     # values at the middles, not coefficients: the parabola through them has the computed energy's field
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     found = space.coefficients(file.point_data["displacement"].T)
     model = ContactSolver(problem)
     expected = model.displacement.values(model.solve(np.asarray(mesh.p)).u)
@@ -261,7 +261,7 @@ def test_gap_is_the_distance_along_the_normal_to_the_nearer_foundation(order):
     """A body 0.1 above a floor and 0.3 beside a wall, which sinks by 0.03 and moves away by 0.5."""
     sides = (Obstacle("bottom", (0.0, 1.0), 0.1), Obstacle("left", (1.0, 0.0), 0.3))
     problem = ContactProblem(rectangle(2, 2), PlaneStrain(1.0, 1.0), "right", sides, order=order)
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     x, y = points = space.points(problem.mesh.p)
     u = np.tile([[0.5], [-0.03]], x.size)
     expected = np.select([(y == 0) & (x < 1), (x == 0) & (y > 0)], [0.07, 0.8], np.nan)

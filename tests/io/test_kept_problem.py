@@ -87,7 +87,7 @@ def test_a_solution_on_a_new_mesh_is_read_back_with_it(tmp_path, order):
     assert kept.is_remeshed
     np.testing.assert_allclose(kept.problem.mesh.p, new.mesh.p, atol=1e-14)
     np.testing.assert_array_equal(kept.mesh.p, solution.mesh.p)
-    elements = [DisplacementSpace.of(one).elements for one in (kept.problem, new)]
+    elements = [DisplacementSpace(one).elements for one in (kept.problem, new)]
     np.testing.assert_array_equal(*elements)
     for name, facets in new.mesh.boundaries.items():
         assert np.size(kept.problem.mesh.boundaries[name]) == np.size(facets)

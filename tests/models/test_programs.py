@@ -23,7 +23,7 @@ from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_between_two_foundations
 from support.curved import disc
 from support.orders import slow_but
-from support.problems import no_move_limits, renumbered, sloped_block
+from support.problems import no_move_limits, sloped_block
 from support.reduced import membrane_over_a_bump, of_order_2
 
 
@@ -43,8 +43,7 @@ def with_angles() -> ContactProblem:
     ],
 )
 def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
-    """In whatever order the displacement space numbers its nodes."""
-    energy = ReducedEnergy(ContactSolver(renumbered(make())), ENERGY)
+    energy = ReducedEnergy(ContactSolver(make()), ENERGY)
     rel, nlp = energy.relocation, energy.relocation.nlp
     point = energy(0.2 * np.random.default_rng(0).uniform(-1, 1, rel.n_q))
     x = energy.unknowns(point.q, point.equilibrium.u)

@@ -108,7 +108,7 @@ def test_compressed_block_between_two_plates_has_its_closed_form() -> None:
         nodes = problem.boundary_nodes((name,))
         np.testing.assert_allclose(solution.pressure[nodes], stress, rtol=1e-9)
     assert solution.energy == pytest.approx(stress * 0.04 / 2, rel=1e-9)
-    assert penetration(DisplacementSpace.of(problem), problem.mesh.p, solution.displacement) < 1e-12
+    assert penetration(DisplacementSpace(problem), problem.mesh.p, solution.displacement) < 1e-12
 
 
 def test_node_of_two_foundations_obeys_both() -> None:
@@ -124,7 +124,7 @@ def test_node_of_two_foundations_obeys_both() -> None:
     assert np.all(state.normal_force[rows] > 0)
     np.testing.assert_allclose(gap[rows], 0, atol=1e-14)
     # the pressure at the node is that of both
-    weights = DisplacementSpace.of(problem).weights(problem.mesh.p)
+    weights = DisplacementSpace(problem).weights(problem.mesh.p)
     assert solution.pressure[0] == pytest.approx(np.sum(state.normal_force[rows] / weights[rows]))
 
 

@@ -310,7 +310,7 @@ def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
 @pytest.mark.parametrize(("below", "is_far"), [(0.55, False), (0.65, True)])
 def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
-    (one,) = foundations(DisplacementSpace.of(problem), problem.mesh.p)
+    (one,) = foundations(DisplacementSpace(problem), problem.mesh.p)
     assert (one.name, one.is_far) == ("bottom", is_far)
     np.testing.assert_allclose(one.gaps, below)
 

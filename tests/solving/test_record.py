@@ -250,7 +250,7 @@ def test_the_page_of_records_has_the_declared_entries(monkeypatch: pytest.Monkey
 def half_touching(n: int, order: int) -> tuple[Solution, DisplacementSpace]:
     """Touches for x < 0 with the pressure 3/2 sqrt(-x); no node at 0, so that contact ends within an edge."""
     problem = replace(signorini.problem(n), order=order)
-    return fixed.solve(problem), DisplacementSpace.of(problem)
+    return fixed.solve(problem), DisplacementSpace(problem)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -28,7 +28,7 @@ def distorted(mesh: MeshTri, amount: float, seed: int) -> MeshTri:
 
 def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) -> Guess:
     """The contact solution, or a displacement without contact stresses."""
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     pressure, friction = np.zeros((2, space.n_nodes))
     if displacement is None:
         model, weights = ContactSolver(problem), space.weights(np.asarray(problem.mesh.p))
@@ -36,8 +36,7 @@ def guess_on(problem: ContactProblem, displacement: np.ndarray | None = None) ->
         pressure[model.contact_nodes] = found.normal_force / weights
         if found.tangential_force.size:
             friction[model.contact_nodes] = found.tangential_force / weights
-    node = space.number
-    return Guess(displacement[:, node], pressure[node], friction[node])
+    return Guess(displacement, pressure, friction)
 
 
 def proved(problem: ContactProblem) -> Bracket:
@@ -47,5 +46,5 @@ def proved(problem: ContactProblem) -> Bracket:
 
 def of_values(problem: ContactProblem, fields: Sequence[Callable]) -> np.ndarray:
     """Coefficients of the displacement that has the values of the components at the nodes' points."""
-    space = DisplacementSpace.of(problem)
+    space = DisplacementSpace(problem)
     return space.coefficients(np.stack([field(*space.points(problem.mesh.p)) for field in fields]))

@@ -9,9 +9,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.shapes import rectangle
@@ -73,12 +71,6 @@ def sliding_block(order: int = 1) -> ContactProblem:
         (Traction("right", (0.0, F * p)), Traction("left", (0.0, -F * p))),
         order=order,
     )
-
-
-def renumbered(problem: ContactProblem, seed: int = 7) -> Discretisation:
-    """The same with the nodes of the displacement in another order than the vertices and edges."""
-    order = np.random.default_rng(seed).permutation(DisplacementSpace.of(problem).n_nodes)
-    return Discretisation(problem, displacement_space=DisplacementSpace(problem, order))
 
 
 def signorini(n: int = 8) -> ContactProblem:
