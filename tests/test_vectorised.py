@@ -10,7 +10,7 @@ import pytest
 
 from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.numeric import Numeric
+from rmesh_nlp.fem.assembly import Sums
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.vectorised import CHUNK, NUMPY_FROM, Mapped, Vectorised, columnwise, is_vectorisable
 
@@ -67,7 +67,7 @@ def test_an_interruption_comes_through_casadi(monkeypatch) -> None:
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Numeric, "__call__", interrupted)
+        patch.setattr(Sums, "__call__", interrupted)
         with pytest.raises(KeyboardInterrupt):
             gradient(x, [])
     assert np.any(gradient(x, [])[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +15,9 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import ElementTerm, Field
+from rmesh_nlp.fem.contact_terms import friction, gaps
+from rmesh_nlp.fem.energy import loads, strain
+from rmesh_nlp.fem.fields import ElementGroup, Field
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
@@ -92,11 +94,10 @@ class ContactSolver:
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.contact_nodes
-        self._elastic = _AtZero(
-            parts, (*parts.strain, *parts.gaps), self.displacement, self.n_u, quadratic=True
-        )
-        self._loads = _AtZero(parts, parts.loads, self.displacement, self.n_u)
-        self._friction = _AtZero(parts, parts.friction, parts.slip, parts.n_s)
+        on = parts.at_positions(parts.vertices.positions)
+        self._elastic = _AtZero(parts, [*strain(on), *gaps(on)], self.n_u, quadratic=True)
+        self._loads = _AtZero(parts, loads(on, problem.rule), self.n_u)
+        self._friction = _AtZero(parts, friction(on), parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
         self._directions = Directions(parts.space, self.displacement, self.n_u)
         self.normals, self.tangents = self._directions.rows(problem.mesh.p, problem.start)
@@ -182,15 +183,12 @@ class _AtZero:
     def __init__(
         self,
         parts: Discretisation,
-        terms: Iterable[ElementTerm],
-        field: Field,
+        groups: Sequence[ElementGroup],
         n: int,
         *,
         quadratic: bool = False,
     ) -> None:
-        positions, X = parts.vertices.positions, parts.vertices.symbol
-        x, groups = ca.MX.sym("x", n), [term.on(positions, field) for term in terms]
-        self._sums = Assembled(groups, x, X, parts.n_contact)
+        self._sums = Assembled(groups, ca.MX.sym("x", n), parts.vertices.symbol, parts.n_contact)
         self._zero, self._no_forces = np.zeros(n), np.zeros(parts.n_contact)
         self._quadratic = quadratic
         if quadratic:

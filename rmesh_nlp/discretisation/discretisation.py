@@ -13,11 +13,9 @@ import numpy as np
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import friction_terms, gap_field, gap_terms, slip_field, slip_terms
-from rmesh_nlp.fem.energy import displacement_field, load_terms, strain_terms
-from rmesh_nlp.fem.fields import ElementGroup, ElementTerm, Field
-from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Fields, Forces, Objective
+from rmesh_nlp.fem.contact_terms import gap_field, slip_field
+from rmesh_nlp.fem.energy import displacement_field
+from rmesh_nlp.fem.fields import Field, Fields, Forces
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
@@ -27,7 +25,7 @@ from rmesh_nlp.problem.rigid import rigid_motions
 
 @dataclass(frozen=True)
 class Discretisation:
-    """Space, fields, element terms and validity rows of one problem, each made once, when first asked for."""
+    """Space, fields and validity rows of one problem, each made once, when first asked for."""
 
     problem: ContactProblem
 
@@ -111,52 +109,13 @@ class Discretisation:
         return int(self.friction_rows.size)
 
     @cached_property
-    def strain(self) -> tuple[ElementTerm, ...]:
-        """Strain energy, of positions and displacement."""
-        return tuple(strain_terms(self.space))
-
-    @cached_property
-    def loads(self) -> tuple[ElementTerm, ...]:
-        """Minus the work of all loads by the problem's rule, of positions and displacement."""
-        return tuple(load_terms(self.space, self.problem.rule))
-
-    @cached_property
-    def friction(self) -> tuple[ElementTerm, ...]:
-        """Friction energy, of positions and slip."""
-        return tuple(friction_terms(self.space))
-
-    @cached_property
-    def gaps(self) -> tuple[ElementTerm, ...]:
-        """A row per gap, of positions and displacement."""
-        return tuple(gap_terms(self.space))
-
-    @cached_property
-    def slips(self) -> tuple[ElementTerm, ...]:
-        """Two rows per gap with friction, of positions, displacement and slip."""
-        return tuple(slip_terms(self.space))
-
-    @cached_property
     def validity(self) -> Validity:
         """Rows of the elements that the move limits alone do not keep valid."""
         return validity(self.problem, self.mesh_map)
 
-    def bulk(self, positions: Field, displacement: Field) -> list[ElementGroup]:
-        """The energy without friction on these fields."""
-        return [term.on(positions, displacement) for term in (*self.strain, *self.loads)]
-
-    def energy(self, positions: Field, displacement: Field, slip: Field) -> list[ElementGroup]:
-        """The total potential energy (3.3), (3.15) on these fields."""
-        friction = [term.on(positions, slip) for term in self.friction]
-        return [*self.bulk(positions, displacement), *friction]
-
-    def objective(self, objective: Objective, fields: Fields) -> Functional:
-        """An outer objective on these fields; its energy is made of the same terms."""
-        total = Functional([])
-        for weight, term in objective.terms:
-            own = term.name == "energy"
-            value = Functional(self.energy(*fields[1:4])) if own else term.on(fields)
-            total += value.scaled(weight)
-        return total
+    def at_positions(self, positions: Field) -> Fields:
+        """Displacement and slip as functions of u and of s, on these positions."""
+        return Fields(self.space, positions, self.displacement, self.slip)
 
     def fields(self, length: float = 1.0) -> Fields:
         """All fields as functions of ``x = (q, u, lambda, s, mu-, mu+)``, the unknowns of the KKT conditions.
@@ -166,7 +125,7 @@ class Discretisation:
         sizes = (self.n_q, self.n_u, self.n_contact, self.n_s, self.n_s)
         u, normal, slip, minus, plus = np.cumsum(sizes).tolist()
         return Fields(
-            self.problem,
+            self.space,
             self.mesh_map.positions,
             self.displacement.in_units(length).numbered_from(u),
             self.slip.in_units(length).numbered_from(slip),

@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.contact_terms import bound_terms, given_gap_terms, gradient_group
-from rmesh_nlp.fem.fields import CONSTANT, ElementGroup, element_group
+from rmesh_nlp.fem.contact_terms import bounds, given_gaps, gradient_group
+from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional, as_row
-from rmesh_nlp.fem.objective import Fields
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on
 from rmesh_nlp.problem import ContactProblem
@@ -83,26 +82,26 @@ def constraint_rows(constraints: Sequence[Constraint], fields: Fields) -> Constr
     """The rows of constraints on these fields; a ValueError where one does not suit the problem."""
     values: list[Functional] = []
     nodal: list[ElementGroup] = []
-    bounds, names = [], []
+    limits, names = [], []
     at_nodes = [constraint for constraint in constraints if boundary_of(constraint) is not None]
     for constraint in constraints:
         if boundary_of(constraint) is None:
             unit = _unit(constraint)
             values.append(parse_objective(constraint.value).on(fields).scaled(1 / unit))
-            bounds.append((constraint.bounds[0] / unit, constraint.bounds[1] / unit, unit))
+            limits.append((constraint.bounds[0] / unit, constraint.bounds[1] / unit, unit))
             names.append(str(constraint.value))
     for constraint in at_nodes:
         groups, size, unit = _pressure_rows(
-            fields, str(boundary_of(constraint)), constraint.bounds[1], len(bounds)
+            fields, str(boundary_of(constraint)), constraint.bounds[1], len(limits)
         )
         nodal += groups
-        bounds += [(-np.inf, 0.0, unit)] * size
+        limits += [(-np.inf, 0.0, unit)] * size
         names += [str(constraint.value)] * size
-    groups, first, unit = _given_gaps(fields, len(bounds))
+    groups, first, unit = _given_gaps(fields, len(limits))
     nodal += groups
-    bounds += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]
+    limits += [(min(MARGIN, gap / unit), np.inf, unit) for gap in first]
     names += ["gap where the displacement is given"] * first.size
-    lower, upper, units = np.array(bounds).reshape(-1, 3).T
+    lower, upper, units = np.array(limits).reshape(-1, 3).T
     return ConstraintRows(tuple(values), tuple(nodal), lower, upper, units, tuple(names))
 
 
@@ -124,11 +123,11 @@ def is_constrained(problem: ContactProblem) -> bool:
 def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, float]:
     """The gaps that a design changes and displacements do not, their first values, and their unit."""
     problem = fields.problem
-    terms = given_gap_terms(fields.space) if problem.design else []
     unit = float(np.max(np.ptp(problem.mesh.p, axis=1)))
-    groups = [term.on(fields.positions, fields.displacement).in_units(unit) for term in terms]
-    gaps = [problem.given_gaps(part)[1] for part in problem.contact_sets] if problem.design else []
-    return [group.shifted(first) for group in groups], np.concatenate([np.zeros(0), *gaps]), unit
+    if not problem.design:
+        return [], np.zeros(0), unit
+    gaps = [problem.given_gaps(part)[1] for part in problem.contact_sets]
+    return [group.in_units(unit) for group in given_gaps(fields, first)], np.concatenate(gaps), unit
 
 
 def boundary_of(constraint: Constraint) -> str | None:
@@ -159,9 +158,9 @@ def _pressure_rows(
     normal = forces.normal.component(part.number)
     value, rows = ca.SX.sym("lambda"), first + np.arange(part.nodes.size)[None]
     function = ca.Function("pressure", [value], [0, value / unit])
-    groups = [element_group(function, fields.positions, (normal.at(part.nodes[None]),), rows)]
+    groups = [fields.group(function, [normal.at(part.nodes[None])], rows)]
     shift = first - int(forces.normal.index[part.number, part.nodes[0]])
-    for term in bound_terms(space, part, level):
-        group = gradient_group(term.on(fields.positions, forces.normal), shift, -unit)
-        groups.append(replace(group, rows=np.where(np.isin(group.rows, rows), group.rows, CONSTANT)))
+    for bound in bounds(fields, part, level, forces.normal):
+        group = gradient_group(bound, shift, -unit)
+        groups.append(replace(group, rows=np.where(np.isin(group.rows, rows), group.rows, NONE)))
     return groups, part.nodes.size, unit

@@ -18,18 +18,10 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.cells import Arc, Cell, Straight
-from rmesh_nlp.fem.edge_gaps import edge_gap_terms, holds_along_edges
+from rmesh_nlp.fem.cells import Cell, Straight
+from rmesh_nlp.fem.edge_gaps import edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
-from rmesh_nlp.fem.fields import (
-    CONSTANT,
-    ElementGroup,
-    ElementTerm,
-    Field,
-    constant_field,
-    element_group,
-    unknown_field,
-)
+from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem import Obstacle, at
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient
@@ -89,68 +81,59 @@ def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     return ca.Function("contact_force", [X, pressure, minus, plus], [0, force], OPEN)
 
 
-def gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """One constraint row per contact node and obstacle: its gap, of positions and displacement."""
-    terms: list[ElementTerm] = []
-    for part in space.contact_sets:
-        if holds_along_edges(space.problem, part.obstacle):
-            terms += edge_gap_terms(space, part)
+def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
+    """One constraint row per contact node and obstacle: its gap."""
+    groups: list[ElementGroup] = []
+    for part in on.space.contact_sets:
+        rows = first_row + part.rows
+        if holds_along_edges(on.problem, part.obstacle):
+            groups += edge_gaps(on, part, rows)
             continue
-        for which, vertices, shares in space.kinds(part.nodes):
-            function = gap_function(part.obstacle, space.problem.components, shares)
-            terms.append(ElementTerm(function, (vertices, part.nodes[None, which]), part.rows[None, which]))
-    return terms
+        for which, vertices, shares in on.space.kinds(part.nodes):
+            function = gap_function(part.obstacle, on.problem.components, shares)
+            local = on.positions.at(vertices), on.displacement.at(part.nodes[None, which])
+            groups.append(on.group(function, local, rows[None, which]))
+    return groups
 
 
-def given_gap_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """The gaps of contact nodes whose displacement is given, numbered from zero.
+def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
+    """The gaps of contact nodes whose displacement is given.
 
-    Of positions and displacement. On a mesh as given they are a matter of the problem; designs change them.
+    On a mesh as given they are a matter of the problem; designs change them.
     """
-    terms, first, shares = [], 0, np.ones(1)
-    for part in space.problem.contact_sets:
-        nodes = space.problem.given_gaps(part)[0]
+    groups = []
+    for part in on.problem.contact_sets:
+        nodes = on.problem.given_gaps(part)[0][None]
         if nodes.size:
-            function = gap_function(part.obstacle, space.problem.components, shares)
-            rows = np.arange(nodes.size)
-            places = nodes[None], nodes[None]
-            terms.append(ElementTerm(function, places, first + rows[None]))
-            first += nodes.size
-    return terms
+            function = gap_function(part.obstacle, on.problem.components, np.ones(1))
+            rows = first_row + np.arange(nodes.size)[None]
+            groups.append(on.group(function, [on.positions.at(nodes), on.displacement.at(nodes)], rows))
+            first_row += nodes.size
+    return groups
 
 
-def friction_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """Friction energy of positions and slip magnitudes (obstacles, nodes)."""
-    rough = [part for part, _ in _frictional(space) if part.obstacle.has_bound]
-    return [term for part in rough for term in bound_terms(space, part, part.obstacle.friction)]
+def friction(on: Fields) -> list[ElementGroup]:
+    """Friction energy."""
+    rough = [part for part, _ in _frictional(on.space) if part.obstacle.has_bound]
+    return [group for part in rough for group in bounds(on, part, part.obstacle.friction, on.slip)]
 
 
-def bound_terms(space: DisplacementSpace, part: ContactSet, bound: Coefficient) -> list[ElementTerm]:
-    """The integral over a contact set of ``bound`` times values at its nodes, of positions and these."""
-    terms = []
-    for number, edges in space.problem.edges_by_curve(str(part.obstacle.boundary)):
-        nodes = space.nodes_of(edges)
-        if number < 0:
-            function = friction_energy(bound, Straight(2, 1, space.order))
-            terms.append(ElementTerm(function, (edges, nodes), component=part.number))
-        else:
-            function = friction_energy(bound, Arc(space.problem.curves[number], 1, space.order))
-            terms.append(ElementTerm(function, (None, nodes), component=part.number, arc=(number, edges)))
-    return terms
+def bounds(on: Fields, part: ContactSet, bound: Coefficient, values: Field) -> list[ElementGroup]:
+    """The integral over a contact set of ``bound`` times ``values`` (obstacles, nodes)."""
+    own, edges = values.component(part.number), on.edges(str(part.obstacle.boundary), 1)
+    return [on.group(friction_energy(bound, edge), [place, own.at(nodes)]) for edge, place, nodes in edges]
 
 
-def slip_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``.
-
-    Of positions, displacement and slip magnitudes (obstacles, nodes).
-    """
-    terms, n_s = [], space.friction_rows.size
-    for part, numbers in _frictional(space):
-        for which, vertices, shares in space.kinds(part.nodes):
-            at_node, rows = part.nodes[None, which], numbers[which] + np.array([[0], [n_s]])
-            function = slip_function(part.obstacle, shares)
-            terms.append(ElementTerm(function, (vertices, at_node, at_node), rows, part.number))
-    return terms
+def slips(on: Fields, first_row: int = 0) -> list[ElementGroup]:
+    """Rows ``s - u_t >= 0`` of all contact nodes with friction, then ``s + u_t >= 0``."""
+    groups, n_s = [], on.space.friction_rows.size
+    for part, numbers in _frictional(on.space):
+        slip = on.slip.component(part.number)
+        for which, vertices, shares in on.space.kinds(part.nodes):
+            nodes, rows = part.nodes[None, which], first_row + numbers[which] + np.array([[0], [n_s]])
+            local = on.positions.at(vertices), on.displacement.at(nodes), slip.at(nodes)
+            groups.append(on.group(slip_function(part.obstacle, shares), local, rows))
+    return groups
 
 
 def gap_field(space: DisplacementSpace) -> Field:
@@ -164,11 +147,10 @@ def slip_field(space: DisplacementSpace) -> Field:
 
 
 def _numbered(space: DisplacementSpace, parts: list[tuple[ContactSet, Index]]) -> Field:
-    field = constant_field(np.zeros((max(len(space.contact_sets), 1), space.n_nodes)))
-    index = field.index.copy()
+    index = np.full((max(len(space.contact_sets), 1), space.n_nodes), NONE)
     for part, numbers in parts:
         index[part.number, part.nodes] = numbers
-    return replace(field, index=index, space=space)
+    return plain_field(index)
 
 
 def _frictional(space: DisplacementSpace) -> list[tuple[ContactSet, Index]]:
@@ -191,27 +173,24 @@ def gradient_group(group: ElementGroup, shift: int, unit: float) -> ElementGroup
     return replace(
         group,
         function=ca.Function(f"{function.name()}_gradient", symbols, [0, residual]),
-        rows=np.where(index == CONSTANT, CONSTANT, index + shift),
+        rows=np.where(index == NONE, NONE, index + shift),
     )
 
 
-def contact_force_groups(
-    space: DisplacementSpace, rows: Index, positions: Field, forces: tuple[Field, Field, Field]
-) -> list[ElementGroup]:
+def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
     """Rows ``-lambda n + (mu- - mu+) t`` of the equilibrium at contact nodes.
 
-    ``rows`` is (components, nodes): the row of each displacement unknown; ``forces`` are the fields
-    (obstacles, nodes) of lambda, mu- and mu+.
+    ``rows`` is (components, nodes): the row of each displacement unknown.
     """
+    assert on.forces is not None
     groups = []
-    for part in space.contact_sets:
-        used = forces if part.obstacle.frictional else forces[:1]
-        for which, vertices, shares in space.kinds(part.nodes):
+    for part in on.space.contact_sets:
+        used = on.forces if part.obstacle.frictional else on.forces[:1]
+        for which, vertices, shares in on.space.kinds(part.nodes):
             nodes = part.nodes[which]
-            local = [field.component(part.number).at(nodes[None]) for field in used]
+            forces = (field.component(part.number).at(nodes[None]) for field in used)
             function = force_function(part.obstacle, shares)
-            local = [positions.at(vertices), *local]
-            groups.append(element_group(function, positions, tuple(local), rows[:, nodes]))
+            groups.append(on.group(function, [on.positions.at(vertices), *forces], rows[:, nodes]))
     return groups
 
 
@@ -223,17 +202,16 @@ def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     return ca.Function("bound_force", [X, pressure, minus, plus], [0, value], OPEN)
 
 
-def bound_force_groups(
-    space: DisplacementSpace, first_row: int, positions: Field, forces: tuple[Field, Field, Field]
-) -> list[ElementGroup]:
+def bound_force_groups(on: Fields, first_row: int) -> list[ElementGroup]:
     """Rows ``F lambda - mu- - mu+`` of the stationarity with respect to the slip magnitudes."""
+    assert on.forces is not None
     groups = []
-    for part, numbers in _frictional(space):
-        for which, vertices, shares in space.kinds(part.nodes):
+    for part, numbers in _frictional(on.space):
+        for which, vertices, shares in on.space.kinds(part.nodes):
             nodes = part.nodes[None, which]
-            local = positions.at(vertices), *(field.component(part.number).at(nodes) for field in forces)
+            forces = (field.component(part.number).at(nodes) for field in on.forces)
             function, rows = bound_function(part.obstacle, shares), first_row + numbers[None, which]
-            groups.append(element_group(function, positions, local, rows))
+            groups.append(on.group(function, [on.positions.at(vertices), *forces], rows))
     return groups
 
 

@@ -27,7 +27,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.fem.cells import affine
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.problem import ContactProblem
 
 Density = Callable[[Expression, Expression], Expression]
@@ -64,9 +64,9 @@ def reference_shapes(problem: ContactProblem) -> Array:
     return problem.reference
 
 
-def distortion_group(problem: ContactProblem, positions: Field, name: str) -> ElementGroup:
+def distortion_group(on: Fields, name: str) -> ElementGroup:
     """Mean over the initial area of a density in :data:`DISTORTIONS`; NaN where an element is inverted."""
-    shapes = reference_shapes(problem)
+    shapes, triangles = reference_shapes(on.problem), on.problem.triangles
     X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
     det0, scaled = affine(X0, X)
     A = scaled / det0  # the gradient of the map
@@ -76,9 +76,9 @@ def distortion_group(problem: ContactProblem, positions: Field, name: str) -> El
     det_e = a[0] * b[1] - a[1] * b[0]
     area = float(np.sum(det_e) / 2)
     local = (
-        positions.at(problem.triangles),
+        on.positions.at(triangles),
         constant_field(shapes.transpose(1, 0, 2).reshape(6, -1)),
-        constant_field(np.broadcast_to(area, (1, problem.triangles.shape[1]))),
+        constant_field(np.full((1, triangles.shape[1]), area)),
     )
     function = ca.Function("distortion", [ca.vec(X), ca.vec(X0), total], [value, NO_ROWS])
-    return element_group(function, positions, local)
+    return on.group(function, local)

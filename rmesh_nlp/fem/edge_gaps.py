@@ -19,18 +19,18 @@ interior heights are taken inside of triangles.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import combinations, product
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.at_points import PointValues
+from rmesh_nlp.evaluation import ROUNDING, Array, Expression
 from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
 from rmesh_nlp.fem.cells import ArcPoints, kind_of
-from rmesh_nlp.fem.fields import ElementTerm
+from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
@@ -54,15 +54,13 @@ POWER = 12
 """The p of the norm."""
 
 TINY = 1e-13
-"""A height, in units of the largest distance on the given mesh, that is none: below it the norm is smooth."""
+"""A height, in units of the largest distance on the given mesh, that is none: below it the norm is smooth.
+Second derivatives of the norm overflow for a much smaller one."""
 
 SMOOTH = {1: 0.0, 2: 0.1}
 """Least height by the order, as a part of the largest one on the given mesh. Of order 2 heights follow the
 third derivative of the foundation. Minimisers are where that changes its sign, and there the norm has a kink
 without a least height: 1,520 iterations of ``joint`` on a membrane over a bump, with it 136."""
-
-STRAIGHT = 1e-9
-"""Height of a foundation over its largest distance up to which it is rounding."""
 
 
 def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
@@ -78,7 +76,7 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
 
 def _rises(body: Body, obstacle: Obstacle) -> bool:
     height, distance = _largest(body, obstacle)
-    return height > STRAIGHT * distance
+    return height > ROUNDING * distance
 
 
 def _largest(body: Body, obstacle: Obstacle) -> tuple[float, float]:
@@ -101,31 +99,30 @@ def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
     return any(number >= 0 for number, _ in problem.edges_by_curve(obstacle.boundary))
 
 
-def edge_gap_terms(space: DisplacementSpace, part: ContactSet) -> Iterator[ElementTerm]:
-    """Gaps of one of the space's contact sets that hold along edges, of positions and displacement."""
-    problem = space.problem
+def edge_gaps(on: Fields, part: ContactSet, rows: Index) -> Iterator[ElementGroup]:
+    """Gaps of one of the space's contact sets that hold along edges; ``rows`` are those of its nodes."""
+    space, problem = on.space, on.problem
     at_start = at_design(part.obstacle, problem.start)
     where = space.points(problem.mesh.p)[:, part.nodes]
     unit = float(np.max(np.abs(at_start.distances(where)), initial=0.0)) or 1.0
     highest, _ = _largest(Body(problem.at_design(), problem.mesh.p), at_start)
-    tiny = max(TINY, SMOOTH[space.order] * highest / unit)
+    least = max(TINY, SMOOTH[space.order] * highest / unit)
     free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
     given = _given_along(space, at_start)
-    inside = space.order == 2 and part.obstacle.boundary is Place.INTERIOR
-    for patch in _fans(space, part) if inside else patches(space, part):
-        number = max(patch.sides)
-        curve = problem.curves[number] if number >= 0 else None
-        function, at_points = _gap_function(part.obstacle, patch, curve, unit, tiny, space)
+    for patch in patches(space, part):
         along = np.vstack([space.nodes_of(patch.vertices[list(cell)]) for cell in patch.cells])
-        yield ElementTerm(
-            function,
-            (patch.vertices, part.nodes[None, patch.rows]),
-            part.rows[patch.rows][None],
-            at_points=at_points,
-            arc=None if curve is None else (number, patch.vertices),
-            constants=np.vstack([free[along], given[along]]),
-        )
+        local = [
+            on.positions.at(patch.vertices),
+            on.displacement.at(part.nodes[None, patch.rows]),
+            constant_field(np.vstack([free[along], given[along]])),
+        ]
+        number, curve = max(patch.sides), None
+        if number >= 0:
+            curve = problem.curves[number]
+            local.append(on.parameters(number, patch.vertices))
+        function = _gap_function(part.obstacle, patch, curve, unit, least, space)
+        yield on.group(function, local, rows[None, patch.rows])
 
 
 class Patch(NamedTuple):
@@ -144,53 +141,33 @@ class Patch(NamedTuple):
 
 
 def patches(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
-    """Contact nodes on a boundary with the edges of it beside them, of nodes at edges their own.
+    """Contact nodes with the cells beside them: edges, or at order 2 in the interior triangles.
 
-    A node between two curves counts one edge as an arc, the other as a chord.
+    At order 2 a foundation may rise above the interpolant inside of a triangle and on none of its edges. A
+    node between two curves counts one edge as an arc, the other as a chord; triangles are taken as straight.
     """
     problem = space.problem
-    edges = Body(problem, problem.mesh.p).edges_of(part.obstacle)
-    curve_of = problem.curve_of_facet[edges.facets]
-    around: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    for a, b, curve in np.vstack([edges.ends, curve_of]).T.tolist():
-        around[a].append((curve, b))
-        around[b].append((curve, a))
-    curves = {(min(a, b), max(a, b)): c for a, b, c in np.vstack([edges.ends, curve_of]).T.tolist()}
-    groups: dict[tuple[bool, tuple[int, ...]], list[tuple[int, list[int]]]] = defaultdict(list)
-    for which, vertices, _ in space.kinds(part.nodes):
-        for row, ends in zip(which.tolist(), vertices.T.tolist(), strict=True):
-            if len(ends) == 2:
-                groups[True, (curves[min(ends), max(ends)],)].append((row, ends))
-            else:
-                beside = around[ends[0]]
-                patch = [*ends, *(other for _, other in beside)]
-                groups[False, tuple(curve for curve, _ in beside)].append((row, patch))
-    for (at_edge, sides), members in groups.items():
-        rows, patches = zip(*members, strict=True)
-        cells = tuple((0, i) for i in range(1, 1 + len(sides)))
-        yield Patch(at_edge, cells, sides, np.array(rows), np.array(patches, dtype=np.int64).T)
-
-
-def _fans(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
-    """Contact nodes with the triangles around them, all taken as straight.
-
-    At order 2 a foundation may rise above the interpolant inside of a triangle and on none of its edges.
-    """
-    others: dict[tuple[int, ...], list[int]] = defaultdict(list)
-    for triangle in space.problem.triangles.T.tolist():
-        for a, b, c in (triangle, triangle[1:] + triangle[:1], triangle[2:] + triangle[:2]):
-            others[a,] += [b, c]
-            others[min(a, b), max(a, b)].append(c)
-    groups: dict[tuple[bool, int], list[tuple[int, list[int]]]] = defaultdict(list)
-    for which, vertices, _ in space.kinds(part.nodes):
-        for row, ends in zip(which.tolist(), vertices.T.tolist(), strict=True):
-            around = others[tuple(sorted(ends))]
-            count = len(around) if len(ends) == 2 else len(around) // 2
-            groups[len(ends) == 2, count].append((row, [*ends, *around]))
-    for (at_edge, count), members in groups.items():
-        rows, patches = zip(*members, strict=True)
-        cells = tuple((0, 1, 2 + i) if at_edge else (0, 1 + 2 * i, 2 + 2 * i) for i in range(count))
-        yield Patch(at_edge, cells, (-1,) * count, np.array(rows), np.array(patches, dtype=np.int64).T)
+    if space.order == 2 and part.obstacle.boundary is Place.INTERIOR:
+        cells, curves = problem.triangles, np.full(problem.triangles.shape[1], NONE)
+    else:
+        edges = Body(problem, problem.mesh.p).edges_of(part.obstacle)
+        cells, curves = edges.ends, problem.curve_of_facet[edges.facets]
+    around: dict[tuple[int, ...], list[tuple[int, list[int]]]] = defaultdict(list)
+    for *vertices, curve in np.vstack([cells, curves]).T.tolist():
+        for size_of_own in range(1, 1 + space.order):
+            for own in combinations(sorted(vertices), size_of_own):
+                around[own].append((curve, [vertex for vertex in vertices if vertex not in own]))
+    groups: dict[tuple[int, tuple[int, ...]], list[tuple[int, list[int]]]] = defaultdict(list)
+    for which, carriers, _ in space.kinds(part.nodes):
+        for row, own in zip(which.tolist(), carriers.T.tolist(), strict=True):
+            beside = around[tuple(sorted(own))]
+            patch = [*own, *(vertex for _, rest in beside for vertex in rest)]
+            groups[len(own), tuple(curve for curve, _ in beside)].append((row, patch))
+    for (n, sides), members in groups.items():
+        rows, vertices = zip(*members, strict=True)
+        rest = np.arange(n, len(vertices[0])).reshape(len(sides), len(cells) - n).tolist()
+        of_patch = tuple((*range(n), *numbers) for numbers in rest)
+        yield Patch(n == 2, of_patch, sides, np.array(rows), np.array(vertices, dtype=np.int64).T)
 
 
 def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
@@ -201,12 +178,12 @@ def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
 
 
 def _gap_function(
-    obstacle: Obstacle, patch: Patch, curve: Curve | None, unit: float, tiny: float, space: DisplacementSpace
-) -> tuple[ca.Function, PointValues | None]:
-    """``([parameters,] patch, u_i, (free, given)[, distances]) -> (0, gap)`` of a contact node.
+    obstacle: Obstacle, patch: Patch, curve: Curve | None, unit: float, least: float, space: DisplacementSpace
+) -> ca.Function:
+    """``(patch, u_i, (free, given)[, parameters]) -> (0, gap)`` of a contact node.
 
     ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
-    ``given``: cell by cell, in each those at its vertices and then those at its edges. ``tiny`` is the least
+    ``given``: cell by cell, in each those at its vertices and then those at its edges. ``least`` is the least
     height in units of ``unit``. Edges on the last one of the patch's curves are arcs of ``curve``.
     """
     order, cells, interior = space.order, patch.cells, obstacle.boundary is Place.INTERIOR
@@ -216,18 +193,25 @@ def _gap_function(
     X, t, u = kind.sym("X", 2, vertices), kind.sym("t", vertices), kind.sym("u", space.problem.components)
     constants = kind.sym("constants", 2 * nodes * n)
     free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
-    # distances at vertices, and at the samples of each cell
-    firsts = [0, *(vertices + i * shares.shape[1] for i in range(n + 1))]
-    distance = kind.sym("distance", firsts[-1])
-    at_vertices, *samples = ca.vertsplit(distance, firsts)
-    middles = [np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in SIDES[corners]]
-    shapes, power, own = ca.DM(functions(order, shares)).T, kind(tiny**POWER), at_vertices[0]
-    for i, (cell, along) in enumerate(zip(cells, samples, strict=True)):
-        at_nodes = ca.vertcat(*(at_vertices[k] for k in cell), *(along[k] for k in middles))[:nodes]
+
+    def distances(points: Sequence[Expression]) -> list[Expression]:
+        return [obstacle.distance(*ca.vertsplit(point)) for point in points]
+
+    at_vertices = distances(ca.horzsplit(X))
+    sides = SIDES[corners] if order == 2 else ()
+    middles = [np.flatnonzero(np.isclose(shares[list(side)], 0.5).all(axis=0))[0] for side in sides]
+    shapes, power, own = ca.DM(functions(order, shares)).T, kind(least**POWER), at_vertices[0]
+    for i, (cell, side) in enumerate(zip(cells, patch.sides, strict=True)):
+        if curve is not None and side == max(patch.sides):  # points of an arc are no mean of vertices
+            arc = ArcPoints(curve, ca.vertcat(*(t[k] for k in cell)), kind)
+            along = distances([arc.point(s) for s in shares[1]])
+        else:
+            along = distances(ca.horzsplit(X[:, list(cell)] @ ca.DM(shares)))
+        at_nodes = ca.vertcat(*(at_vertices[k] for k in cell), *(along[k] for k in middles))
         D = ca.DM(to_coefficients(order, corners)) @ at_nodes
         if patch.at_edge:
             own = D[corners]
-        height = shapes @ (free[:, i] * D - (1 - free[:, i]) * given[:, i]) - along
+        height = shapes @ (free[:, i] * D - (1 - free[:, i]) * given[:, i]) - ca.vertcat(*along)
         weight = shapes @ free[:, i]
         if corners == 3:  # where only nodes that are held have a share no other can keep off
             weight = ca.if_else(weight > 0, weight, np.inf)
@@ -235,27 +219,12 @@ def _gap_function(
     off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
     x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if patch.at_edge else X[:, 0])
     gap = ca.dot(obstacle.direction(x, y), u) + own - off
-    places = [np.eye(vertices)[:, list(cell)] @ shares for cell in cells]
-    if curve is None:
-        at_points = PointValues.of(obstacle.distance, np.hstack([np.eye(vertices), *places]))
-        return ca.Function("edge_gap", [ca.vec(X), u, constants, distance], [0, gap], OPEN), at_points
-    points = ca.horzsplit(X)  # those on the curve are no mean of vertices
-    for cell, side, place in zip(cells, patch.sides, places, strict=True):
-        if side == max(patch.sides):
-            arc = ArcPoints(curve, ca.vertcat(*(t[i] for i in cell)), kind)
-            points += [arc.point(s) for s in shares[1]]
-        else:
-            points += ca.horzsplit(X @ ca.DM(place))
-    values = ca.vertcat(*(obstacle.distance(*ca.vertsplit(point)) for point in points))
-    gap = ca.substitute(gap, distance, values)
-    return ca.Function("edge_gap", [t, ca.vec(X), u, constants], [0, gap], OPEN), None
+    columns = [ca.vec(X), u, constants] if curve is None else [ca.vec(X), u, constants, t]
+    return ca.Function("edge_gap", columns, [0, gap], OPEN)
 
 
 def _samples(corners: int, interior: bool) -> Array:
     """(corners, samples) barycentric coordinates on an edge or a triangle, the corners left out."""
-    if corners == 2:
-        s = np.arange(1, parts := INTERIOR_SAMPLES if interior else SAMPLES) / parts
-        return np.stack([1 - s, s])
-    whole = np.arange(TRIANGLE_SAMPLES + 1)
-    lattice = np.array([(i, j, TRIANGLE_SAMPLES - i - j) for i in whole for j in whole[: whole.size - i]]).T
-    return np.asarray(lattice[:, lattice.max(axis=0) < TRIANGLE_SAMPLES] / TRIANGLE_SAMPLES)
+    n = TRIANGLE_SAMPLES if corners == 3 else INTERIOR_SAMPLES if interior else SAMPLES
+    lattice = [each for each in product(range(n), repeat=corners) if sum(each) == n]
+    return np.array(lattice).T / n

@@ -1,28 +1,106 @@
-"""The function of one element, and its derivatives."""
+"""The function of one element, and its derivatives.
+
+An element function may have an argument more than its columns: sums ``sum_p W_ip f(x_p)`` of a load f at
+points ``x_p = sum_b l_b(p) X_b`` of the element, whose vertices ``X_b`` are its first column. f is
+differentiated by x and y alone, and evaluated for all points of all elements at a time. The chain rule,
+``sum_p W_ip l_b f'`` and ``sum_p W_ip l_b l_c f''``, brings its derivatives to the vertices, so that the
+function of an element does not grow with the rule.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from rmesh_nlp.evaluation import Expression
-from rmesh_nlp.fem.at_points import Chain, PointValues
+from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
+from rmesh_nlp.vectorised import Columns, columnwise
 
 NO_ROWS = ca.SX(0, 1)
 """The constraints of an element that adds to the objective alone."""
 
-KEPT = 256
-"""Element functions whose derivatives are kept."""
+
+class PointSums:
+    """Sums with ``weights`` (sums, points) of ``function``, ``(x, y) -> column``, at points of elements.
+
+    ``shares`` (vertices, points) are the barycentric coordinates of the points. What was evaluated last is
+    kept, for all equal sums: the contact system of a mesh and derivatives of its energy need the same.
+    """
+
+    def __init__(self, function: ca.Function, shares: Array, weights: Array) -> None:
+        self.function, self.shares, self.weights = function, shares, weights
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, PointSums) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+    @cached_property
+    def _key(self) -> tuple[str, bytes, bytes]:
+        return self.function.serialize(), self.shares.tobytes(), self.weights.tobytes()
+
+    def __call__(self, X: Expression) -> Expression:
+        """The argument of an element function, from its first one: all sums for each component of f."""
+        points = ca.horzsplit(ca.reshape(X, 2, -1) @ ca.DM(self.shares))
+        # by the function itself, which may have free symbols
+        values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in points))
+        return ca.vec(ca.DM(self.weights) @ values.T)
+
+    def evaluated(self, X: Array, count: int) -> list[Array]:
+        """The first so many of sums, their derivatives and second ones, at X (2 vertices, elements).
+
+        Each is (numbers, elements), in the order that :meth:`in_matrix` takes.
+        """
+        kept = _kept(self)
+        if not (kept and count <= len(kept[1]) and np.array_equal(kept[0], X)):
+            points, n = self.shares.shape[1], X.shape[1]
+            x, y = ((self.shares.T @ X[k::2]).reshape(1, -1) for k in range(2))
+            values = _derivatives(self._key[0], count, points * n)([x, y])
+            kept[:] = X, [self._summed(each.reshape(-1, points, n), k) for k, each in enumerate(values)]
+        return kept[1][:count]
+
+    def _summed(self, values: Array, order: int) -> Array:
+        """Sums of derivatives of an order (x or y, ..., component; points, elements), times shares."""
+        weights = self.weights
+        for _ in range(order):
+            weights = weights[..., None, :] * self.shares
+        return (weights.reshape(-1, weights.shape[-1]) @ values).reshape(-1, values.shape[-1])
+
+    def in_matrix(self, column: Expression, order: int) -> Expression:
+        """The matrix (sums, 2 vertices, ...) of derivatives by X of the numbers of an element."""
+        shape = [2] * order + [-1, len(self.weights)] + [len(self.shares)] * order
+        numbers = np.arange(column.shape[0]).reshape(shape)
+        columns = [axis for k in range(order) for axis in (order + 2 + k, k)]
+        numbers = numbers.transpose(*columns, order, order + 1).ravel()
+        return ca.reshape(column[numbers.tolist()], -1, (2 * len(self.shares)) ** order)
 
 
-def with_design(function: ca.Function, at_points: PointValues | None) -> tuple[ca.Function, tuple[str, ...]]:
+@lru_cache(maxsize=8)  # loads of the regions of a problem
+def _kept(sums: PointSums) -> list[Any]:
+    """Where values of equal sums are kept: X, and what :meth:`PointSums.evaluated` returns."""
+    return []
+
+
+@lru_cache
+def _derivatives(text: str, count: int, n: int) -> Columns:
+    """``(x, y) ->`` value, derivatives by x and y, and by xx, yx, xy and yy, up to ``count``, at n points."""
+    value = ca.Function.deserialize(text)
+    kind = ca.SX if value.is_a("SXFunction") else ca.MX
+    x, y = kind.sym("x"), kind.sym("y")
+    results = [value(x, y)]
+    for _ in range(1, count):
+        results.append(ca.vertcat(*(ca.jacobian(results[-1], symbol) for symbol in (x, y))))
+    return columnwise(ca.Function("derivatives", [x, y], ca.cse([ca.densify(r) for r in results])), n)
+
+
+def with_design(function: ca.Function, at_points: PointSums | None) -> tuple[ca.Function, tuple[str, ...]]:
     """An element function whose first argument are the design variables that it depends on, and their names.
 
-    Values at points are put in; without such variables it is returned as it is.
+    Sums are put in; without such variables it is returned as it is.
     """
     parts = (function,) if at_points is None else (function, at_points.function)
     free = {symbol.name(): symbol for part in parts if part.has_free() for symbol in part.free_sx()}
@@ -39,12 +117,12 @@ def local_symbols(function: ca.Function) -> list[Expression]:
     return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
 
 
-def plain(function: ca.Function, at_points: PointValues | None) -> ca.Function:
-    """An element function of its columns alone, the values at points put in."""
+def plain(function: ca.Function, at_points: PointSums | None) -> ca.Function:
+    """An element function of its columns alone, the sums put in."""
     if at_points is None:
         return function
     columns = local_symbols(function)[:-1]
-    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points.values(columns))), OPEN)
+    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points(columns[0]))), OPEN)
 
 
 def vector(components: tuple[Coefficient, ...], x: Expression, y: Expression) -> Expression:
@@ -52,89 +130,66 @@ def vector(components: tuple[Coefficient, ...], x: Expression, y: Expression) ->
     return ca.vertcat(*[at(component, x, y) for component in components])
 
 
-class Local(NamedTuple):
-    """A derivative of an element function: nonzeros of its results, whose patterns these are.
-
-    Its arguments are columns, then the derivatives of values at points up to an ``order``.
-    """
-
-    function: ca.Function
-    patterns: tuple[ca.Sparsity, ...]
-    order: int
-
-
 class Differentiated:
-    """An element function ``(*columns[, values at points]) -> (f, g)`` and its derivatives by some columns.
+    """An element function ``(*columns[, sums at points]) -> (f, g)`` and its derivatives by some columns.
 
-    Values at points and their derivatives are arguments. Where f is constantly zero it has no nonzero, and
-    no derivative has one.
+    They are Functions of the columns, of multipliers, and of what :meth:`PointSums.evaluated` returns. Where
+    f is constantly zero it has no nonzero, and no derivative has one.
     """
 
-    def __init__(self, function: ca.Function, at_points: PointValues | None, variable: list[int]) -> None:
-        symbols = local_symbols(function)
-        self._kind = type(symbols[0])
-        self._x = ca.vertcat(self._kind(0, 1), *[symbols[i] for i in variable])
-        self._f, self._g = function(*symbols)
-        self._columns, self._values, self._chain = symbols, symbols[-1], None
-        self._moving: tuple[Chain, slice, Expression] | None = None
-        if at_points is None:
-            return
-        self._columns, self._chain = symbols[:-1], at_points.chain(self._kind)
-        if 0 in variable:
-            X = slice(0, symbols[0].shape[0])  # places of X in x
-            slope = self._kind(self._values.shape[0], self._x.shape[0])
-            slope[:, X] = self._chain.slope
-            self._moving = self._chain, X, slope
+    def __init__(self, function: ca.Function, at_points: PointSums | None, variable: tuple[int, ...]) -> None:
+        self._columns = local_symbols(function)
+        self._kind = kind = type(self._columns[0])
+        self._x = ca.vertcat(kind(0, 1), *[self._columns[i] for i in variable])
+        self._f, self._g = function(*self._columns)
+        self._sums, self._slope, self._inputs = kind(0, 1), kind(0, self._x.shape[0]), []
+        self._curvature = lambda _: kind(*2 * self._x.shape[:1])
+        if at_points is not None:
+            self._sums, X = self._columns.pop(), self._columns[0]
+            n, X_by_x = X.shape[0], ca.DM(ca.jacobian(X, self._x))
+            slope, second = (kind.sym(f"d{k}", self._sums.shape[0] * n**k) for k in (1, 2))
+            self._inputs, self._slope = [self._sums, slope, second], at_points.in_matrix(slope, 1) @ X_by_x
+            by_X = at_points.in_matrix(second, 2).T
+            self._curvature = lambda weights: X_by_x.T @ ca.reshape(by_X @ weights, n, n) @ X_by_x
 
     @cached_property
-    def first(self) -> Local:
+    def first(self) -> ca.Function:
         """Value f, its gradient, rows g and their Jacobian."""
-        f, g, x = self._f, self._g, self._x
-        gradient, jacobian = ca.gradient(f, x), ca.jacobian(g, x)
-        if self._moving is not None:
-            _, _, slope = self._moving
-            gradient += slope.T @ ca.gradient(f, self._values)
-            jacobian += ca.jacobian(g, self._values) @ slope
-        return self._made("first", [f, gradient, g, jacobian], 1)
+        f, g, x, sums = self._f, self._g, self._x, self._sums
+        gradient = ca.gradient(f, x) + self._slope.T @ ca.gradient(f, sums)
+        jacobian = ca.jacobian(g, x) + ca.jacobian(g, sums) @ self._slope
+        return self._made("first", [f, gradient, g, jacobian], self._inputs[:2])
 
     @cached_property
-    def second(self) -> Local:
+    def second(self) -> ca.Function:
         """Upper triangle of the Hessian of ``lam_f f + lam_g . g``; takes lam_f and lam_g as well."""
         lam_f, lam_g = self._kind.sym("lam_f"), self._kind.sym("lam_g", self._g.shape[0])
-        lagrangian = lam_f * self._f + ca.dot(lam_g, self._g)
-        hessian = ca.hessian(lagrangian, self._x)[0]
-        if self._moving is not None:
-            chain, X, slope = self._moving
-            by_value = ca.gradient(lagrangian, self._values)
-            mixed = ca.jacobian(by_value, self._x).T @ slope
-            hessian += mixed + mixed.T + slope.T @ ca.hessian(lagrangian, self._values)[0] @ slope
-            hessian[X, X] += chain.curvature(by_value)
-        return self._made("second", [ca.triu(hessian)], 2, lam_f, lam_g)
+        lagrangian, slope = lam_f * self._f + ca.dot(lam_g, self._g), self._slope
+        by_sums = ca.gradient(lagrangian, self._sums)
+        mixed = ca.jacobian(by_sums, self._x).T @ slope
+        hessian = ca.hessian(lagrangian, self._x)[0] + mixed + mixed.T + self._curvature(by_sums)
+        hessian += slope.T @ ca.jacobian(by_sums, self._sums) @ slope
+        return self._made("second", [ca.triu(hessian)], [lam_f, lam_g, *self._inputs])
 
-    def _made(self, name: str, results: list[Expression], order: int, *multipliers: Expression) -> Local:
-        order, inputs = 0 if self._moving is None else order, list(self._columns)
-        if self._chain is not None:
-            results = ca.substitute(results, [self._values], [self._chain.values])
-            inputs += self._chain.symbols[: order + 1]
+    def _made(self, name: str, results: list[Expression], others: list[Expression]) -> ca.Function:
         results = [self._kind(*r.shape) if r.is_zero() else r for r in results]
-        function = ca.Function(name, [*inputs, *multipliers], ca.cse([r.nz[:] for r in results]))
-        return Local(function, tuple(result.sparsity() for result in results), order)
+        return ca.Function(name, [*self._columns, *others], ca.cse(results))
 
 
 def differentiated(
-    function: ca.Function, at_points: PointValues | None, variable: list[int]
+    function: ca.Function, at_points: PointSums | None, variable: tuple[int, ...]
 ) -> Differentiated:
     """:class:`Differentiated`, kept: the meshes of one problem have the same element functions.
 
     Functions are told apart by what they compute, so that it does not matter who made them, and when.
     """
-    at = None if at_points is None else replace(at_points, kept=[])  # without what it has evaluated
     try:
-        return _differentiated(function.serialize(), at, tuple(variable))
+        text = function.serialize()
     except RuntimeError:  # a Function of someone's own that cannot be written as text
-        return Differentiated(function, at, variable)
+        return Differentiated(function, at_points, variable)
+    return _differentiated(text, at_points, variable)
 
 
-@lru_cache(maxsize=KEPT)
-def _differentiated(text: str, at_points: PointValues | None, variable: tuple[int, ...]) -> Differentiated:
-    return Differentiated(ca.Function.deserialize(text), at_points, list(variable))
+@lru_cache
+def _differentiated(text: str, at_points: PointSums | None, variable: tuple[int, ...]) -> Differentiated:
+    return Differentiated(ca.Function.deserialize(text), at_points, variable)

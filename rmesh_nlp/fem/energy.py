@@ -6,21 +6,19 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Expression
-from rmesh_nlp.fem.at_points import PointValues
 from rmesh_nlp.fem.bernstein import functions
-from rmesh_nlp.fem.cells import Arc, Blended, Cell, Rule, Straight
-from rmesh_nlp.fem.element import NO_ROWS, vector
-from rmesh_nlp.fem.fields import CONSTANT, ElementTerm, Field, constant_field
-from rmesh_nlp.fem.space import DisplacementSpace, Index
-from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem import ContactProblem, PointLoad
+from rmesh_nlp.fem.cells import Blended, Cell, Rule, Straight
+from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
+from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
@@ -40,15 +38,17 @@ def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
     return cell.function("strain_energy", energy)
 
 
-def load_energy(law: Law, quadrature: str | int, order: int) -> tuple[ca.Function, PointValues]:
-    """``(X_e, u_e, means of load times shape functions) -> (-work of the load, empty)`` of one triangle."""
+def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Function, PointSums]:
+    """``(X_e, u_e, sums) -> (-work of the load, empty)`` of one triangle, and the sums.
+
+    They are means of the load times shape functions.
+    """
     shares, weights = triangle_rule(quadrature)
-    cell = Straight(3, law.components, order)
-    load = ca.SX.sym("f", *cell.u.shape)
-    work = cell.at(shares[:, 0]).det / 2 * ca.dot(load, cell.u)
-    energy = ca.Function("load_energy", [*cell.columns, ca.vec(load)], [-work, NO_ROWS])
-    weights = functions(order, shares) * weights
-    return energy, PointValues.of(lambda x, y: vector(law.load, x, y), shares, weights)
+    x, y, means = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("f", *cell.u.T.shape)
+    work = cell.at(shares[:, 0]).det / 2 * ca.dot(means.T, cell.u)
+    function = ca.Function("load_energy", [*cell.columns, ca.vec(means)], [-work, NO_ROWS])
+    load = ca.Function("load", [x, y], [ca.densify(ca.SX(vector(law.load, x, y)))], OPEN)
+    return function, PointSums(load, shares, functions(cell.order, shares) * weights)
 
 
 def force_energy(force: tuple[Coefficient, ...], cell: Cell, rule: Rule) -> ca.Function:
@@ -92,80 +92,62 @@ def point_energy(load: PointLoad) -> ca.Function:
     return ca.Function("point_energy", [u], [-ca.dot(ca.vertcat(*load.force), u), NO_ROWS], OPEN)
 
 
-def strain_terms(space: DisplacementSpace) -> list[ElementTerm]:
-    """Strain energy of positions and displacement, a term per region; more for triangles beside a curve."""
-    terms = []
-    for law, straight, beside in _elements(space.problem):
-        vertices = space.problem.triangles[:, straight]
-        function = strain_energy(law, Straight(3, law.components, space.order))
-        terms.append(ElementTerm(function, (vertices, space.nodes_of(vertices))))
-        for curve, place in beside:
-            function = strain_energy(law, Blended(curve, law.components, space.order))
-            terms.append(_beside(space, function, *place))
-    return terms
+def strain(on: Fields) -> list[ElementGroup]:
+    """The strain energy, by region; beside a curve by curve."""
+    return [on.group(strain_energy(law, cell), local) for law, cell, local in _cells(on)]
 
 
-def load_terms(space: DisplacementSpace, rule: str | int) -> list[ElementTerm]:
-    """Minus the work of source or body force, tractions and point loads, of positions and displacement."""
-    problem, terms = space.problem, []
+def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
+    """Minus the work of source or body force, tractions and point loads."""
+    groups = []
     degree = traction_degree(rule)
-    for law, straight, beside in _elements(problem):
-        if any(is_nonzero(component) for component in law.load):
-            terms.append(_load_term(space, law, rule, problem.triangles[:, straight]))
-            for curve, place in beside:
-                triangle = Blended(curve, law.components, space.order)
-                terms.append(_beside(space, force_energy(law.load, triangle, triangle.rule(degree)), *place))
-    for traction in problem.tractions:
-        for number, edges in problem.edges_by_curve(traction.boundary):
-            nodes = space.nodes_of(edges)
-            if number < 0:
-                edge = Straight(2, problem.components, space.order)
+    for law, cell, local in _cells(on):
+        if not any(is_nonzero(component) for component in law.load):
+            continue
+        if isinstance(cell, Straight):
+            function, at_points = load_energy(law, cell, rule)
+            groups.append(on.group(function, local, at_points=at_points))
+        else:
+            groups.append(on.group(force_energy(law.load, cell, cell.rule(degree)), local))
+    for traction in on.problem.tractions:
+        for edge, place, nodes in on.edges(traction.boundary, on.problem.components):
+            if isinstance(edge, Straight):
                 pieces = piecewise_rule(degree, breaks(traction.value, edge.X))
-                terms.append(ElementTerm(force_energy(traction.value, edge, pieces), (edges, nodes)))
             else:
-                arc = Arc(problem.curves[number], problem.components, space.order)
-                function = force_energy(traction.value, arc, arc.rule(degree))
-                terms.append(ElementTerm(function, (None, nodes), arc=(number, edges)))
-    for load in problem.point_loads:
-        terms.append(ElementTerm(point_energy(load), (None, space.nodes_of(np.array([[load.node]])))))
-    return terms
+                pieces = edge.rule(degree)
+            groups.append(
+                on.group(force_energy(traction.value, edge, pieces), [place, on.displacement.at(nodes)])
+            )
+    for load in on.problem.point_loads:
+        groups.append(on.group(point_energy(load), [on.displacement.at(np.array([[load.node]]))]))
+    return groups
 
 
-Place = tuple[int, Index]
-"""The number of a curve, and the vertices a, b, c (3, elements) of triangles with an arc ab on it."""
+def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field]]]:
+    """For each region its law and its triangles, those away from curves and those beside each curve.
 
-
-def _elements(problem: ContactProblem) -> list[tuple[Law, Index, list[tuple[Curve, Place]]]]:
-    """For each region its law, its triangles away from curves, and those beside each curve.
-
-    A triangle with two arcs counts as one beside the first of them: its other side is a chord.
+    With their local values, of place and displacement. A triangle with two arcs counts as one beside the
+    first of them: its other side is a chord.
     """
-    vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], CONSTANT)
+    problem, order = on.problem, on.space.order
+    vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], NONE)
     for number, name in enumerate(problem.motion.curves):
         sides = sides_on(problem, np.asarray(problem.mesh.boundaries[name], dtype=np.int64))
         elements, first = np.unique(sides.element, return_index=True)
-        new = owner[elements] == CONSTANT
+        new = owner[elements] == NONE
         elements, apex = elements[new], 3 - sides.ends[:, first[new]].sum(axis=0)
         owner[elements] = number
         local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise, the arc first
         vertices[:, elements] = np.take_along_axis(vertices[:, elements], local, axis=0)
-    regions = []
     for law, elements in problem.regions:
-        of = owner[elements]
-        beside = [
-            (problem.curves[k], (k, vertices[:, elements[of == k]])) for k in np.unique(of[of >= 0]).tolist()
-        ]
-        regions.append((law, elements[of == CONSTANT], beside))
-    return regions
-
-
-def _beside(space: DisplacementSpace, function: ca.Function, number: int, vertices: Index) -> ElementTerm:
-    return ElementTerm(function, (vertices[2:], space.nodes_of(vertices)), arc=(number, vertices[:2]))
-
-
-def _load_term(space: DisplacementSpace, law: Law, rule: str | int, triangles: Index) -> ElementTerm:
-    function, at_points = load_energy(law, rule, space.order)
-    return ElementTerm(function, (triangles, space.nodes_of(triangles)), at_points=at_points)
+        for number in np.unique(owner[elements]).tolist():
+            chosen = vertices[:, elements[owner[elements] == number]]
+            u = on.displacement.at(on.space.nodes_of(chosen))
+            if number == NONE:
+                yield law, Straight(3, law.components, order), [on.positions.at(chosen), u]
+            else:
+                place = on.parameters(number, chosen[:2]), on.positions.at(chosen[2:])
+                yield law, Blended(problem.curves[number], law.components, order), [*place, u]
 
 
 def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:
@@ -176,7 +158,6 @@ def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:
     held, value = space.given()
     count = int((~held).sum())
     # node by node, so that the unknowns of a node stay together
-    index = np.full(held.T.shape, CONSTANT)
+    index = np.full(held.T.shape, NONE)
     index[~held.T] = np.arange(count)
-    field = constant_field(value)
-    return Field(index.T, field.scale, field.offset, space=space), count
+    return Field(index.T, np.ones(value.shape), value), count

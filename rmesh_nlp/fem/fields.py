@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Expression
-from rmesh_nlp.fem.at_points import PointValues
-from rmesh_nlp.fem.element import local_symbols, with_design
+from rmesh_nlp.evaluation import Array, Expression, Kind
+from rmesh_nlp.fem.cells import Arc, Cell, Density, Straight
+from rmesh_nlp.fem.element import PointSums, local_symbols, plain, with_design
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
+from rmesh_nlp.problem import ContactProblem
 
-CONSTANT = -1
-"""Index of a local value that does not depend on any unknown or parameter."""
-
-STRAIGHT = -1
-"""Number of no function in :class:`Bends`."""
+NONE = -1
+"""Number of no unknown, of no row of constraints, of no curve."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +28,7 @@ class Bends:
     """Values of a field that are functions of an affine one, as coordinates of a curve are of its parameter.
 
     ``which`` has the field's shape: the number of the function, ``t -> value`` and twice differentiable, or
-    ``STRAIGHT`` for the affine value itself.
+    ``NONE`` for the affine value itself.
     """
 
     which: Index
@@ -82,11 +81,12 @@ class Modes:
 class Field:
     """A nodal field (components, nodes) as an affine function of one vector, ``scale * w[index] + offset``.
 
-    The vector ``w`` is the unknowns ``x`` of a model or, if ``parameter``, its ``p``. The field is fixed at
-    ``offset`` where the index is ``CONSTANT``.
+    The field is fixed at ``offset`` where the index is ``NONE``; there ``scale`` is made zero.
 
     Attributes
     ----------
+    source : int
+        Which one the vector ``w`` is of ``x, p, lam_f, lam_g``: unknowns, parameters, multipliers.
     bends : Bends, optional
         Where the value is not this affine function but a function of it.
     modes : Modes, optional
@@ -95,19 +95,24 @@ class Field:
         Of positions: (curves, nodes), the parameters of the nodes that are on a curve of the motion.
     design : Design, optional
         Of positions: the design variables beside them.
-    space : DisplacementSpace, optional
-        Of displacements: the space whose nodes these are; by default the nodes are the vertices.
     """
 
     index: Index
     scale: Array
     offset: Array
-    parameter: bool = False
+    source: int = 0
     bends: Bends | None = None
     modes: Modes | None = None
     along: Field | None = None
     design: Design | None = None
-    space: DisplacementSpace | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "scale", np.where(self.index == NONE, 0.0, self.scale))
+
+    @cached_property
+    def varies(self) -> bool:
+        """Whether any value depends on ``w``."""
+        return bool(np.any(self.index != NONE))
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -133,7 +138,7 @@ class Field:
     def _picked(self, pick: Callable[[NDArray], NDArray]) -> Field:
         bends = self.bends and Bends(pick(self.bends.which), self.bends.functions)
         modes = self.modes and self.modes.picked(pick)
-        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.parameter, bends, modes)
+        return Field(pick(self.index), pick(self.scale), pick(self.offset), self.source, bends, modes)
 
     def straight(self) -> Field:
         """The affine field behind it."""
@@ -141,7 +146,7 @@ class Field:
 
     def numbered_from(self, first: int) -> Field:
         """The same field, its unknowns numbered from ``first`` instead of from zero."""
-        return replace(self, index=np.where(self.index == CONSTANT, CONSTANT, self.index + first))
+        return replace(self, index=np.where(self.index == NONE, NONE, self.index + first))
 
     def in_units(self, unit: float) -> Field:
         """The same field of unknowns that are measured in ``unit``."""
@@ -157,61 +162,75 @@ class Field:
     def at_rest(self, w: Array) -> Field:
         """The same field fixed at its values for ``w``; a design beside it goes on to vary."""
         along = self.along and constant_field(self.along.values(w))
-        return replace(constant_field(self.values(w)), along=along, design=self.design, space=self.space)
+        return replace(constant_field(self.values(w)), along=along, design=self.design)
 
     def slopes(self, w: Array) -> Array:
         """Derivative (components, nodes) of each value by its own unknown, zero where it has none."""
-        slope = np.where(self.index != CONSTANT, self.scale, 0.0)
-        return slope if self.bends is None else slope * self.bends.applied(self._affine(w), slopes=True)
+        if self.bends is None:
+            return self.scale
+        return self.scale * self.bends.applied(self._affine(w), slopes=True)
 
     def _affine(self, w: Array) -> Array:
-        moving = self.index != CONSTANT
-        result = self.offset.copy()
-        result[moving] += self.scale[moving] * np.asarray(w)[self.index[moving]]
+        if not self.varies:
+            return self.offset.copy()
+        result = w[self.index]
+        result *= self.scale
+        result += self.offset
         return result
 
 
-def unknown_field(shape: tuple[int, int], first: int = 0, *, parameter: bool = False) -> Field:
-    """A field all of whose values are unknowns, numbered node by node from ``first``."""
+def unknown_field(shape: tuple[int, int], first: int = 0, source: int = 0) -> Field:
+    """A field all of whose values are entries of ``w``, numbered node by node from ``first``."""
     components, nodes = shape
-    index = first + np.arange(components * nodes).reshape(nodes, components).T
-    return Field(index, np.ones(shape), np.zeros(shape), parameter)
+    return plain_field(first + np.arange(components * nodes).reshape(nodes, components).T, source)
+
+
+def plain_field(index: Index, source: int = 0) -> Field:
+    """A field whose values are entries of ``w``, and zero where the index is ``NONE``."""
+    return Field(index, np.ones(index.shape), np.zeros(index.shape), source)
 
 
 def constant_field(values: Array) -> Field:
     """A field that is fixed at ``values`` of shape (components, nodes or elements)."""
     offset = np.atleast_2d(np.asarray(values, dtype=float))
-    return Field(np.broadcast_to(CONSTANT, offset.shape), np.broadcast_to(1.0, offset.shape), offset)
+    return Field(np.broadcast_to(NONE, offset.shape), np.zeros(offset.shape), offset)
 
 
 @dataclass(frozen=True)
 class ElementGroup:
-    """Elements that share one local function ``(*local columns[, values at points]) -> (f, g)``.
+    """Elements that share one local function ``(*local columns[, sums at points]) -> (f, g)``.
 
     f is a scalar, g a column (possibly empty). The function is an SX Function, or an MX one where SX has no
-    expression (splines). Its last argument is there with ``at_points``: the values at all points.
+    expression (splines). Its last argument is there with ``at_points``.
 
     Attributes
     ----------
     arguments : tuple of Field
         For each other argument its local values, (length, elements).
     rows : (len(g), elements) int array
-        Constraint row that each local ``g`` is added to; ``CONSTANT`` drops it.
+        Constraint row that each local ``g`` is added to; ``NONE`` drops it.
+    at_points : PointSums, optional
+        Sums at points of the element whose vertices are the first argument.
     """
 
     function: ca.Function
     arguments: tuple[Field, ...]
     rows: Index
-    at_points: PointValues | None = None
+    at_points: PointSums | None = None
 
     @property
     def size(self) -> int:
         """Number of elements."""
         return self.arguments[0].shape[1]
 
+    @property
+    def plain(self) -> ca.Function:
+        """The function of the columns alone."""
+        return plain(self.function, self.at_points)
+
     def shifted(self, first_row: int) -> ElementGroup:
         """The same group, its rows numbered from ``first_row`` instead of from zero."""
-        return replace(self, rows=np.where(self.rows == CONSTANT, CONSTANT, self.rows + first_row))
+        return replace(self, rows=np.where(self.rows == NONE, NONE, self.rows + first_row))
 
     def through(self, change: Callable[[Expression, Expression], list[Expression]]) -> ElementGroup:
         """The same elements with the results ``change(f, g)``."""
@@ -229,67 +248,88 @@ class ElementGroup:
         return replace(self, arguments=arguments, rows=self.rows[:, chosen])
 
 
-def element_group(
-    function: ca.Function,
-    positions: Field,
-    local: tuple[Field, ...],
-    rows: Index | None = None,
-    at_points: PointValues | None = None,
-) -> ElementGroup:
-    """Elements of local values; without ``rows`` they add to the objective alone.
+class Forces(NamedTuple):
+    """Contact forces at nodes as fields (obstacles, nodes), in N/m; zero where there are none.
 
-    A function that depends on design variables gets those of ``positions`` as its first argument.
-    """
-    size = local[0].shape[1]
-    rows = np.zeros((0, size), dtype=np.int64) if rows is None else rows
-    whole, names = with_design(function, at_points)
-    if not names:
-        return ElementGroup(function, local, rows, at_points)
-    if positions.design is None:
-        raise ValueError(f"{function.name()} depends on the design variables {', '.join(names)}")
-    return ElementGroup(whole, (positions.design.of(names, size), *local), rows)
-
-
-@dataclass(frozen=True)
-class ElementTerm:
-    """A local function and the nodes that it takes values at: an element group of fields to be named.
-
-    The arguments of the function are parameters of a curve, the fields of :meth:`on`, constants; each only
-    where the term has it.
-
-    Attributes
-    ----------
-    nodes : tuple of (nodes per element, elements) int arrays or None
-        For each field of :meth:`on` the nodes at which the function takes it; None if it does not.
-    rows : (len(g), elements) int array, optional
-        Constraint rows, numbered from zero; none by default.
-    component : int, optional
-        The last field has one component per obstacle: take this one.
-    arc : (int, (nodes per element, elements) int array), optional
-        The function takes the parameters of these vertices on this curve of the motion.
-    constants : (length, elements) array, optional
+    The tangential force on the body along the foundation's tangent is ``plus - minus``; with friction both
+    are at least zero, and their sum is the bound ``g omega + F normal``.
     """
 
-    function: ca.Function
-    nodes: tuple[Index | None, ...]
-    rows: Index | None = None
-    component: int | None = None
-    at_points: PointValues | None = None
-    arc: tuple[int, Index] | None = None
-    constants: Array | None = None
+    normal: Field
+    minus: Field
+    plus: Field
 
-    def on(self, *fields: Field, first_row: int = 0) -> ElementGroup:
-        """The element group on these fields, positions first, its rows numbered from ``first_row``."""
-        positions = fields[0]
-        if self.component is not None:
-            fields = (*fields[:-1], fields[-1].component(self.component))
-        chosen = zip(fields, self.nodes, strict=True)
-        local: tuple[Field, ...] = tuple(field.at(nodes) for field, nodes in chosen if nodes is not None)
-        if self.arc is not None and fields[0].along is not None:
-            curve, nodes = self.arc
-            local = (fields[0].along.component(curve).at(nodes), *local)
+    def in_units(self, unit: float) -> Forces:
+        """The same of unknowns that are measured in ``unit``."""
+        return Forces(*(field.in_units(unit) for field in self))
+
+
+class Fields(NamedTuple):
+    """What an element term is a function of.
+
+    Displacement (components, nodes) and ``slip`` (obstacles, nodes), magnitudes, are at the nodes of
+    ``space``.
+    """
+
+    space: DisplacementSpace
+    positions: Field
+    displacement: Field
+    slip: Field
+    forces: Forces | None = None
+
+    @property
+    def problem(self) -> ContactProblem:
+        """What is discretised."""
+        return self.space.problem
+
+    def group(
+        self,
+        function: ca.Function,
+        local: Sequence[Field],
+        rows: Index | None = None,
+        at_points: PointSums | None = None,
+    ) -> ElementGroup:
+        """Elements of local values; without ``rows`` they add to the objective alone.
+
+        A function that depends on design variables gets those that it depends on as its first argument.
+        """
         size = local[0].shape[1]
-        if self.constants is not None:
-            local = (*local, constant_field(self.constants))
-        rows = np.zeros((0, size), dtype=np.int64) if self.rows is None else first_row + self.rows
-        return element_group(self.function, positions, local, rows, self.at_points)
+        rows = np.zeros((0, size), dtype=np.int64) if rows is None else rows
+        whole, names = with_design(function, at_points)
+        if not names:
+            return ElementGroup(function, tuple(local), rows, at_points)
+        design = self.positions.design
+        if design is None:
+            raise ValueError(f"{function.name()} depends on the design variables {', '.join(names)}")
+        return ElementGroup(whole, (design.of(names, size), *local), rows)
+
+    def edges(self, boundary: str, components: int) -> Iterator[tuple[Cell, Field, Index]]:
+        """The edges of a boundary, straight ones and arcs: their symbols, their place, and their nodes."""
+        for number, edges in self.problem.edges_by_curve(boundary):
+            nodes = self.space.nodes_of(edges)
+            if number < 0:
+                yield Straight(2, components, self.space.order), self.positions.at(edges), nodes
+            else:
+                arc = Arc(self.problem.curves[number], components, self.space.order)
+                yield arc, self.parameters(number, edges), nodes
+
+    def parameters(self, curve: int, nodes: Index) -> Field:
+        """Local values (nodes per element, elements): the parameters of nodes on a curve."""
+        assert self.positions.along is not None
+        return self.positions.along.component(curve).at(nodes)
+
+    def integral(
+        self,
+        name: str,
+        cells: Index,
+        degree: int,
+        density: Density,
+        *,
+        kind: Kind = ca.SX,
+        factor: float = 1.0,
+    ) -> ElementGroup:
+        """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
+        cell = Straight(len(cells), self.problem.components, self.space.order, kind)
+        value = factor * cell.integral(density, cell.rule(degree))
+        local = self.positions.at(cells), self.displacement.at(self.space.nodes_of(cells))
+        return self.group(cell.function(name, value), local)

@@ -14,7 +14,6 @@ import csv
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
-from itertools import product
 from pathlib import Path
 
 import casadi as ca
@@ -24,10 +23,11 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.cells import Straight, affine, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, Field, constant_field, element_group
-from rmesh_nlp.fem.objective import Fields, Objective, Term
+from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
+from rmesh_nlp.fem.objective import Objective, Term
+from rmesh_nlp.fem.reach import corners, least_areas
 from rmesh_nlp.fem.space import Index
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import signed_areas
 
 __all__ = ["fit", "fit_file"]
 
@@ -135,7 +135,7 @@ def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
         )
         local = on.positions.at(triangles), on.displacement.at(on.space.nodes_of(triangles))
         function = _misfit(components, on.space.order)
-        return [element_group(function, on.positions, (*local, constant_field(data)))]
+        return [on.group(function, [*local, constant_field(data)])]
 
     return Objective(((1.0, Term(name, quantity, minimised_only=True)),))
 
@@ -154,58 +154,29 @@ def _misfit(components: int, order: int) -> ca.Function:
 
 def _located(on: Fields, points: Array, name: str) -> Index:
     """(3, points) vertices of the triangles that the points are in, whatever the outer variables are."""
-    positions, triangles = on.positions, on.problem.triangles
-    nodes = positions.values(np.zeros(max(int(positions.index.max(initial=0)) + 1, _last(positions))))
-    moved = _corners(positions, nodes, on.problem)
-    vertices = []
+    positions, triangles, design = on.positions, on.problem.triangles, on.positions.design
+    unknowns = [positions.index, *([] if design is None else [design.values.index])]
+    nodes = positions.values(np.zeros(1 + max(int(index.max(initial=0)) for index in unknowns)))
+    limits, vertices = corners(on.problem, positions, nodes), []
+    least = -WITHIN * signed_areas(nodes, triangles)
     for x in points.T:
-        shares = _areas(nodes[:, None], triangles, x)
-        shares /= shares.sum(axis=0)
-        least = shares.min(axis=0)
-        inside = np.flatnonzero(least >= -WITHIN)
+        in_place = _least_parts(np.broadcast_to(nodes[:, None], limits.shape), triangles, x) >= least
+        inside = triangles[:, in_place]
         at = f"{name}: the point ({x[0]:.6g}, {x[1]:.6g})"
         if inside.size == 0:
             raise ValueError(f"{at} lies outside of the mesh")
-        kept = [number for number in inside if _stays(moved, triangles[:, number], x)]
-        if not kept:
+        kept = inside[:, _least_parts(limits, inside, x) >= least[in_place]]
+        if kept.size == 0:
             raise ValueError(
                 f"{at} may pass into another triangle: pin the nodes beside it, or lower their move limits"
             )
-        vertices.append(triangles[:, kept[0]])
+        vertices.append(kept[:, 0])
     return np.array(vertices).T
 
 
-def _areas(corners: Array, triangles: Index, x: Array) -> Array:
-    """(3, triangles) twice the areas of the parts into which a point cuts triangles, opposite each vertex."""
-    a, b, c = (corners[:, 0, vertices] - x[:, None] for vertices in triangles)
-    return np.stack([p[0] * q[1] - p[1] * q[0] for p, q in ((b, c), (c, a), (a, b))])
-
-
-def _stays(moved: Array, vertices: Index, x: Array) -> bool:
-    """Whether a point stays in a triangle for all corners of the limits of its vertices."""
-    a, b, c = (moved[:, :, vertex] - x[:, None] for vertex in vertices)
-    size = max(float(np.max(np.abs(offset))) for offset in (a, b, c)) ** 2
-    with np.errstate(invalid="ignore"):  # infinite corners are not a number, and do not stay
-        crossed = [np.outer(p[0], q[1]) - np.outer(p[1], q[0]) for p, q in ((a, b), (b, c), (c, a))]
-        return all(bool(np.all(part >= -WITHIN * size)) for part in crossed)
-
-
-def _corners(positions: Field, nodes: Array, problem: ContactProblem) -> Array:
-    """(2, 4, nodes) the corners of the limits of each node, infinite where there are none."""
-    reach = np.where(positions.index == CONSTANT, 0.0, positions.scale)
-    if problem.motion.delta is None:
-        reach = np.where(reach != 0, np.inf, 0.0)
-    if positions.bends is not None:
-        reach = np.where((positions.bends.which != STRAIGHT) & (reach != 0), np.inf, reach)
-    if positions.modes is not None:
-        reach = np.where(np.any(positions.modes.motions != 0, axis=0), np.inf, reach)
-    alike = positions.index[0] == positions.index[1]  # one outer variable moves both coordinates
-    limits = []
-    for x, y in product((-1.0, 1.0), repeat=2):
-        limits.append(nodes + reach * np.array([np.full(alike.shape, x), np.where(alike, x, y)]))
-    return np.stack(limits, axis=1)
-
-
-def _last(positions: Field) -> int:
-    """Length of the outer variables that design variables need."""
-    return 0 if positions.design is None else int(positions.design.values.index.max(initial=-1)) + 1
+def _least_parts(limits: Array, triangles: Index, x: Array) -> Array:
+    """(triangles,) the least area of the three parts into which a point cuts a triangle, within limits."""
+    own, (a, b, c) = np.full(triangles.shape[1], limits.shape[2]), triangles
+    limits = np.concatenate([limits, np.broadcast_to(x[:, None, None], (2, 4, 1))], axis=2)
+    parts = (least_areas(limits, np.stack(part)) for part in ((own, b, c), (a, own, c), (a, b, own)))
+    return np.asarray(np.min(list(parts), axis=0))

@@ -11,7 +11,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array, Evaluator, Expression
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.element import NO_ROWS, local_symbols
-from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field
 
 Groups = list[ElementGroup]
 
@@ -70,7 +70,7 @@ class Functional:
         """``combine`` of sums that are unknowns, a field (m, 1)."""
         s = ca.SX.sym("S", len(self.sums))
         function = ca.Function("combine", [s], [self.combine(s), NO_ROWS])
-        return element_group(function, sums, (sums,))
+        return ElementGroup(function, (sums,), np.zeros((0, 1), dtype=np.int64))
 
     def evaluate(self) -> Callable[[Array], float]:
         """A function of the unknowns ``x``: the value."""

@@ -19,13 +19,14 @@ where their number per area is proportional to ``phi^(1 / (k + 1))``.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from math import comb
 
 import numpy as np
-from skfem.quadrature import get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.problem.laws import Elastic, Law
+from rmesh_nlp.problem.quadrature import triangle_rule
 
 EQUILATERAL = np.array([[1.0, -0.5, -0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]]) / (27 / 16) ** 0.25
 """(2, 3) vertices of an equilateral triangle of area 1."""
@@ -56,8 +57,8 @@ def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expressio
     edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]
     area = (edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]) / 2
     for i in range(3):
-        (ax, ay), (bx, by), (cx, cy) = edges[i - 1], edges[i - 2], edges[i]
-        w = [xx * ax * bx + xy * (ax * by + ay * bx) + yy * ay * by for xx, xy, yy in second]
+        cx, cy = edges[i]
+        w = [_along(H, edges[i - 1], edges[i - 2]) for H in second]
         size = sum(wi**2 for wi in w) * (cx**2 + cy**2)  # the gradient of lambda_i is (-cy, cx) / (2 area)
         if isinstance(law, Elastic):
             total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[1] * cx - w[0] * cy) ** 2
@@ -72,8 +73,8 @@ def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Express
     double = edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]
     bubbles = []
     for D in third:
-        along = [_third(D, edge, edge, edge) / 12 for edge in edges]
-        inner = 3 * along[2] + along[0] - along[1] + _third(D, edges[2], edges[2], edges[1]) / 2
+        along = [_along(D, edge, edge, edge) / 12 for edge in edges]
+        inner = 3 * along[2] + along[0] - along[1] + _along(D, edges[2], edges[2], edges[1]) / 2
         bubbles.append([*along, inner])
     total = 0.0
     for point, weight in enumerate(BUBBLE_WEIGHTS):
@@ -98,11 +99,11 @@ def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Express
     return total / (4 * double)  # area * 1/2 / (2 area)^2
 
 
-def _third(D: Expression, a: Expression, b: Expression, c: Expression) -> Expression:
-    """The third derivative xxx, xxy, xyy, yyy in three directions."""
-    (p, q), (r, s), (t, u) = a, b, c
-    mixed = D[1] * (p * r * u + p * s * t + q * r * t) + D[2] * (p * s * u + q * r * u + q * s * t)
-    return D[0] * p * r * t + mixed + D[3] * q * s * u
+def _along(D: Expression, *directions: tuple[Expression, Expression]) -> Expression:
+    """The derivative xx, xy, yy or xxx, xxy, xyy, yyy in as many directions."""
+    for x, y in directions:
+        D = [x * by_x + y * by_y for by_x, by_y in pairwise(D)]
+    return D[0]
 
 
 def _bubble_slopes(shares: Array) -> Array:
@@ -117,9 +118,9 @@ def _bubble_slopes(shares: Array) -> Array:
     return np.array(rows)
 
 
-_POINTS, _WEIGHTS = get_quadrature_tri(4)
+_POINTS, BUBBLE_WEIGHTS = triangle_rule(4)
 
-BUBBLE_SLOPES, BUBBLE_WEIGHTS = _bubble_slopes(np.vstack([1 - _POINTS.sum(axis=0), _POINTS])), 2 * _WEIGHTS
+BUBBLE_SLOPES = _bubble_slopes(_POINTS)
 """At the points of a rule that is exact for the energy, with weights that sum to one."""
 
 

@@ -4,72 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Kind
-from rmesh_nlp.fem.cells import Density, Straight
-from rmesh_nlp.fem.fields import ElementGroup, Field, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.space import DisplacementSpace, Index
-from rmesh_nlp.problem import ContactProblem
-
-
-class Forces(NamedTuple):
-    """Contact forces at nodes as fields (obstacles, nodes), in N/m; zero where there are none.
-
-    The tangential force on the body along the foundation's tangent is ``plus - minus``; with friction both
-    are at least zero, and their sum is the bound ``g omega + F normal``.
-    """
-
-    normal: Field
-    minus: Field
-    plus: Field
-
-    def in_units(self, unit: float) -> Forces:
-        """The same of unknowns that are measured in ``unit``."""
-        return Forces(*(field.in_units(unit) for field in self))
-
-
-class Fields(NamedTuple):
-    """What a term is a function of; ``slip`` (obstacles, nodes) has magnitudes."""
-
-    problem: ContactProblem
-    positions: Field
-    displacement: Field
-    slip: Field
-    forces: Forces | None = None
-
-    @property
-    def space(self) -> DisplacementSpace:
-        """That of the displacement."""
-        return self.displacement.space or DisplacementSpace(self.problem)
-
-    def group(self, function: ca.Function, vertices: Index, nodes: Index) -> ElementGroup:
-        """The sum over cells of a function of X_e and u_e.
-
-        ``vertices`` are (k, n); ``nodes`` (m, n) are the space's, u_e the coefficients there.
-        """
-        local = self.positions.at(vertices), self.displacement.at(nodes)
-        return element_group(function, self.positions, local)
-
-    def integral(
-        self,
-        name: str,
-        cells: Index,
-        degree: int,
-        density: Density,
-        *,
-        kind: Kind = ca.SX,
-        factor: float = 1.0,
-    ) -> ElementGroup:
-        """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
-        cell = Straight(len(cells), self.problem.components, self.space.order, kind)
-        value = factor * cell.integral(density, cell.rule(degree))
-        return self.group(cell.function(name, value), cells, self.space.nodes_of(cells))
-
 
 Groups = Callable[[Fields], list[ElementGroup] | Functional]
 """Element groups whose sum is the value of a term, or a function of several such sums; a ValueError where the

@@ -21,13 +21,13 @@ from typing import Any
 import casadi as ca
 
 from rmesh_nlp.evaluation import Expression
-from rmesh_nlp.fem.contact_terms import friction_terms
+from rmesh_nlp.fem.contact_terms import friction
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.energy import load_terms, strain_terms
-from rmesh_nlp.fem.fields import ElementGroup, element_group
+from rmesh_nlp.fem.energy import loads, strain
+from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import scaled_group
-from rmesh_nlp.fem.objective import Fields, Groups, Objective, Term
+from rmesh_nlp.fem.objective import Groups, Objective, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN
@@ -40,31 +40,30 @@ SPLINE_DEGREE = 5
 """The same for a reference given by splines, which are dear and smooth on the scale of an element."""
 
 
-def _energy(on: Fields) -> list[ElementGroup]:
+def energy(on: Fields) -> list[ElementGroup]:
     """The total potential energy (3.3), (3.15)."""
+    return [*strain(on), *loads(on, on.problem.rule), *friction(on)]
+
+
+def _energy(on: Fields) -> list[ElementGroup]:
     if on.problem.has_coulomb:
         raise ValueError("with Coulomb friction there is no energy that the displacement minimises")
-    bulk = [*strain_terms(on.space), *load_terms(on.space, on.problem.rule)]
-    return [*(term.on(on.positions, on.displacement) for term in bulk), *_friction_energy(on)]
-
-
-def _friction_energy(on: Fields) -> list[ElementGroup]:
-    return [term.on(on.positions, on.slip) for term in friction_terms(on.space)]
+    return energy(on)
 
 
 def _compliance(on: Fields) -> list[ElementGroup]:
     """The work of source or body force, tractions and point loads, (3.3)."""
-    terms = load_terms(on.space, on.problem.rule)
-    if not terms:
+    groups = loads(on, on.problem.rule)
+    if not groups:
         raise ValueError(f"the objective 'compliance' needs a load, and {on.problem.name!r} has none")
-    return [scaled_group(term.on(on.positions, on.displacement), -1.0) for term in terms]
+    return [scaled_group(group, -1.0) for group in groups]
 
 
 def _area(on: Fields) -> list[ElementGroup]:
     X = ca.SX.sym("X", 2, 3)
     a, b = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]
     function = ca.Function("area", [ca.vec(X)], [(a[0] * b[1] - a[1] * b[0]) / 2, NO_ROWS])
-    return [element_group(function, on.positions, (on.positions.at(on.problem.triangles),))]
+    return [on.group(function, [on.positions.at(on.problem.triangles)])]
 
 
 def _error(which: str, on: Fields) -> list[ElementGroup]:
@@ -110,7 +109,7 @@ def _friction(on: Fields) -> list[ElementGroup]:
     if len(on.problem.laws) > 1:
         raise ValueError("the objective 'friction' needs one law")
     rough = [obstacle for obstacle in on.problem.obstacles if obstacle.frictional]
-    return [*_friction_energy(on), *(_work(on, exact, obstacle, along=True) for obstacle in rough)]
+    return [*friction(on), *(_work(on, exact, obstacle, along=True) for obstacle in rough)]
 
 
 def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool = False) -> ElementGroup:
@@ -130,7 +129,7 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
 
 
 def _distortion(name: str, on: Fields) -> list[ElementGroup]:
-    return [distortion_group(on.problem, on.positions, name)]
+    return [distortion_group(on, name)]
 
 
 def _exact(on: Fields, name: str) -> ExactSolution:

@@ -19,9 +19,9 @@ from rmesh_nlp.evaluation import ROUNDING, Expression
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Fields, Forces
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Fields, Forces, Objective, Term
+from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.problem.data import ContactSet
@@ -65,7 +65,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
         function = ca.Function("shear", [minus, plus], [plus - minus, NO_ROWS])
         free = part.nodes[_may_slip(on.space, part)]
         local = (field.component(part.number).at(free[None]) for field in forces[1:])
-        return [element_group(function, on.positions, tuple(local))]
+        return [on.group(function, list(local))]
 
     return Objective(((1.0, Term(name, quantity)),))
 
@@ -89,7 +89,7 @@ def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Object
         level, design = level_name(boundary), on.positions.design
         if design is not None and level in design.names:
             function = ca.Function("level", [symbol(level)], [symbol(level), NO_ROWS])
-            return Functional([element_group(function, on.positions, (design.of((level,), 1),))])
+            return Functional([on.group(function, [design.of((level,), 1)])])
         groups = _groups(on, boundary, lambda share, force: force / share)
         each = [[group.some(np.array([k]))] for group in groups for k in range(group.size)]
         return Functional([], tuple(each), lambda s: reduce(ca.fmax, ca.vertsplit(s)))
@@ -164,7 +164,7 @@ def _groups(
         share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in patch.cells) / size(on.space.order, 2)
         function = ca.Function("at_node", [ca.vec(X), force], [ca.SX(value(share, force)), NO_ROWS])
         local = on.positions.at(patch.vertices), normal.at(part.nodes[None, patch.rows])
-        groups.append(element_group(function, on.positions, local))
+        groups.append(on.group(function, local))
     return groups
 
 

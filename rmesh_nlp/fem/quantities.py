@@ -22,10 +22,10 @@ from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, constant_field, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.fit import fit, fit_file
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Fields, Groups, Objective, Term
+from rmesh_nlp.fem.objective import Groups, Objective, Term
 from rmesh_nlp.fem.pressure import (
     contact_length,
     largest_pressure,
@@ -164,7 +164,7 @@ def nodal(
             raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
         at_nodes = Straight(chosen.size, on.problem.components, 1)
         value = at_nodes.function("quantity", _scalar(function(at_nodes.X, at_nodes.u), name))
-        return [on.group(value, chosen, chosen)]
+        return [on.group(value, [on.positions.at(chosen), on.displacement.at(chosen)])]
 
     return quantity
 
@@ -215,7 +215,7 @@ def of_design(value: ca.SX, *, name: str = "design") -> Objective:
         local = design.of(names, 1) if design is not None and names else constant_field(np.zeros((1, 1)))
         symbols = ca.vertcat(*map(symbol, names)) if names else ca.SX.sym("none")
         function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
-        return [element_group(function, on.positions, (local,))]
+        return [on.group(function, [local])]
 
     return quantity
 

@@ -18,11 +18,12 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.interpolation_error import errors
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, Index
 from rmesh_nlp.problem.laws import Law
+from rmesh_nlp.vectorised import CHUNK
 
 NEARNESS = {2: 2.0, 3: 10.0}
 """By degree: weights of nodes fall like ``exp(-NEARNESS r^2)``, with r in root mean squares of the patch.
@@ -36,14 +37,9 @@ wedge)."""
 CONDITION = {2: 1e5, 3: 1e7}
 """Largest condition number of the normal equations of a fit of a degree; a patch with more is enlarged."""
 
+
 RINGS = 6
 """Most rings of neighbours that a patch may have. A region without fits has no second derivatives."""
-
-ROUNDING = 1e-10
-"""Part of the largest value that is rounding, across a patch: a linear displacement is recovered as one."""
-
-CHUNK = 20_000
-"""Nodes that are fitted together, so that the memory does not grow with the mesh."""
 
 
 @dataclass(frozen=True)
@@ -165,7 +161,7 @@ class _Fits:
         good = (count >= unknowns) & (np.linalg.cond(matrix) < CONDITION[degree])
         solution = np.zeros_like(right)
         solution[good] = np.linalg.solve(matrix[good], right[good])
-        solution[np.abs(solution) <= self._least] = 0.0
+        solution[np.abs(solution) <= self._least] = 0.0  # a linear displacement is recovered as one
         # by x and y: back to dx and dy
         highest, f, g, h = solution[:, -degree - 1 :].T, 1 / a, -b / (a * c), 1 / c
         derivatives = [

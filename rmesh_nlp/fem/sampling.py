@@ -6,11 +6,11 @@ edges, in the order of ``bernstein.SIDES``. Positions are such a field too: edge
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, eye_array, vstack
+from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
@@ -18,10 +18,6 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body
 
 Index = NDArray[np.int64]
-
-MOST = 40_000  # pieces up to which they are halved, twice at most
-SMALL = {3: ((0, 1, 2),), 6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))}
-"""The straight triangles between the nodes of a cell, by how many it has."""
 
 ALONG = {2: 1, 3: 8}
 """Straight pieces in which an edge is drawn, by the number of its nodes."""
@@ -39,67 +35,32 @@ def points_of(space: DisplacementSpace, X: Array) -> Array:
     return points
 
 
-@dataclass(frozen=True)
-class Pieces:
-    """Cells cut into straight triangles on which fields are drawn as linear.
+class Pieces(NamedTuple):
+    """Straight triangles in a cell, on which fields are drawn as linear.
 
-    ``triangles`` are (3, elements * pieces), those of an element one after the other; ``weights`` (points,
-    nodes) take the values at nodes to those at the points of the pieces.
+    ``shares`` (3, points) are the barycentric coordinates of their vertices, ``triangles`` (3, pieces).
     """
 
+    shares: Array
     triangles: Index
-    weights: csr_array
 
-    def __call__(self, values: Array) -> Array:
-        """(..., points) values at the points of a field (..., nodes)."""
-        return np.asarray((self.weights @ np.asarray(values, dtype=float).T).T)
-
-
-def pieces(cells: Index, n_nodes: int) -> Pieces:
-    """The pieces of cells: a triangle with three nodes is its own; one with six is cut into 64, 16 or 4."""
-    return _cut(cells, n_nodes, _halvings(cells))
+    @property
+    def centres(self) -> Array:
+        """(3, pieces) barycentric coordinates of their centres."""
+        return np.asarray(self.shares[:, self.triangles].mean(axis=1))
 
 
-def _halvings(cells: Index) -> int:
-    """How often pieces are halved."""
-    return 0 if len(cells) == 3 else sum(cells.shape[1] * each <= MOST for each in (16, 64))
+def pieces(cells: Index) -> Pieces:
+    """The pieces of each cell: a triangle with three nodes is its own; one with six is cut into 16."""
+    cut = MeshTri.init_refdom().refined(0 if len(cells) == 3 else 2)
+    return Pieces(np.vstack([1 - cut.p.sum(axis=0), cut.p]), cut.t.astype(np.int64))
 
 
-def _cut(cells: Index, n_nodes: int, halvings: int) -> Pieces:
-    weights = eye_array(n_nodes, format="csr")
-    for _ in range(halvings):
-        cells, finer = _halved(cells, weights.shape[0])
-        weights = finer @ weights
-    small = np.stack([cells[list(piece)] for piece in SMALL[len(cells)]], axis=-1)
-    return Pieces(small.reshape(3, -1), weights)
-
-
-def _halved(cells: Index, n: int) -> tuple[Index, csr_array]:
-    """Four cells of each, (6, 4 elements), and the weights (nodes, n) of the values at their nodes."""
-    children = np.stack([cells[list(piece)] for piece in SMALL[6]], axis=-1).astype(np.int64)
-    ends = children[np.array(SIDES[3])]  # (side, end, element, child)
-    names = ends.min(axis=1) * n + ends.max(axis=1)
-    _, first, number = np.unique(names, return_index=True, return_inverse=True)
-    finer = np.concatenate([children, n + number.reshape(names.shape)]).reshape(6, -1)
-    side, element, child = np.unravel_index(first, names.shape)
-    at = _nodes()[:, np.array(SMALL[6])[:, np.array(SIDES[3])]].mean(axis=-1)[:, child, side]  # (3, new)
-    weights = functions(2, at).T @ to_coefficients(2, 3)
-    rows = np.broadcast_to(np.arange(first.size)[:, None], weights.shape)
-    new = csr_array((weights.ravel(), (rows.ravel(), cells[:, element].T.ravel())), shape=(first.size, n))
-    return finer, vstack([eye_array(n), new], format="csr")
-
-
-def _nodes() -> Array:
-    """(3, 6) barycentric coordinates of the nodes of a cell."""
-    corners = np.eye(3)
-    return np.hstack([corners, np.stack([(corners[a] + corners[b]) / 2 for a, b in SIDES[3]], axis=1)])
-
-
-def centres(cells: Index) -> Array:
-    """(3, pieces) barycentric coordinates of the centres of the pieces of each cell."""
-    n = len(cells)
-    cut = _cut(np.arange(n)[:, None], n, _halvings(cells))
-    return np.asarray(cut(_nodes()[:, :n])[:, cut.triangles].mean(axis=1))
+def sampled(cells: Index, values: Array, shares: Array) -> Array:
+    """(..., cells, points) values of a field (..., nodes) at barycentric coordinates in cells or edges."""
+    order = 1 if len(cells) == len(shares) else 2
+    weights = functions(order, shares).T @ to_coefficients(order, len(shares))
+    return np.asarray(np.einsum("...nc,pn->...cp", values[..., cells], weights))
 
 
 def edges_of(cells: Index, *, outer: bool = False) -> Index:
@@ -118,6 +79,4 @@ def along(edges: Index, values: Array, parts: int | None = None) -> Array:
     """(..., edges, parts + 1) values at equal distances along edges, of a field (..., nodes)."""
     parts = ALONG[len(edges)] if parts is None else parts
     s = np.arange(parts + 1) / parts
-    order = len(edges) - 1
-    weights = functions(order, np.stack([1 - s, s])).T @ to_coefficients(order, 2)
-    return np.asarray(np.einsum("...ne,pn->...ep", values[..., edges], weights))
+    return sampled(edges, values, np.stack([1 - s, s]))

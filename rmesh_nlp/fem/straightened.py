@@ -8,8 +8,8 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Expression, Kind
-from rmesh_nlp.fem.element import local_symbols, plain
-from rmesh_nlp.fem.fields import STRAIGHT, ElementGroup, constant_field
+from rmesh_nlp.fem.element import local_symbols
+from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
 from rmesh_nlp.fem.space import Index
 
 
@@ -25,7 +25,7 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
         return [group]
     which = np.vstack(
         [
-            np.full(field.shape, STRAIGHT) if bend is None else bend.which
+            np.full(field.shape, NONE) if bend is None else bend.which
             for field, bend in zip(group.arguments, bends, strict=True)
         ]
     )
@@ -34,7 +34,7 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
     result = []
     for number, sort in enumerate(sorts.T):
         part = group.some(np.flatnonzero(member.ravel() == number))
-        if np.any(sort != STRAIGHT):
+        if np.any(sort != NONE):
             part = _composed(part, np.split(sort, lengths))
         result.append(replace(part, arguments=tuple(field.straight() for field in part.arguments)))
     return result
@@ -65,23 +65,24 @@ def _with_modes(group: ElementGroup) -> ElementGroup:
 
 def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     """The group as a function of the affine values behind its arguments."""
-    function = _alone(group).function
+    group = _alone(group)
+    function = group.function
     bends = [bend.functions if bend else () for bend in (field.bends for field in group.arguments)]
-    used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != STRAIGHT]
+    used = [functions[k] for functions, row in zip(bends, sort, strict=True) for k in row if k != NONE]
     kind: Kind = ca.SX if all(f.is_a("SXFunction") for f in (function, *used)) else ca.MX
     columns = [kind.sym(f"a{i}", field.shape[0]) for i, field in enumerate(group.arguments)]
     bent = [
-        column if np.all(row == STRAIGHT) else _bent(column, row, functions)
+        column if np.all(row == NONE) else _bent(column, row, functions)
         for column, row, functions in zip(columns, sort, bends, strict=True)
     ]
-    return replace(group, function=ca.Function(function.name(), columns, function(*bent)), at_points=None)
+    return replace(group, function=ca.Function(function.name(), columns, function(*bent)))
 
 
 def _alone(group: ElementGroup) -> ElementGroup:
     """The group with its values at points put in."""
-    return replace(group, function=plain(group.function, group.at_points), at_points=None)
+    return replace(group, function=group.plain, at_points=None)
 
 
 def _bent(column: Expression, row: Index, functions: tuple[ca.Function, ...]) -> Expression:
     parts = zip(ca.vertsplit(column), row, strict=True)
-    return ca.vertcat(*[part if k == STRAIGHT else functions[k](part) for part, k in parts])
+    return ca.vertcat(*[part if k == NONE else functions[k](part) for part, k in parts])

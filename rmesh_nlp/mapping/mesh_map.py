@@ -10,14 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, Bends, Design, Field, Modes, unknown_field
+from rmesh_nlp.fem.fields import NONE, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.lines import on_curve, sliding_directions
+from rmesh_nlp.problem.lines import STRAIGHT, on_curve, sliding_directions
 from rmesh_nlp.problem.motion import Relative
-
-PARALLEL = 1e-8
-"""Sine of the angle between two tangents up to which a node can follow the one that it is tied to."""
 
 
 class Mobility(IntEnum):
@@ -80,7 +77,7 @@ class MeshMap:
         ``design`` (design variables,) are those of the first design by default.
         """
         index, scale = self.positions.index, self.positions.scale
-        moving, affine, result = index != CONSTANT, np.array(nodes, dtype=float), np.zeros(self.n)
+        moving, affine, result = index != NONE, np.array(nodes, dtype=float), np.zeros(self.n)
         if self.positions.design is not None and design is not None:
             values = self.positions.design.values
             result[values.index[0]] = (design - values.offset[0]) / values.scale[0]
@@ -111,15 +108,15 @@ class MeshMap:
         free, sliding = mobility == Mobility.FREE, mobility == Mobility.SLIDING
         count = np.cumsum(2 * free + sliding)
         first, n = np.append(0, count[:-1]), int(count[-1])
-        index, scale, offset = np.full(mesh.p.shape, CONSTANT), np.ones(mesh.p.shape), np.array(mesh.p, float)
+        index, scale, offset = np.full(mesh.p.shape, NONE), np.ones(mesh.p.shape), np.array(mesh.p, float)
         index[:, free], scale[:, free] = first[free] + np.array([[0], [1]]), unit[:, free]
         with np.errstate(divide="ignore"):
             reach = np.min(unit[:, sliding] / np.abs(tangent[:, sliding]), axis=0)
         step = reach * tangent[:, sliding]
-        index[:, sliding] = np.where(step != 0, first[sliding], CONSTANT)
+        index[:, sliding] = np.where(step != 0, first[sliding], NONE)
         scale[:, sliding] = np.where(step != 0, step, 1.0)
-        which, shape = np.full(mesh.p.shape, STRAIGHT), (len(curves), mesh.p.shape[1])
-        parameters = Field(np.full(shape, CONSTANT), np.ones(shape), np.zeros(shape))
+        which, shape = np.full(mesh.p.shape, NONE), (len(curves), mesh.p.shape[1])
+        parameters = Field(np.full(shape, NONE), np.ones(shape), np.zeros(shape))
         for number, (name, curve) in enumerate(problem.motion.curves.items()):
             inner = np.flatnonzero(sliding & (along == number))
             t = curve.nearest(mesh.p[:, inner])
@@ -170,11 +167,11 @@ class VertexParameters:
         self._curves = [
             (curve, problem.boundary_nodes((name,))) for name, curve in problem.motion.curves.items()
         ]
-        positions = unknown_field((2, n), parameter=True)
-        along = unknown_field((len(self._curves), n), 2 * n, parameter=True) if self._curves else None
+        positions = unknown_field((2, n), source=1)
+        along = unknown_field((len(self._curves), n), 2 * n, source=1) if self._curves else None
         first = (2 + len(self._curves)) * n
         self._start = np.array(list(problem.start.values()))
-        values = unknown_field((1, self._start.size), first, parameter=True)
+        values = unknown_field((1, self._start.size), first, source=1)
         design = Design(tuple(problem.start), values) if problem.design else None
         self.positions = replace(positions, along=along, design=design)
         self.symbol = ca.MX.sym("X", first + self._start.size)
@@ -232,7 +229,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
         if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:
             (a, b), (c, d) = tangent[:, node], tangent[:, leader]
             both_slide = mobility[node] == mobility[leader] == Mobility.SLIDING
-            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < PARALLEL):
+            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < STRAIGHT):
                 raise ValueError(
                     f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
                 )

@@ -6,7 +6,6 @@ which decide what is accepted as a start and as a solution (:func:`is_valid`).
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,13 +15,11 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Expression
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT, ElementGroup, constant_field
+from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
+from rmesh_nlp.fem.reach import corners, least_areas
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.problem.body import Body
-
-BLOCK = 1024
-"""Elements whose 64 corners of the move limits are looked at together."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +99,11 @@ def validity(problem: ContactProblem, free: MeshMap) -> Validity:
                 f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
                 f"initial mesh has an angle of {np.min(angle):.4g}"
             )
-        moves = np.any(free.positions.index != CONSTANT, axis=0) | _shaped(free)
+        moves = np.any(free.positions.index != NONE, axis=0) | _shaped(free)
         at_risk = np.flatnonzero(np.any(moves[triangles], axis=0))
     else:
-        at_risk = np.flatnonzero(_least_areas(free, triangles) < motion.min_area_fraction * initial)
+        limits = corners(problem, free.positions, problem.mesh.p)
+        at_risk = np.flatnonzero(least_areas(limits, triangles) < motion.min_area_fraction * initial)
     function = _rows(np.deg2rad(motion.min_angle))
     per_element = function.size1_out(1)
     rows = np.arange(per_element * at_risk.size).reshape(-1, per_element).T
@@ -176,26 +174,3 @@ def _shaped(free: MeshMap) -> NDArray[np.bool_]:
     if modes is None:
         return np.zeros(free.positions.index.shape[1], dtype=bool)
     return np.asarray(np.any(modes.motions != 0, axis=(0, 1)))
-
-
-def _least_areas(free: MeshMap, triangles: NDArray) -> Array:
-    """Least signed area of each element over the move limits; -infinity where a vertex has none.
-
-    The area is affine in each coordinate by itself: it is least at a corner of the limits.
-    """
-    index = free.positions.index
-    bound = np.append(free.upper, 0.0)[index]  # CONSTANT is -1, the appended zero
-    boundless = np.any(np.isinf(bound[:, triangles]), axis=(0, 1)) | np.any(_shaped(free)[triangles], axis=0)
-    if free.positions.bends is not None:  # along a curve the area is not affine
-        boundless |= np.any(free.positions.bends.which[0][triangles] != STRAIGHT, axis=0)
-    reach = np.where(np.isinf(bound), 0.0, bound) * np.abs(free.positions.scale)
-    least = np.full(triangles.shape[1], np.inf)
-    corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6))).T.reshape(2, 3, -1, 1)
-    limited = np.flatnonzero(~boundless)
-    for part in np.array_split(limited, range(BLOCK, limited.size, BLOCK)):
-        some = triangles[:, part]
-        offset, reach_there = free.positions.offset[:, some], reach[:, some]
-        a, b, c = (offset[:, i, None] + corners[:, i] * reach_there[:, i, None] for i in range(3))
-        area = 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
-        least[part] = np.min(area, axis=0)
-    return np.where(boundless, -np.inf, least)

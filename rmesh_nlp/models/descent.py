@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT
+from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced
 from rmesh_nlp.models.second_derivatives import curvature_of
@@ -73,7 +73,7 @@ def node_widths(relocation: Relocation, q: Array) -> Array:
     for vertices in triangles:
         np.minimum.at(least, vertices, height)
     index = positions.index
-    moving = index != CONSTANT
+    moving = index != NONE
     # a variable behind both coordinates, or of several tied nodes, is as wide as the narrowest allows
     steps = np.zeros(q.size)
     np.maximum.at(steps, index[moving], np.abs(positions.slopes(q))[moving])

@@ -22,9 +22,10 @@ import scipy.sparse as sp
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import ElementGroup, Field, Index
-from rmesh_nlp.fem.objective import Fields, Objective
-from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.fem.contact_terms import gaps, slips
+from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Index
+from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objectives import ENERGY, energy
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import Validity
 from rmesh_nlp.optimize.constraints import Linearised
@@ -191,15 +192,12 @@ def relocation(
     validity = parts.validity.without_rows() if replaced else parts.validity
     displacement = parts.displacement.in_units(length).numbered_from(free.n)
     slip = parts.slip.in_units(length).numbered_from(free.n + n_u)
-    fields = Fields(parts.problem, free.positions, displacement, slip)
-    position_groups = parts.objective(objective.in_positions, fields).groups
-    rows = [
-        *(term.on(free.positions, displacement) for term in parts.gaps),
-        *(term.on(free.positions, displacement, slip, first_row=n_contact) for term in parts.slips),
-    ]
+    fields = Fields(parts.space, free.positions, displacement, slip)
+    position_groups = objective.in_positions.on(fields).groups
+    rows = [*gaps(fields), *slips(fields, n_contact)]
     if length != 1:
         rows = [group.in_units(length) for group in rows]
-    groups = (*parts.energy(free.positions, displacement, slip), *position_groups, *rows)
+    groups = (*energy(fields), *position_groups, *rows)
     return Relocation(
         parts,
         ca.MX.sym("x", free.n + n_u + n_s),

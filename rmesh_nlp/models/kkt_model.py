@@ -32,9 +32,13 @@ from rmesh_nlp.fem.constraints import ConstraintRows, constraint_rows
 from rmesh_nlp.fem.contact_terms import (
     bound_force_groups,
     contact_force_groups,
+    friction,
+    gaps,
     gradient_group,
     identity_group,
+    slips,
 )
+from rmesh_nlp.fem.energy import loads, strain
 from rmesh_nlp.fem.fields import Field, Index, unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
@@ -201,7 +205,7 @@ def in_units_of(parts: Discretisation, objective: Objective, start: ContactPoint
         objective,
         length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
         force=start.system.force_scale,
-        value=abs(parts.objective(objective, parts.fields()).evaluate()(x)) or 1.0,
+        value=abs(objective.on(parts.fields()).evaluate()(x)) or 1.0,
         start=x,
     )
 
@@ -224,10 +228,9 @@ def bilevel(
     free, n_u, n_c, n_s = parts.mesh_map, parts.n_u, parts.n_contact, parts.n_s
     first = free.n + n_u
     fields = parts.fields(length)
-    _, positions, displacement, slip, forces = fields
-    assert forces is not None
-    physical = fields._replace(forces=forces.in_units(force))
-    outer = parts.objective(objective, physical)
+    assert fields.forces is not None
+    physical = fields._replace(forces=fields.forces.in_units(force))
+    outer = objective.on(physical)
     constraints = constraint_rows(parts.problem.constraints, physical)
     summed = Functional([], (*outer.sums, *constraints.sums))
     n_sums, first_sum = len(summed.sums), first + n_c + 3 * n_s
@@ -237,11 +240,11 @@ def bilevel(
     of_sums = replace(unknown_field((n_sums, 1), first_sum), scale=sums[:, None])
 
     # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then of G and H
-    groups = [gradient_group(group, -free.n, force) for group in parts.bulk(positions, displacement)]
-    groups += contact_force_groups(parts.space, parts.displacement.index, positions, forces)
-    for weights in parts.friction:
-        groups.append(gradient_group(weights.on(positions, slip), n_u - (first + n_c), force))
-    groups += bound_force_groups(parts.space, n_u, positions, forces)
+    bulk = [*strain(fields), *loads(fields, parts.problem.rule)]
+    groups = [gradient_group(group, -free.n, force) for group in bulk]
+    groups += contact_force_groups(fields, parts.displacement.index)
+    groups += [gradient_group(group, n_u - (first + n_c), force) for group in friction(fields)]
+    groups += bound_force_groups(fields, n_u)
     for k, (terms, unit) in enumerate(zip(summed.sums, sums, strict=True)):
         groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
     groups.append(identity_group(first_sum, n_u + n_s + np.arange(n_sums)))
@@ -255,10 +258,7 @@ def bilevel(
             first_of += len(functional.sums)
     groups.append(parts.validity.upright_group.shifted(n_equations + constraints.size))
     n_g = n_equations + constraints.size + area_bound.size
-    pairs = [
-        *(term.on(positions, displacement, first_row=n_g) for term in parts.gaps),
-        *(term.on(positions, displacement, slip, first_row=n_g + n_c) for term in parts.slips),
-    ]
+    pairs = [*gaps(fields, n_g), *slips(fields, n_g + n_c)]
     groups += [group.in_units(length) for group in pairs]
     n_pairs = n_c + 2 * n_s
     first_h = n_g + n_pairs

@@ -25,8 +25,8 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.contact.system import ActiveSet
 from rmesh_nlp.evaluation import Array, Block, Symmetric
+from rmesh_nlp.fem.assembly import Sums
 from rmesh_nlp.fem.fields import Index
-from rmesh_nlp.fem.numeric import Numeric
 from rmesh_nlp.models.kkt_model import Bilevel, ContactPoint
 from rmesh_nlp.optimize.activity import ZERO
 
@@ -40,10 +40,10 @@ class KKTConditions:
         self._last: tuple[ContactPoint, KKTPoint] | None = None
 
     @cached_property
-    def hessian(self) -> tuple[Numeric, Symmetric]:
+    def hessian(self) -> tuple[Sums, Symmetric]:
         """The Hessian of the Lagrangian of the KKT model, and what makes a matrix of its nonzeros."""
-        numeric = self.program.assembled.second
-        return numeric, Symmetric(numeric.pattern)
+        sums = self.program.assembled.second
+        return sums, Symmetric(sums.pattern)
 
     def at(self, point: ContactPoint) -> KKTPoint:
         """The KKT point of a contact solution, whose active set is held."""
@@ -155,8 +155,8 @@ class KKTPoint:
             multipliers[program.n_equations : program.n_equations + program.constraints.size] = constraints
             slope = slope + self.jacobian.T @ multipliers
         multipliers[self.equations] = self.multipliers(slope)
-        numeric, symmetric = self.conditions.hessian
-        (nonzeros,) = numeric(self.x, None, np.array([factor]), multipliers)
+        sums, symmetric = self.conditions.hessian
+        (nonzeros,) = sums(self.x, None, np.array([factor]), multipliers)
         lagrangian = sp.csr_array(symmetric(nonzeros))
         return ObjectiveHessian(lagrangian, self.of_q, self.factors, program.parts.mesh_map.n_positions)
 

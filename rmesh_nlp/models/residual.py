@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import CONSTANT, STRAIGHT
+from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
@@ -140,14 +140,14 @@ def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
     free = relocation.mesh_map
     index, scale = free.positions.index, free.positions.slopes(q)
-    moving = (index != CONSTANT) & (free.mobility != Mobility.TIED)
+    moving = (index != NONE) & (free.mobility != Mobility.TIED)
     rate = np.zeros(index.shape)
     with np.errstate(divide="ignore", invalid="ignore"):  # a curve may run along an axis; see below
         rate[moving] = pull[index[moving]] / np.abs(scale[moving])
     # one variable behind both coordinates: the limit along the longer step is the active one
     slanted = np.all(moving, axis=0) & (index[0] == index[1])
     if free.positions.bends is not None:  # along a curve the limit is measured as its length
-        bent = free.positions.bends.which[0] != STRAIGHT
+        bent = free.positions.bends.which[0] != NONE
         length = np.linalg.norm(scale, axis=0)
         rate[:, bent] = pull[index[0, bent]] / length[bent]
     return np.asarray(np.where(slanted, rate.min(axis=0), rate.sum(axis=0)))

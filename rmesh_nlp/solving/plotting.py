@@ -10,7 +10,7 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import ALONG, Pieces, along, centres, edges_of, pieces, points_of
+from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.problem import ContactProblem, Place
@@ -96,7 +96,7 @@ def size_of(u: Array) -> Array:
 
 def size_of_stress(problem: ContactProblem, X: Array, u: Array) -> Array:
     """(elements, pieces) von Mises stress, or the length of the flux of a scalar problem, as it is drawn."""
-    stress = stresses(problem, X, u, centres(DisplacementSpace(problem).elements))
+    stress = stresses(problem, X, u, pieces(DisplacementSpace(problem).elements).centres)
     return np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
 
 
@@ -105,10 +105,12 @@ def is_fine(triangles: NDArray[Any]) -> bool:
     return bool(triangles.shape[1] > FINE)
 
 
-def triangulation(nodes: Array, parts: Pieces) -> Triangulation:
-    """Matplotlib's mesh of the pieces of a mesh with its nodes at (2, nodes)."""
-    x, y = parts(nodes)
-    return Triangulation(x, y, parts.triangles.T)
+def triangulation(nodes: Array, cells: NDArray[Any]) -> Triangulation:
+    """Matplotlib's mesh of the pieces of a mesh with its nodes at (2, nodes), cell by cell."""
+    cut = pieces(cells)
+    x, y = sampled(cells, nodes, cut.shares).reshape(2, -1)
+    first = cut.shares.shape[1] * np.arange(cells.shape[1])
+    return Triangulation(x, y, (first[:, None] + cut.triangles[:, None]).reshape(3, -1).T)
 
 
 def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], **options: Any) -> None:
@@ -125,17 +127,16 @@ def draw_nodal(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **o
     Returned for its colour bar.
     """
     look = {"cmap": MAP, "shading": "gouraud", "rasterized": True, **options}
-    parts = pieces(cells, nodes.shape[1])
-    return axis.tripcolor(triangulation(nodes, parts), size_of(parts(np.atleast_2d(values))), **look)
+    at_points = sampled(cells, np.atleast_2d(values), pieces(cells).shares)
+    return axis.tripcolor(triangulation(nodes, cells), size_of(at_points).ravel(), **look)
 
 
 def draw_elements(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **options: Any) -> Any:
     """A field (elements,) or (elements, pieces), constant on each; returned for its colour bar."""
     look = {"cmap": MAP, "rasterized": True, **options}
-    parts = pieces(cells, nodes.shape[1])
-    each = parts.triangles.shape[1] // cells.shape[1]
+    each = pieces(cells).triangles.shape[1]
     of_pieces = np.broadcast_to(values.reshape(len(values), -1), (len(values), each)).ravel()
-    return axis.tripcolor(triangulation(nodes, parts), facecolors=of_pieces, **look)
+    return axis.tripcolor(triangulation(nodes, cells), facecolors=of_pieces, **look)
 
 
 def direction(points: Array) -> int:

@@ -21,6 +21,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import ContactPoint, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
@@ -210,8 +211,8 @@ def _unsolvable(outer: Outer, q: Array, before: Array, ratio: float) -> State:
 def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
     """An objective at outer variables (n,) and a contact solution, by the assessment's rule."""
     rel = energy.relocation
-    fields, accurate = rel.discretisation.fields(), rel.problem.with_rule(ACCURATE)
-    fields = fields._replace(problem=accurate, positions=fields.positions.at_rest(q))
+    fields, accurate = rel.discretisation.fields(), DisplacementSpace(rel.problem.with_rule(ACCURATE))
+    fields = fields._replace(space=accurate, positions=fields.positions.at_rest(q))
     x = kkt_unknowns(ContactPoint(q, energy.model.system_at(q), state), rel.friction_rows)
     return objective.on(fields).evaluate()(x)
 

@@ -13,9 +13,9 @@ import numpy as np
 
 import rmesh_nlp as rm
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.fields import constant_field
-from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
@@ -87,7 +87,7 @@ def energy_above(reference: float) -> Error:
 
 def exact_errors(problem: ContactProblem, nodes: np.ndarray, values: np.ndarray) -> np.ndarray:
     """(elements,) half the squared energy norm of the error of nodal values against the exact solution."""
-    fields = Fields(problem, *(constant_field(each) for each in (nodes, values, values)))
+    fields = Fields(DisplacementSpace(problem), *(constant_field(each) for each in (nodes, values, values)))
     return element_values(parse_objective("error-energy").on(fields).groups)(np.zeros(0))[0]
 
 

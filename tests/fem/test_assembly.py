@@ -1,8 +1,9 @@
 """Fields, sums over elements, values at points, and derivatives of assembled programs."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import factorial
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -11,30 +12,49 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.at_points import PointValues
+from rmesh_nlp.fem.assembly import Assembled, Entries, Part, Sums
 from rmesh_nlp.fem.cells import Straight
-from rmesh_nlp.fem.element import differentiated, plain
+from rmesh_nlp.fem.element import PointSums, differentiated
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import (
-    CONSTANT,
-    STRAIGHT,
+    NONE,
     Bends,
     ElementGroup,
     Field,
     constant_field,
-    element_group,
     unknown_field,
 )
 from rmesh_nlp.fem.functional import scaled_group
-from rmesh_nlp.fem.sums import Entries, Sums
-from rmesh_nlp.models.energy_nlp import relocation
+from rmesh_nlp.models.energy_nlp import Relocation, relocation
 from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
 from rmesh_nlp.problem.quadrature import triangle_rule
 from rmesh_nlp.vectorised import NUMPY_FROM
 from support.contact_geometry import block_along_a_circle
 from support.derivatives import assert_derivatives_are_casadis
 from support.problems import sloped_block, tied_neighbours
+
+
+def expressions(groups: Sequence[ElementGroup], x: ca.MX, n_rows: int) -> tuple[ca.MX, ca.MX]:
+    """Objective and rows element by element, as CasADi expressions of the unknowns."""
+    f, g = ca.MX(0), ca.MX.zeros(n_rows)
+    for group in groups:
+        for element in range(group.size):
+            fields = (field.elements([element]) for field in group.arguments)
+            value, rows = group.plain(*(local(field, x) for field in fields))
+            f += value
+            for k, row in enumerate(group.rows[:, element].tolist()):
+                g[row] += rows[k]
+    return f, g
+
+
+def local(field: Field, x: ca.MX) -> ca.MX:
+    parts = zip(field.index.flat, field.scale.flat, field.offset.flat, strict=True)
+    return ca.vertcat(*(o + s * x[int(i)] if i != NONE else o for i, s, o in parts))
+
+
+def of_energy_nlp(rel: Relocation) -> tuple[ca.MX, ca.MX]:
+    valid = rel.validity.group.shifted(rel.n_contact + 2 * rel.n_s)
+    return expressions([*rel.groups, valid], rel.x, rel.n_rows)
 
 
 @pytest.mark.parametrize(
@@ -48,16 +68,26 @@ from support.problems import sloped_block, tied_neighbours
     ],
 )
 def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
-    assert_derivatives_are_casadis(relocation(make()).nlp, within=(-0.5, 0.5))
+    rel = relocation(make())
+    f, g = of_energy_nlp(rel)
+    derivatives = rel.nlp.derivatives
+    program = SimpleNamespace(x=rel.x, p=rel.nlp.p, f=f, g=g, derivatives=derivatives)
+    assert_derivatives_are_casadis(program, within=(-0.5, 0.5))
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, rel.n_x)
+    value, rows = ca.Function("values", [rel.x], [rel.nlp.f, rel.nlp.g])(x)
+    assert float(value) == float(derivatives.grad_f(x, [])[0])
+    np.testing.assert_array_equal(rows.full(), derivatives.jac_g(x, [])[0].full())
 
 
 def test_an_extended_program_keeps_the_assembled_derivatives() -> None:
-    nlp = relocation(EXAMPLES["6.3"]((4, 2))).nlp
-    y = ca.MX.sym("y", 2)
-    wider = nlp.extended(
-        x=y, f=ca.sumsqr(y - nlp.x[:2]), g=ca.sin(y[0]) * nlp.x[5], lbx=[0, 0], ubx=[1, 1], lbg=[0], ubg=[1]
+    rel, y = relocation(EXAMPLES["6.3"]((4, 2))), ca.MX.sym("y", 2)
+    f, g = ca.sumsqr(y - rel.x[:2]), ca.sin(y[0]) * rel.x[5]
+    wider = rel.nlp.extended(x=y, f=f, g=g, lbx=[0, 0], ubx=[1, 1], lbg=[0], ubg=[1])
+    first, rows = of_energy_nlp(rel)
+    program = SimpleNamespace(
+        x=wider.x, p=wider.p, f=first + f, g=ca.vertcat(rows, g), derivatives=wider.derivatives
     )
-    assert_derivatives_are_casadis(wider, within=(-0.5, 0.5), tolerance=1e-10)
+    assert_derivatives_are_casadis(program, within=(-0.5, 0.5), tolerance=1e-10)
 
 
 def test_nothing_is_unrolled_over_the_mesh() -> None:
@@ -83,10 +113,10 @@ def test_quadrature_rules_integrate_their_degree_exactly() -> None:
 
 def test_equal_functions_share_their_derivatives_and_others_do_not() -> None:
     laws = PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 2.0), PlaneStrain(1.0, 3.0)
-    one, same, other = (differentiated(strain_energy(law, Straight(3, 2, 1)), None, [0, 1]) for law in laws)
+    one, same, other = (differentiated(strain_energy(law, Straight(3, 2, 1)), None, (0, 1)) for law in laws)
     assert one is same
     assert one is not other
-    assert differentiated(strain_energy(laws[0], Straight(3, 2, 1)), None, [1]) is not one
+    assert differentiated(strain_energy(laws[0], Straight(3, 2, 1)), None, (1,)) is not one
     problem, gradients = EXAMPLES["6.1"](n=3), []
     for load in (lambda x, y: x, lambda x, y: x + y):  # problems that differ in their load alone
         program = relocation(replace(problem, law=replace(problem.law, source=load)))
@@ -99,8 +129,8 @@ NODES = np.array([[0, 2, 1], [3, 1, 0]])
 
 def field() -> Field:
     """Two components at four nodes, one value of which is fixed and one on a curve."""
-    index = np.array([[0, 2, CONSTANT, 4], [1, 3, 5, 6]])
-    t, which = ca.SX.sym("t"), np.full((2, 4), STRAIGHT)
+    index = np.array([[0, 2, NONE, 4], [1, 3, 5, 6]])
+    t, which = ca.SX.sym("t"), np.full((2, 4), NONE)
     which[1, 3] = 0
     bends = Bends(which, (ca.Function("square", [t], [t**2]),))
     return Field(index, np.arange(1.0, 9.0).reshape(2, 4), np.linspace(0, 1, 8).reshape(2, 4), bends=bends)
@@ -126,7 +156,7 @@ def test_a_straight_field_is_the_affine_one() -> None:
     np.testing.assert_array_equal(local.bends.which, columns(field().bends.which))
     straight = local.straight()
     assert straight.bends is None
-    affine = np.where(local.index == CONSTANT, 0.0, 2.0 * local.scale) + local.offset
+    affine = np.where(local.index == NONE, 0.0, 2.0 * local.scale) + local.offset
     np.testing.assert_allclose(straight.values(w), affine, rtol=1e-15)
     assert np.any(straight.values(w) != local.values(w))
 
@@ -141,21 +171,22 @@ def entries(seed: int, shape: tuple[int, int], local: tuple[int, int], *, scaled
 @pytest.mark.parametrize("shape", [(5, 7), (6, 1), (1, 1)])
 @pytest.mark.parametrize("scaled", [False, True])
 def test_nonzeros_are_the_sums_of_their_results(shape, scaled) -> None:
-    parts = [entries(1, shape, (3, 20), scaled=scaled), entries(2, shape, (2, 9), scaled=False)]
-    sums, rng = Sums(shape, parts), np.random.default_rng(3)
-    local = [rng.standard_normal(part.row.shape) for part in parts]
-    expected, filled = np.zeros(shape), np.zeros(shape, dtype=bool)
-    for part, results in zip(parts, local, strict=True):
-        for i, j, factor, result in zip(*(np.ravel(values) for values in (*part, results)), strict=True):
+    places = [entries(1, shape, (3, 20), scaled=scaled), entries(2, shape, (2, 9), scaled=False)]
+    parts, rng, expected, filled = [], np.random.default_rng(3), np.zeros(shape), np.zeros(shape, dtype=bool)
+    for place in places:
+        length = len(place.row)
+        x, local = ca.SX.sym("x", length), rng.standard_normal(place.row.shape)
+        parts.append(Part((constant_field(local),), None, ca.Function("double", [x], [2 * x]), [place]))
+        for i, j, factor, result in zip(*(np.ravel(values) for values in (*place, 2 * local)), strict=True):
             if i >= 0 and j >= 0:
                 expected[i, j] += factor * result
                 filled[i, j] = True
-    matrix = sums.numbered.astype(float)
+    sums = Sums([shape], parts)
+    matrix = sums.pattern.astype(float)
     np.testing.assert_array_equal(matrix.data, 1 + np.arange(matrix.nnz))
-    matrix.data = sums(local)
+    (matrix.data,) = sums(np.zeros(0))
     np.testing.assert_allclose(matrix.toarray(), expected, rtol=1e-12, atol=1e-14)
-    assert sums.pattern.nnz() == matrix.nnz == (filled.sum() if shape[1] > 1 else shape[0])
-    np.testing.assert_array_equal(sums.pattern.row(), matrix.indices)
+    assert matrix.nnz == (filled.sum() if shape[1] > 1 else shape[0])
 
 
 def wave(x, y):
@@ -180,11 +211,15 @@ def triangles(seed: int, n: int, components: int, order: int = 1) -> tuple[np.nd
     return np.concatenate([a, b, c]), rng.standard_normal((3 * order * components, n))
 
 
-def group(function, at_points: PointValues | None, sizes: list[int], n: int) -> ElementGroup:
+def group(function, at_points: PointSums | None, sizes: list[int], n: int) -> ElementGroup:
     """Elements that share no unknown: all positions first, then all displacements."""
     firsts = np.cumsum([0, *(size * n for size in sizes)])
     local = [unknown_field((size, n), int(first)) for size, first in zip(sizes, firsts, strict=False)]
-    return replace(element_group(function, local[0], tuple(local)), at_points=at_points)
+    return of_energy(function, local, at_points)
+
+
+def of_energy(function, local: Sequence[Field], at_points: PointSums | None = None) -> ElementGroup:
+    return ElementGroup(function, tuple(local), np.zeros((0, local[0].shape[1]), dtype=np.int64), at_points)
 
 
 def results(groups: list[ElementGroup], x: np.ndarray) -> list[np.ndarray]:
@@ -198,7 +233,7 @@ def results(groups: list[ElementGroup], x: np.ndarray) -> list[np.ndarray]:
 
 def agree(groups: list[ElementGroup], x: np.ndarray) -> None:
     """Joined groups with values at points agree with each group by itself, differentiated as a whole."""
-    whole = [replace(one, function=plain(one.function, one.at_points), at_points=None) for one in groups]
+    whole = [replace(one, function=one.plain, at_points=None) for one in groups]
     apart = [sum(parts) for parts in zip(*(results([one], x) for one in whole), strict=True)]
     for ours, theirs in zip(results(groups, x), apart, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11 * max(1, np.max(np.abs(theirs))))
@@ -215,28 +250,27 @@ def packed(X: np.ndarray, *u: np.ndarray) -> np.ndarray:
 def test_energy_of_triangles_has_the_derivatives_of_its_parts(name, rule, order, seed) -> None:
     law = LAWS[name]
     X, u = triangles(seed, 3, law.components, order)
-    sizes, (work, at_points) = [6, len(u)], load_energy(law, rule, order)
-    strain = strain_energy(law, Straight(3, law.components, order))
-    parts = [group(strain, None, sizes, 3), group(work, at_points, sizes, 3)]
+    sizes, cell = [6, len(u)], Straight(3, law.components, order)
+    parts = [group(strain_energy(law, cell), None, sizes, 3), group(*load_energy(law, cell, rule), sizes, 3)]
     agree([*parts, scaled_group(parts[1], -2.5)], packed(X, u))
 
 
-def test_values_that_enter_one_by_one_have_the_derivatives_of_their_function() -> None:
-    """As distances to a foundation do, whose gaps are not linear in them."""
-    at_points = PointValues.of(wave, np.array([[1.0, 0.3, 0.0], [0.0, 0.7, 1.0]]))
-    X, values = ca.SX.sym("X", 4), ca.SX.sym("v", 3)
-    function = ca.Function("f", [X, values], [ca.sumsqr(values) * X[0] + ca.exp(values[1]), ca.SX(0, 1)])
+def test_sums_that_enter_one_by_one_have_the_derivatives_of_their_function() -> None:
+    (X, sums), (x, y) = (ca.SX.sym("X", 4), ca.SX.sym("v", 3)), (ca.SX.sym("x"), ca.SX.sym("y"))
+    load = ca.Function("wave", [x, y], [wave(x, y)])
+    at_points = PointSums(load, np.array([[1.0, 0.3, 0.0], [0.0, 0.7, 1.0]]), np.eye(3))
+    function = ca.Function("f", [X, sums], [ca.sumsqr(sums) * X[0] + ca.exp(sums[1]), ca.SX(0, 1)])
     agree([group(function, at_points, [4], 6)], np.random.default_rng(1).uniform(0, 1, 24))
 
 
 def test_many_triangles_are_summed_as_few_are() -> None:
     law, n = LAWS["two components"], 2 * MANY + 5  # more than one chunk of points
     X, u = triangles(3, n, 2)
-    work, at_points = load_energy(law, 8, 1)
+    cell = Straight(3, 2, 1)
+    functions = (strain_energy(law, cell), None), load_energy(law, cell, 8)
 
     def parts(count: int) -> list[ElementGroup]:
-        sizes, strain = [6, 6], strain_energy(law, Straight(3, 2, 1))
-        return [group(strain, None, sizes, count), group(work, at_points, sizes, count)]
+        return [group(*function, [6, 6], count) for function in functions]
 
     def gradient(count: int, x: np.ndarray) -> np.ndarray:
         return Assembled(parts(count), ca.MX.sym("x", x.size), ca.MX(0, 1), 0).first(x, None)[1]
@@ -249,8 +283,8 @@ def test_many_triangles_are_summed_as_few_are() -> None:
 
 
 def test_what_is_kept_follows_the_positions() -> None:
-    work, at_points = load_energy(LAWS["varying"], 3, 1)
-    numeric = Assembled([group(work, at_points, [6, 3], 4)], ca.MX.sym("x", 36), ca.MX(0, 1), 0).first
+    work = group(*load_energy(LAWS["varying"], Straight(3, 1, 1), 3), [6, 3], 4)
+    numeric = Assembled([work], ca.MX.sym("x", 36), ca.MX(0, 1), 0).first
     first, second, again = (packed(*triangles(seed, 4, 1)) for seed in (1, 2, 1))
     before, _, after = numeric(first, None)[1].copy(), numeric(second, None), numeric(again, None)[1]
     np.testing.assert_array_equal(before, after)
@@ -264,8 +298,7 @@ def test_what_is_fixed_has_no_derivatives(fixed) -> None:
     fields = [unknown_field((6, n)), constant_field(u)]
     if fixed == "positions":
         fields = [constant_field(X), unknown_field((6, n))]
-    work, at_points = load_energy(law, 3, 1)
-    strain, load = (
-        element_group(one, fields[0], tuple(fields)) for one in (strain_energy(law, Straight(3, 2, 1)), work)
-    )
-    agree([strain, replace(load, at_points=at_points)], (u if fixed == "positions" else X).ravel(order="F"))
+    cell = Straight(3, 2, 1)
+    work, at_points = load_energy(law, cell, 3)
+    groups = [of_energy(strain_energy(law, cell), fields), of_energy(work, fields, at_points)]
+    agree(groups, (u if fixed == "positions" else X).ravel(order="F"))

@@ -12,12 +12,10 @@ import pytest
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem import sampling
 from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import Design, ElementTerm, constant_field, unknown_field
-from rmesh_nlp.fem.objective import Fields
+from rmesh_nlp.fem.fields import Design, Fields, constant_field, unknown_field
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.sampling import along, centres, edges_of, pieces, points_of
+from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -70,18 +68,18 @@ def test_design_variables_are_arguments_of_element_terms() -> None:
     """Spring i of stiffness a + b: its energy and its derivatives by u at a given design."""
     a, b, u = symbol("a"), symbol("b"), ca.SX.sym("u")
     spring = ca.Function("spring", [u], [(a + b) * u**2 / 2, ca.SX(0, 1)], OPEN)
-    term = ElementTerm(spring, (np.arange(3)[None],))
     x, parameter = ca.MX.sym("x", 3), ca.MX.sym("p", 3)
-    design = Design(("b", "unused", "a"), unknown_field((1, 3), parameter=True))
-    fields = replace(unknown_field((1, 3)), design=design)
-    assembled = Assembled([term.on(fields)], x, parameter, 0)
+    design = Design(("b", "unused", "a"), unknown_field((1, 3), source=1))
+    values = unknown_field((1, 3))
+    fields = Fields(DisplacementSpace(EXAMPLES["6.1"](2)), replace(values, design=design), values, values)
+    assembled = Assembled([fields.group(spring, [values])], x, parameter, 0)
     at = np.array([1.0, 2.0, -3.0]), np.array([5.0, 100.0, 0.5])
     f, gradient = assembled.derivatives.grad_f(*at)
     assert float(f) == pytest.approx(5.5 * 14 / 2)
     np.testing.assert_allclose(gradient.full().ravel(), 5.5 * at[0])
     np.testing.assert_allclose(assembled.derivatives.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
     with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
-        term.on(unknown_field((1, 3)))
+        fields._replace(positions=values).group(spring, [values])
 
 
 SEEDS = range(20)
@@ -124,8 +122,8 @@ def errors(problem: ContactProblem) -> tuple[int, list[float]]:
     """Number of nodes, and squared errors in the energy norm and in L2 of the contact solution."""
     solver = ContactSolver(problem)
     space, given = solver.discretisation.space, solver.given
-    u = replace(constant_field(solver.displacement.values(given.u)), space=space)
-    fields = Fields(problem, constant_field(problem.mesh.p), u, u)
+    u = constant_field(solver.displacement.values(given.u))
+    fields = Fields(space, constant_field(problem.mesh.p), u, u)
     functions = (parse_objective(text).on(fields).evaluate() for text in ("error-energy", "error-l2"))
     return space.n_nodes, [function(np.zeros(0)) for function in functions]
 
@@ -151,25 +149,18 @@ def polynomial(order: int, x: np.ndarray) -> np.ndarray:
 
 
 @ORDERS
-@pytest.mark.parametrize("most", [4, 16, 64])
-def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(
-    order: int, most: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sampling, "MOST", 18 * most)
+def test_a_polynomial_has_its_values_at_the_points_of_the_pieces(order: int) -> None:
     space = space_of(EXAMPLES["6.1"](3), order)
-    nodes = points_of(space, space.problem.mesh.p)
-    cut = pieces(space.elements, space.n_nodes)
-    each = {1: 1, 2: most}[order]
-    assert cut.triangles.shape == (3, each * space.elements.shape[1])
-    points = cut(nodes)
-    np.testing.assert_allclose(cut(polynomial(order, nodes)), polynomial(order, points), atol=1e-14)
-    areas = signed_areas(points, cut.triangles)
-    np.testing.assert_allclose(areas, 1 / areas.size, rtol=1e-10)  # all alike, and the square is covered
-    # no two points at one place, where the pieces would not be joined
-    assert np.unique(np.round(points, 9), axis=1).shape == points.shape
-    where = np.einsum("cve,vp->cep", nodes[:, space.elements[:3]], centres(space.elements))
-    middles = points[:, cut.triangles].mean(axis=1)
-    np.testing.assert_allclose(where.reshape(2, -1), middles, atol=1e-14)
+    nodes, cells = points_of(space, space.problem.mesh.p), space.elements
+    cut = pieces(cells)
+    points = sampled(cells, nodes, cut.shares)
+    values = sampled(cells, polynomial(order, nodes), cut.shares)
+    np.testing.assert_allclose(values, polynomial(order, points), atol=1e-14)
+    areas = [np.abs(signed_areas(points[:, k], cut.triangles)) for k in range(cells.shape[1])]
+    # all alike, and the square is covered
+    np.testing.assert_allclose(areas, 1 / np.size(areas), rtol=1e-10)
+    where = np.einsum("cve,vp->cep", nodes[:, cells[:3]], cut.centres)
+    np.testing.assert_allclose(where, points[:, :, cut.triangles].mean(axis=2), atol=1e-14)
 
 
 @ORDERS

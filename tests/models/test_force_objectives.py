@@ -13,9 +13,9 @@ import rmesh_nlp as rm
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, element_group
+from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional
-from rmesh_nlp.fem.objective import Fields, Objective, Term
+from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedObjective
@@ -62,7 +62,7 @@ def of_forces(on: Fields) -> list[ElementGroup]:
         which, vertices, _ = next(on.space.kinds(free))
         fields = (on.slip, *on.forces)
         local = (field.component(part.number).at(free[None, which]) for field in fields)
-        groups.append(element_group(function, on.positions, (on.positions.at(vertices), *local)))
+        groups.append(on.group(function, [on.positions.at(vertices), *local]))
     return groups
 
 
