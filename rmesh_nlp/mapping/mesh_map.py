@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import NONE, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.lines import STRAIGHT, on_curve, sliding_directions
+from rmesh_nlp.problem.lines import on_curve, sliding_directions
 from rmesh_nlp.problem.motion import Relative
 
 
@@ -229,7 +230,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
         if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:
             (a, b), (c, d) = tangent[:, node], tangent[:, leader]
             both_slide = mobility[node] == mobility[leader] == Mobility.SLIDING
-            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < STRAIGHT):
+            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < SEVEN_DIGITS):
                 raise ValueError(
                     f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
                 )
