@@ -27,9 +27,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rmesh_nlp.assessment.energy import friction_energy
+from rmesh_nlp.assessment.parts import ZERO
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.conditions import Conditions, conditions_of
-from rmesh_nlp.certificate.displacement import displacement_faults, friction_work
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
 from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
@@ -39,6 +40,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.rigid import rigid_motions
 
 DOUBT = 1e-2
@@ -47,6 +49,11 @@ DOUBT = 1e-2
 DOUBTFUL = "two quadrature rules disagree about a load, a traction or an obstacle that is not smooth"
 
 UNKNOWN = "a load, a traction or an obstacle jumps or kinks along a line that is not known with certainty"
+
+BENT = "the given displacement is not of the order of displacements on every edge, and held at nodes only"
+
+AT_NODES = "the gap holds at the nodes only"
+"""What is said of contact until the energy of an admissible displacement is the bound."""
 
 FEW = 500
 """Triangles up to which the equilibration is refined once unless asked otherwise: it takes less than a
@@ -57,18 +64,24 @@ tenth of a second there."""
 class Bracket:
     """Bounds of the least energy by one displacement on one mesh.
 
-    What the elements add to ``upper - lower`` is not negative if the displacement is admissible.
+    What the elements add to ``upper - lower`` is not negative if the displacement is admissible. A bound is
+    guaranteed where nothing stands in the way.
     """
 
     lower: float
     upper: float
-    guaranteed_lower: bool
-    guaranteed_upper: bool
-    why: tuple[str, ...]  # what stands in the way of a guarantee
+    lower_faults: tuple[str, ...]  # what stands in the way of a guarantee
+    upper_faults: tuple[str, ...]
     local: Array  # (elements,), what each element adds to upper - lower
     field: Array  # (2 or 3, elements), mean equilibrated flux, or stress xx, yy, xy
     norm: float  # energy norm of the displacement
     residual: float  # largest violation of equilibrium, relative to the largest force
+
+    @property
+    def why(self) -> tuple[str, ...]:
+        """All faults, with the bound that they are of."""
+        sides = ("lower", self.lower_faults), ("upper", self.upper_faults)
+        return tuple(f"{side}: {fault}" for side, faults in sides for fault in faults)
 
 
 def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
@@ -103,7 +116,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     spread = field.variation * r + r**2 / 2
     dual = balance.reaction_work - strain - pressure_work
     lower = dual - float(np.sum(spread)) - doubt - rounding
-    friction = friction_work(problem, skeleton, conditions, u)
+    friction = _friction_work(skeleton, conditions, u)
     upper = computed - load.work(u) - traction.work(u) + float(np.sum(friction))
     through = _slack(skeleton, conditions, balance, u) * skeleton.lengths[conditions.contact] + friction
     local = field.defect**2 / 2 + spread - load.unbalanced_work(u)
@@ -111,18 +124,28 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     local -= np.bincount(skeleton.owner, traction.unbalanced_work(u), local.size)
     gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
     local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
-    why = displacement_faults(problem, conditions)
-    if not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain):
-        why = (f"lower: {DOUBTFUL}", *why, f"upper: {DOUBTFUL}")
-    if not (conditions.is_certain and load.is_certain):
-        why = (f"lower: {UNKNOWN}", *why, f"upper: {UNKNOWN}")
-    if not residual <= TOLERANCE:
-        why = (f"lower: the field is out of equilibrium by {residual:.1e} of the largest force", *why)
-    lower_holds, upper_holds = (
-        not any(reason.startswith(side) for reason in why) for side in ("lower", "upper")
+    of_both = {
+        DOUBTFUL: not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain),
+        UNKNOWN: not (conditions.is_certain and load.is_certain),
+    }
+    out = f"the field is out of equilibrium by {residual:.1e} of the largest force"
+    of_lower = {out: not residual <= TOLERANCE, **of_both}
+    of_upper = {BENT: conditions.given_error > ZERO, AT_NODES: bool(problem.obstacles), **of_both}
+    lower_faults, upper_faults = (
+        tuple(fault for fault, holds in each.items() if holds) for each in (of_lower, of_upper)
     )
     norm = float(np.sqrt(2 * computed))
-    return Bracket(lower, upper, lower_holds, upper_holds, why, local, field.mean, norm, residual)
+    return Bracket(lower, upper, lower_faults, upper_faults, local, field.mean, norm, residual)
+
+
+def _friction_work(skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+    """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
+    work = np.zeros(conditions.contact.size)
+    for part in conditions.parts:
+        if part.obstacle.frictional:
+            along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
+            work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, along)[0]
+    return work
 
 
 def _slack(skeleton: Skeleton, conditions: Conditions, balance: Balance, u: Array) -> Array:
@@ -165,8 +188,8 @@ def refined_bracket(
     if refinements is None:
         refined = refined_bracket(problem, nodes, guess, int(count <= FEW))
         # on needles rounding grows with refinement
-        plain = refined if refined.guaranteed_lower or count > FEW else bracket(problem, nodes, guess)
-        return plain if plain.guaranteed_lower else refined
+        plain = bracket(problem, nodes, guess) if refined.lower_faults and count <= FEW else refined
+        return refined if plain.lower_faults else plain
     if refinements == 0:
         return bracket(problem, nodes, guess)
     mesh = relocated_mesh(problem.mesh, nodes)

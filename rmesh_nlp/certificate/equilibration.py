@@ -141,7 +141,7 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
         return balanced(assembled, solved.u - base, force, friction)
     friction = np.clip(friction, -bound, bound)
     push = system.normals.T @ force + system.tangents.T @ friction
-    return balanced(assembled, factorised(system.stiffness).solve(system.load + push), force, friction)
+    return balanced(assembled, factorised(system.stiffness)(system.load + push), force, friction)
 
 
 def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:

@@ -20,7 +20,7 @@ class TangentResponse:
 
     def __init__(self, system: ContactSystem, active: ActiveSet) -> None:
         rotated = self._rotated = system.rotated
-        self._inside, self._factor = rotated.factor(active)
+        self._inside, self._solve = rotated.factor(active)
         self._touching, self._sticking = active.touching, rotated.sticking(active)
         self.held = np.concatenate([rotated.normal[self._touching], rotated.tangent[self._sticking]])
         # the columns of held unknowns carry the change of gaps and slips, their rows the change of the forces
@@ -41,7 +41,7 @@ class TangentResponse:
         turned = rotated.turned(force)
         w = np.zeros(turned.shape)
         w[held] = -np.concatenate([gap[self._touching], slip[self._sticking]])
-        w[inside] = self._factor.solve(-(turned + self._columns @ w[held])[inside])
+        w[inside] = self._solve(-(turned + self._columns @ w[held])[inside])
         change = self._held_rows @ w + turned[held]
         normal, tangential = np.zeros((2, *gap.shape))
         normal[self._touching], tangential[self._sticking] = np.split(change, [int(self._touching.sum())])

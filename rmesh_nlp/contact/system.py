@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.factorisation import Factor, factorised, factorised_lu
+from rmesh_nlp.contact.factorisation import Solve, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
@@ -84,8 +84,8 @@ class ContactSystem:
         friction = -self.slip_bound * active.sliding
         if friction.size:
             F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
-        inside, factor = rotated.factor(active)
-        w[inside] = factor.solve(rotated.combined(active, F - rotated.K @ w)[inside])
+        inside, solve = rotated.factor(active)
+        w[inside] = solve(rotated.combined(active, F - rotated.K @ w)[inside])
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
         if friction.size:
@@ -163,7 +163,7 @@ class RotatedSystem:
         self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
         self.F = self.turned(system.load)
         self._coulomb = system.coulomb
-        self._factor: tuple[bytes, Index, Factor] | None = None
+        self._factor: tuple[bytes, Index, Solve] | None = None
 
     def turned(self, force: Array) -> Array:
         """Forces (m,) or (m, k) in these coordinates."""
@@ -177,8 +177,8 @@ class RotatedSystem:
         """Nodes whose slip the active set holds."""
         return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
 
-    def factor(self, active: ActiveSet) -> tuple[Index, Factor]:
-        """The free unknowns and the factorised stiffness; the last is kept.
+    def factor(self, active: ActiveSet) -> tuple[Index, Solve]:
+        """The free unknowns and solutions with their stiffness, whose last factors are kept.
 
         So derivatives at a contact solution need no factorisation of their own.
         """
@@ -190,10 +190,10 @@ class RotatedSystem:
             self._factor = None  # its memory first
             pull = self.coupling(active)
             if pull is None:
-                factor = factorised(self.K[:, inside][inside])
+                solve = factorised(self.K[:, inside][inside])
             else:
-                factor = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
-            self._factor = active.key(), inside, factor
+                solve = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
+            self._factor = active.key(), inside, solve
         return self._factor[1:]
 
     def coupling(self, active: ActiveSet) -> sp.csr_array | None:

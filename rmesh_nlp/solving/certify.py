@@ -8,8 +8,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.bracket import UNKNOWN, Bracket, refined_bracket
-from rmesh_nlp.certificate.displacement import GIVEN
+from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -67,8 +66,10 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
     before = _bracket(given, given.continuous, refinements)
     is_same = not final.design  # else the bounds are those of two problems
     if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
-        best = max((before, after), key=lambda bracket: (bracket.guaranteed_lower, bracket.lower))
-        before, after = _with_lower(before, best), _with_lower(after, best)
+        best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
+        before, after = (
+            replace(bracket, lower=best.lower, lower_faults=best.lower_faults) for bracket in (before, after)
+        )
     if is_new:  # the elements of a file are those of the last mesh
         before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
     return _certificate(before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why)))
@@ -88,23 +89,8 @@ def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     """The bracket with the energy of an admissible displacement as its upper bound."""
     if continuous.status is not Status.CONVERGED:
         return bracket
-    kept = tuple(
-        reason
-        for reason in bracket.why
-        if not reason.startswith("upper") or any(text in reason for text in (GIVEN, UNKNOWN))
-    )
-    holds = not any(reason.startswith("upper") for reason in kept)
-    upper = continuous.energy + continuous.doubt
-    return replace(bracket, upper=upper, guaranteed_upper=holds, why=kept)
-
-
-def _with_lower(bracket: Bracket, best: Bracket) -> Bracket:
-    """The bracket with the lower bound of another one of the same problem."""
-    if bracket is best:
-        return bracket
-    kept = tuple(reason for reason in bracket.why if not reason.startswith("lower"))
-    added = tuple(reason for reason in best.why if reason.startswith("lower"))
-    return replace(bracket, lower=best.lower, guaranteed_lower=best.guaranteed_lower, why=(*added, *kept))
+    faults = tuple(fault for fault in bracket.upper_faults if fault in (BENT, UNKNOWN))
+    return replace(bracket, upper=continuous.energy + continuous.doubt, upper_faults=faults)
 
 
 def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
@@ -118,9 +104,9 @@ def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certi
         error_bound=errors[1],
         relative_initial=errors[0] / max(before.norm, 1e-300),
         relative=errors[1] / max(after.norm, 1e-300),
-        guaranteed_lower=after.guaranteed_lower,
-        guaranteed_upper=after.guaranteed_upper,
-        guaranteed_initial=before.guaranteed_lower and before.guaranteed_upper,
+        guaranteed_lower=not after.lower_faults,
+        guaranteed_upper=not after.upper_faults,
+        guaranteed_initial=not before.why,
         why="; ".join(dict.fromkeys(why)),
         local=after.local,
         local_initial=before.local,

@@ -65,15 +65,16 @@ def relocated(patch: pytest.MonkeyPatch, before: Bracket, after: Bracket, **foun
     return certify(replace(solution, assessment=replace(assessment, given=given, final=final)))
 
 
-KNOWN = Bracket(-0.02, 0.18, True, True, (), np.zeros(0), np.zeros(0), 1.0, 0.0)
+KNOWN = Bracket(-0.02, 0.18, (), (), np.zeros(0), np.zeros(0), 1.0, 0.0)
+FAULTS = ("crude",)
 
 
 @pytest.mark.parametrize("unknown", ["none", "lower", "upper before", "upper after"])
 def test_a_guarantee_needs_both_bounds_on_both_meshes(unknown: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The lower bound serves both meshes."""
-    lower = replace(KNOWN, guaranteed_lower=unknown != "lower")
-    before = replace(lower, guaranteed_upper=unknown != "upper before")
-    after = replace(lower, upper=0.02, guaranteed_upper=unknown != "upper after")
+    lower = replace(KNOWN, lower_faults=FAULTS if unknown == "lower" else ())
+    before = replace(lower, upper_faults=FAULTS if unknown == "upper before" else ())
+    after = replace(lower, upper=0.02, upper_faults=FAULTS if unknown == "upper after" else ())
     found = relocated(monkeypatch, before, after)
     assert (found.lower, found.upper) == (-0.02, 0.02)
     assert found.guaranteed_lower is (unknown != "lower")
@@ -82,12 +83,12 @@ def test_a_guarantee_needs_both_bounds_on_both_meshes(unknown: str, monkeypatch:
 
 
 def test_a_guaranteed_lower_bound_is_better_than_a_higher_one_without(monkeypatch) -> None:
-    found = relocated(monkeypatch, replace(KNOWN, lower=-0.5), replace(KNOWN, guaranteed_lower=False))
+    found = relocated(monkeypatch, replace(KNOWN, lower=-0.5), replace(KNOWN, lower_faults=FAULTS))
     assert (found.lower, found.guaranteed_lower) == (-0.5, True)
 
 
 def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
-    crude = replace(KNOWN, upper=0.9, guaranteed_upper=False, why=("upper: a crude one",))
+    crude = replace(KNOWN, upper=0.9, upper_faults=FAULTS)
     found = relocated(monkeypatch, crude, crude)
     assert (found.upper, found.guaranteed_upper) == (0.9, False)
     state = membrane().assessment.final.continuous.state

@@ -25,10 +25,10 @@ def stiffness(n: int, seed: int = 0) -> sp.csc_array:
 
 def test_solutions_of_one_and_of_many_right_sides(by_cholmod) -> None:
     K, B = stiffness(40), np.random.default_rng(1).standard_normal((40, 3))
-    factor = factorised(K)
+    solve = factorised(K)
     exact = np.linalg.solve(K.toarray(), B)
-    np.testing.assert_allclose(factor.solve(B), exact, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(factor.solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(solve(B), exact, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
 
 
 def test_condensed_stiffness_is_a_schur_complement() -> None:
@@ -42,7 +42,7 @@ def test_condensed_stiffness_is_a_schur_complement() -> None:
 
 def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:
     K = sp.csc_array(np.diag([2.0, -1.0, 3.0]))
-    np.testing.assert_allclose(factorised(K).solve(np.ones(3)), [0.5, -1.0, 1 / 3])
+    np.testing.assert_allclose(factorised(K)(np.ones(3)), [0.5, -1.0, 1 / 3])
 
 
 def test_the_record_says_what_factorised() -> None:
