@@ -41,7 +41,7 @@ FEW = 2
 """... which nobody minds more of on a tiny mesh."""
 
 TRIALS = 12
-"""Runs of Mmg to come that near: half of them by proportion, then by bisection."""
+"""Runs of Mmg to come that near, by proportion."""
 
 FLATTER = 0.7
 """Factor of the largest aspect ratio after a mesh with too small an angle; at one, of the differences in
@@ -180,16 +180,13 @@ def _with_nodes(
 ) -> tuple[ContactProblem, float]:
     """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
     candidates: list[tuple[int, float, ContactProblem]] = []
-    below = above = float("nan")
-    for trial in range(TRIALS):
+    for _ in range(TRIALS):
         made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
         count = int(made.mesh.p.shape[1])
         candidates.append((abs(count - nodes), ratio, made))
         if abs(count - nodes) <= tolerance * nodes:
             break
-        below, above = (ratio, above) if count < nodes else (below, ratio)
-        between = (below + above) / 2
-        ratio = ratio * nodes / count if trial < TRIALS // 2 or np.isnan(between) else between
+        ratio = ratio * nodes / count
     off, ratio, best = min(candidates, key=lambda candidate: candidate[0])
     if off > max(ROUGH * nodes, FEW):
         nearest = best.mesh.p.shape[1]
