@@ -91,9 +91,7 @@ class Hessian:
     def __init__(self, point: ReducedPoint, blocks: Blocks, friction_rows: Index) -> None:
         self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
         self._qu, self._qs, self._gap, self._slip = blocks.qu, blocks.qs, blocks.gap, blocks.slip
-        self._uq, self._sq, self._gap_q, self._slip_q = (
-            part.T for part in (blocks.qu, blocks.qs, blocks.gap, blocks.slip)
-        )
+        self._uq, self._sq = blocks.qu.T, blocks.qs.T
         self._active, self._rows = point.equilibrium.active, friction_rows
         self._tangents = point.system.tangents[friction_rows]
         self._sliding = np.zeros(0)
@@ -145,10 +143,10 @@ class Hessian:
             out_of_balance = out_of_balance + self._tangents.T @ bound
             slip[self._rows] = self._slip @ d
         u, normal, tangential = self._respond(out_of_balance, self._gap @ d, slip)
-        result = self.qq @ d + self._qu @ u - self._gap_q @ normal
+        result = self.qq @ d + self._qu @ u - self._gap.T @ normal
         if sliding.size:
             result += self._qs @ (sliding * (self._tangents @ u + slip[self._rows]))
-            result += self._slip_q @ (bound - tangential[self._rows])
+            result += self._slip.T @ (bound - tangential[self._rows])
         return np.asarray(result)
 
 

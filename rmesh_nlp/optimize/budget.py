@@ -147,11 +147,8 @@ class Budget:
 
 
 def timed(first: Callable[[], object], again: Callable[[], object]) -> float:
-    """Wall time of ``first``; where it is short, or known already, the median of a few of ``again``."""
+    """Wall time of ``first``; where it is short, or known already, the median with a few of ``again``."""
     seconds = [_elapsed(first)]
-    if seconds[0] >= TIMING_SECONDS:
-        return seconds[0]
-    seconds = [_elapsed(again)]
     while len(seconds) < 5 and sum(seconds) < TIMING_SECONDS:
         seconds.append(_elapsed(again))
     return statistics.median(seconds)

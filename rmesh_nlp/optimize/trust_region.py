@@ -82,10 +82,8 @@ class NewtonResult:
     """Where the method stopped; STALLED where no step was left to take and the point is not stationary."""
 
     x: Array
-    value: float
     status: Status
     iterations: int
-    products: int
 
 
 @dataclass(frozen=True)
@@ -137,12 +135,12 @@ def minimise(
     x = np.clip(start, lower, upper)
     current = evaluate(x)
     if current is None:
-        return NewtonResult(x, np.nan, Status.EVALUATION_ERROR, 0, 0)
-    reference, products = current.value if reference is None else reference, 0
+        return NewtonResult(x, Status.EVALUATION_ERROR, 0)
+    reference = current.value if reference is None else reference
     radius = 0.0
     for iteration in range(max_iterations + 1):
         if on_step is not None and on_step(iteration, x, current):
-            return NewtonResult(x, current.value, Status.INTERRUPTED, iteration, products)
+            return NewtonResult(x, Status.INTERRUPTED, iteration)
         if iteration == max_iterations:
             break
         size = max(abs(current.value), 1e-300)
@@ -158,16 +156,14 @@ def minimise(
                 gradient_step = np.clip(-g / step.scale, low, high) if local is None else 1.0
                 radius = use.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
             y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius), use.forcing)
-            products += step.products
             enough = stationary and predicted <= gain_tolerance * (reference - current.value)
             if enough or predicted <= np.finfo(float).eps * size:
                 status = Status.CONVERGED if stationary else Status.STALLED
-                return NewtonResult(x, current.value, status, iteration, products)
+                return NewtonResult(x, status, iteration)
             part = 1.0 if local is None else local.longest(x, width * y)
             if part < 1:
                 cut = part * width * y
                 predicted = -float(g @ cut + 0.5 * cut @ model(cut))
-                products += 1
             landed = np.clip(x + part * (width * y), lower, upper)
             trial = evaluate(landed)
             ratio = -np.inf if trial is None else (current.value - trial.value) / max(predicted, 1e-300)
@@ -180,4 +176,4 @@ def minimise(
             if trial is not None and ratio > use.sufficient:
                 x, current = landed, trial
                 break
-    return NewtonResult(x, current.value, Status.ITERATION_LIMIT, max_iterations, products)
+    return NewtonResult(x, Status.ITERATION_LIMIT, max_iterations)
