@@ -40,21 +40,21 @@ def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
     made = []
     for kind in KINDS:
         wanted = {title: block for title, block in sections.items() if kind.is_wanted(block)}
-        groups = [(title, body(kind.columns, block)) for title, block in wanted.items()]
+        if not wanted:
+            continue
+        table = table_of(
+            kind.columns,
+            [(title, body(kind.columns, block)) for title, block in wanted.items()],
+            title=kind.title,
+            caption=kind.caption,
+            notes=units if kind.is_detail else [*units, *early],
+            is_detail=kind.is_detail,
+        )
         if kind is MAIN and named:
             names = names_of_solves([record for block in wanted.values() for record in block.records])
-            rows = [row for _, own in groups for row in own]
-            groups = [("", [[name, *row[1:]] for name, row in zip(names, rows, strict=True)])]
-        if wanted:
-            table = table_of(
-                kind.columns,
-                groups,
-                title=kind.title,
-                caption=kind.caption,
-                notes=units if kind.is_detail else [*units, *early],
-                is_detail=kind.is_detail,
-            )
-            made.append(replace(table, head=["solve", *table.head[1:]]) if kind is MAIN and named else table)
+            rows = [[name, *row[1:]] for name, row in zip(names, table.rows, strict=True)]
+            table = replace(table, head=["solve", *table.head[1:]], groups=[("", rows)])
+        made.append(table)
     for title, block in sections.items():
         for entry in () if block.has_energy else NAMED:
             made += named_tables(title, block.records, entry)

@@ -200,7 +200,7 @@ def _here(
 def _side_by_side(plan: Sequence[PlannedSolve], results: Results, jobs: int) -> Iterator[Ended]:
     """In processes of their own, which keep fields aside."""
     with folder_aside(results.folder) as aside:
-        for solve, row in engine.rows_here(plan, aside, jobs, whole=True):
+        for solve, row in engine.rows_here(plan, aside, jobs, unwritten=True):
             if "asked" not in row:  # of a process that was killed less is known
                 row = {**row, **solve.identity}
             yield solve, row, partial(_move, Results(aside).result(row))

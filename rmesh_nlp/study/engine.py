@@ -42,7 +42,7 @@ def run(
     scheduler: str | None = None,
     retry_failed: bool = False,
 ) -> Iterator[Record]:
-    """Perform what has no row yet; yields each row in short as it is written, in any order.
+    """Perform what has no row yet; yields each row as it is written, in any order.
 
     Call it again after any end: it goes on. The caller holds the lock of the folder. A BadInputError says
     that there is no cluster, that it is lost, or that workers of an earlier client are still at work.
@@ -80,11 +80,11 @@ def run(
 
 
 def rows_here(
-    plan: Sequence[PlannedSolve], folder: Path, jobs: int, *, whole: bool = False
+    plan: Sequence[PlannedSolve], folder: Path, jobs: int, *, unwritten: bool = False
 ) -> Iterator[tuple[PlannedSolve, Record]]:
     """Solves with their rows as they end, by so many processes, each watched by a worker in a thread.
 
-    Workers write the rows and tell them in short; ``whole`` ones are for the caller to write.
+    Workers write the rows, unless they are ``unwritten`` for the caller to write.
     """
     session, idle, count = Budget(), SimpleQueue[Worker](), min(jobs, len(plan))
     if not count:
@@ -93,7 +93,7 @@ def rows_here(
     def solved(solve: PlannedSolve) -> Record:
         worker = idle.get()
         try:
-            return worker.row(solve) if whole else worker.perform(solve)
+            return worker.row(solve) if unwritten else worker.perform(solve)
         finally:
             idle.put(worker)
 
@@ -112,7 +112,7 @@ def rows_here(
 def _distributed_rows(
     plan: Sequence[PlannedSolve], folder: Path, scheduler: str
 ) -> Iterator[tuple[PlannedSolve, Record | None]]:
-    """Solves with their rows in short as they end; None where the worker was lost for good."""
+    """Solves with their rows as they end; None where the worker was lost for good."""
     if not plan:
         return
     try:

@@ -1,4 +1,4 @@
-"""What a worker does with a planned solve: solve it in a process of its own, write its row, tell in short."""
+"""What a worker does with a planned solve: solve it in a process of its own and write its row."""
 
 from __future__ import annotations
 
@@ -18,8 +18,6 @@ from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import Keys, RowsFile
 
 ALONE = 0.9  # a solve that got less of its time from the processor shared it with something
-SHORT = ("key", "example", "variant", "status", "success", "wall_time_s", "message")
-"""What a client is told of a row."""
 
 
 class Worker:
@@ -47,7 +45,7 @@ class Worker:
             self._core = None
 
     def perform(self, solve: PlannedSolve) -> Record:
-        """Solve, write the row, return it in short; a solve that has a row already is not done again."""
+        """Solve, write the row and return it; a solve that has a row already is not done again."""
         with self._rows.working():
             if solve.key in self._keys.now():
                 return {"key": solve.key, "found": True}
@@ -56,7 +54,7 @@ class Worker:
                 self._rows.write_environment(json.dumps(environment(), indent=2) + "\n")
             row = self.row(solve)
             self._rows.append(row)
-        return {name: row.get(name) for name in SHORT}
+        return row
 
     def row(self, solve: PlannedSolve) -> Record:
         """The row of a solve, not written anywhere."""

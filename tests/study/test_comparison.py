@@ -302,7 +302,7 @@ def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, m
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
     got, contained = [], Contained()
 
-    def rows_of(todo, folder, jobs, *, whole):
+    def rows_of(todo, folder, jobs, *, unwritten):
         for one in todo:
             got.append(one.key)
             is_lost = one.formulation != "auto"
