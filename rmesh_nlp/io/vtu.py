@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import edges_of, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -140,7 +140,7 @@ def read_vtu(path: Path) -> Fields:
         )
         _check(fields)
     except Exception as error:  # meshio lets through whatever its parsers meet
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}".removesuffix(": ")
+        reason = f"{type(error).__name__}: {one_line(error)}".removesuffix(": ")
         raise BadInputError(f"cannot read the fields of a solution from {path}: {reason}") from error
     return fields
 
