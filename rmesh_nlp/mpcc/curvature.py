@@ -26,15 +26,13 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     stationarity, lin, lifted = end.stationarity, end.lin, run.lifted
     if stationarity is None or lin is None or stationarity.multipliers is None or stationarity.label != "S":
         return "not tested", None
-    if lifted.hessian is None or lifted.nlp.n_x > MOST:
+    if lifted.base.hess_lag is None or lifted.nlp.n_x > MOST:
         return "not tested", None
     own, columns = stationarity.multipliers, Columns(lifted, lin)
-    hessian = lifted.curvature(end.z, run.p, own.rows).toarray()
+    hessian = lifted.curvature(end.z, run.p, own.rows)
     if not np.all(np.isfinite(hessian)):
         return "not tested", None
     flat = ZERO * float(np.max(np.abs(hessian), initial=0.0))
-    if not flat or _is_positive(hessian + flat * np.eye(hessian.shape[0])):
-        return "not negative", None
     gradients = columns.matrix.T.toarray()
     values = np.concatenate(
         [own.rows[columns.rows], own.z[columns.bounds], own.pairs.reshape(-1)[columns.members]]
@@ -51,12 +49,3 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     if value < -flat:
         return "negative", d
     return "not negative" if is_complete else "not tested", None
-
-
-def _is_positive(matrix: Array) -> bool:
-    """Whether a symmetric matrix has a Cholesky factor."""
-    try:
-        np.linalg.cholesky(matrix)
-    except np.linalg.LinAlgError:
-        return False
-    return True

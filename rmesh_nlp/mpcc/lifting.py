@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Symmetric, numbered
+from rmesh_nlp.evaluation import Array, Block, Evaluator, numbered
 from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
@@ -46,9 +46,8 @@ class Lifted:
         Row of ``vertcat(g, G, H)`` behind each constraint row; the first ``n_g`` are ``g``.
     base : Derivatives
         Of the source problem, its rows ``vertcat(g, G, H)``.
-    value, jacobian, hessian : Evaluator
-        ``(z, p) -> (f, gradient)``, ``(z, p) -> (rows, nonzeros of their Jacobian)`` and ``(z, p, lam_f,
-        lam_rows) -> nonzeros of the upper triangle`` of the Lagrangian's Hessian (None: not known).
+    value, jacobian : Evaluator
+        ``(z, p) -> (f, gradient)`` and ``(z, p) -> (rows, nonzeros of their Jacobian)``.
     source_values : Evaluator
         ``(x, p) -> (f, vertcat(g, G, H))`` of the source problem.
     """
@@ -60,7 +59,6 @@ class Lifted:
     base: Derivatives
     value: Evaluator
     jacobian: Evaluator
-    hessian: Evaluator | None
     source_values: Evaluator
 
     @cached_property
@@ -82,15 +80,12 @@ class Lifted:
     def _rows(self) -> Block:
         return Block(numbered(self.jacobian.function.sparsity_out(1)), slice(None), slice(None))
 
-    @cached_property
-    def _symmetric(self) -> Symmetric:
-        assert self.hessian is not None
-        return Symmetric(numbered(self.hessian.function.sparsity_out(0)))
-
-    def curvature(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_matrix:
-        """Hessian of the Lagrangian, where ``hessian`` is known."""
-        assert self.hessian is not None
-        return sp.csc_matrix(self._symmetric(self.hessian(z, p, 1.0, lam_rows)[0]))
+    def curvature(self, z: Array, p: Array, lam_rows: Array) -> Array:
+        """Hessian of the Lagrangian, dense, where the source problem has one."""
+        assert self.nlp.derivatives is not None
+        assert self.nlp.derivatives.hess_lag is not None
+        upper = self.nlp.derivatives.hess_lag(z, p, 1.0, lam_rows).full()
+        return upper + np.triu(upper, 1).T
 
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
@@ -156,7 +151,6 @@ def lift(mpcc: MPCC) -> Lifted:
     return Lifted(
         mpcc, nlp, place.reshape(2, mpcc.n_pairs), rows, base,
         value=Evaluator(own.grad_f), jacobian=Evaluator(own.jac_g),
-        hessian=None if own.hess_lag is None else Evaluator(own.hess_lag),
         source_values=Evaluator(source),
     )  # fmt: skip
 
