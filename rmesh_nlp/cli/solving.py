@@ -58,8 +58,8 @@ def solve(
     else:
         (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
-    more = (SERIES, FIGURES) if columns else (SERIES,)
-    with writable(folder, SINGLE if stated is None else (*FILES, *more)) as results:
+    written = (*FILES, SERIES, FIGURES) if columns else (*FILES, SERIES)
+    with writable(folder, SINGLE if stated is None else written) as results:
         with SolvesProgress(1, quiet=not says) as progress:
             done = _performed(plan, progress, series)
             if done.row["status"] == "refused":

@@ -155,9 +155,11 @@ def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[
     if entry == "design":
         values, bounds = [record["design"] for record in solved], solved[0].get("design_bounds") or {}
     else:
-        known = [record["constraints"].items() for record in solved]
-        values = [{name: one.get("value") for name, one in own} for own in known]
-        bounds = {name: (one.get("lower"), one.get("upper")) for own in known[::-1] for name, one in own}
+        constraints = [record["constraints"].items() for record in solved]
+        values = [{name: one.get("value") for name, one in own} for own in constraints]
+        bounds = {
+            name: (one.get("lower"), one.get("upper")) for own in constraints[::-1] for name, one in own
+        }
     start = solved[0].get(f"{entry}_initial")
     rows = [{"": "bounds", **{name: bounds_in_words(*pair) for name, pair in bounds.items()}}]
     rows += [{"": "start", **start}] if start else []

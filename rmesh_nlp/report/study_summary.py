@@ -170,8 +170,8 @@ def charts(results: Sequence[Result]) -> list[Chart]:
 
     def typical(value: Callable[[Result], float | None]) -> pd.DataFrame:
         """Medians (problems, formulations) over repetitions and starts; infinite if most failed."""
-        known = (value(row) if row.record["success"] else None for row in rows)
-        costs = pd.Series([INF if cost is None else float(cost) for cost in known])
+        values = (value(row) if row.record["success"] else None for row in rows)
+        costs = pd.Series([INF if cost is None else float(cost) for cost in values])
         medians = costs.groupby([instances, [variant(row.record) for row in rows]]).median()
         return medians.unstack(fill_value=INF)[names]
 
