@@ -322,15 +322,15 @@ def test_the_oscillation_term_by_hand():
     """A source with no linear part on any element still does work: only the oscillation term knows."""
     mesh = rectangle(1, 1)
     powers = [(i, j) for i in range(4) for j in range(4 - i)]
-    both = skeleton_of(ContactProblem(mesh, Laplace(1.0), SIDES), mesh.p), np.arange(2), 3
-    moments = [integrals(lambda x, y, p=p: x ** p[0] * y ** p[1], *both).moments for p in powers]
+    cells = skeleton_of(ContactProblem(mesh, Laplace(1.0), SIDES), mesh.p), np.arange(2), 3
+    moments = [integrals(lambda x, y, p=p: x ** p[0] * y ** p[1], *cells).moments for p in powers]
     weights = null_space(np.array([m.ravel() for m in moments]).T)[:, 0] * 1e3
     rest = lambda x, y: sum(w * x**i * y**j for w, (i, j) in zip(weights, powers, strict=True))  # noqa: E731
     sides = tuple(Dirichlet(side, (0.0,)) for side in ("left", "right"))
     problem = ContactProblem(mesh, Laplace(rest), sides)
     # with a constant beside it the flux f (1/2 - x) varies by f x / sqrt(k) about its mean on each element
     k, f = 2.0, 30.0
-    square = integrals(rest, mesh.p[:, mesh.t]).square
+    square = integrals(rest, *cells).square
     r = np.sqrt(2) / 3.8317 * np.sqrt(square / 2) / np.sqrt(k)
     variation = f * np.sqrt(1 / 36 / k)  # x has the variance 1 / 18 on a right triangle of area 1 / 2
     spread = np.sum(variation * r + r**2 / 2)
