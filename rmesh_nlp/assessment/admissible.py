@@ -15,7 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
-from rmesh_nlp.assessment.parts import ZERO
+from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.assessment.tightening import tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
@@ -171,7 +171,7 @@ class Continuous:
         heights = []
         for cells in self.cells:
             off, size = cells.off(self.given_along(cells)), np.max(np.abs(cells.distance), initial=0.0)
-            heights.append(np.where(off > ZERO * size, off, 0.0))
+            heights.append(np.where(off > PROVED * size, off, 0.0))
         return self._raised(heights)
 
     def _raised(self, off: Sequence[Array]) -> Array:

@@ -32,8 +32,9 @@ SAMPLES = 32
 """Pieces of an edge between whose ends the sign of a switch that is no polynomial is compared. Triangles are
 refined around the zeros of such a switch until their edges are such pieces."""
 
-ZERO = 1e-12
-"""Part of the largest value of a switch below which it is zero: a side on a jump is no part of its own."""
+PROVED = 1e-10
+"""Relative difference that is none where a bound is guaranteed: of forces in equilibrium, of the measures of
+the domain, of a switch at a node, which is zero, and of a part that is empty."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,7 @@ def _zeros_along(
     while rows.size and width > ROUNDING:
         values = value(rows, low[:, None] + width * share)
         scale = max(scale, float(np.max(np.abs(values))))
-        values = np.where(np.abs(values) <= ZERO * scale, 0.0, values)
+        values = np.where(np.abs(values) <= PROVED * scale, 0.0, values)
         coefficients = values @ to_bernstein.T
         none, single = _one_sign(coefficients), _one_sign(np.diff(coefficients, axis=1))
         # a piece that begins at a zero is a part of its own
@@ -149,7 +150,7 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
 
     for switch, degree in switched:
         value = partial(on_parts, switch)
-        tiny = ZERO * float(np.max(np.abs(value(owner, corners)), initial=0.0))
+        tiny = PROVED * float(np.max(np.abs(value(owner, corners)), initial=0.0))
         bends = body.is_curved[elements] | (degree is None or degree > 1)
         width = 1.0
         while np.any(bends) and width > 1 / SAMPLES:
@@ -198,4 +199,4 @@ def _cut(owner: Index, corners: Array, values: Array, tiny: float) -> tuple[Inde
     owner = np.concatenate([owner[~chosen], *[owner[chosen]] * 3])
     corners = np.concatenate([corners[:, :, ~chosen], *three], axis=2)
     area = np.abs(np.linalg.det(corners.transpose(2, 0, 1)))
-    return owner[area > ZERO], corners[:, :, area > ZERO]
+    return owner[area > PROVED], corners[:, :, area > PROVED]

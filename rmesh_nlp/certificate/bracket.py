@@ -28,14 +28,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
-from rmesh_nlp.assessment.parts import ZERO
+from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.conditions import Conditions, conditions_of
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
 from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
-from rmesh_nlp.certificate.skeleton import TOLERANCE, Skeleton, skeleton_of
+from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
@@ -125,12 +125,12 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
     local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
     of_both = {
-        DOUBTFUL: not doubt <= max(DOUBT * abs(upper - lower), TOLERANCE * strain),
+        DOUBTFUL: not doubt <= max(DOUBT * abs(upper - lower), PROVED * strain),
         UNKNOWN: not (conditions.is_certain and load.is_certain),
     }
     out = f"the field is out of equilibrium by {residual:.1e} of the largest force"
-    of_lower = {out: not residual <= TOLERANCE, **of_both}
-    of_upper = {BENT: conditions.given_error > ZERO, AT_NODES: bool(problem.obstacles), **of_both}
+    of_lower = {out: not residual <= PROVED, **of_both}
+    of_upper = {BENT: conditions.given_error > PROVED, AT_NODES: bool(problem.obstacles), **of_both}
     lower_faults, upper_faults = (
         tuple(fault for fault, holds in each.items() if holds) for each in (of_lower, of_upper)
     )

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.assessment.parts import ZERO, edge_parts
+from rmesh_nlp.assessment.parts import PROVED, edge_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
@@ -179,7 +179,7 @@ def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
     samples = _samples(friction, edges)
     ends = samples[[0, -1]]
     excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
-    scale = ZERO * np.max(np.abs(samples), axis=0)
+    scale = PROVED * np.max(np.abs(samples), axis=0)
     ends = np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0)
     parts = edge_parts(edges, (friction,))
     inner = ROUNDING * (parts.end - parts.begin)

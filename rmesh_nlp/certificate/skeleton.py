@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.certificate.polynomials import Index, raised
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -18,10 +19,6 @@ AFTER = np.array([[1, 2], [2, 0], [0, 1]])
 
 CORNERS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 """Vertices (2, 3) of the reference triangle."""
-
-TOLERANCE = 1e-10
-"""Violations that a guarantee bears: of equilibrium, in parts of the largest force, and of the domain, in
-parts of areas, lengths and first moments."""
 
 
 def edge_normals(corners: Array) -> Array:
@@ -164,7 +161,7 @@ def same_domain(problem: ContactProblem, nodes: Array) -> bool:
     """
     given, moved = (_moments(problem, skeleton_of(problem, x)) for x in (problem.mesh.p, nodes))
     return all(
-        np.max(np.abs(a - b)) <= TOLERANCE * max(float(np.max(np.abs(a))), 1e-300)
+        np.max(np.abs(a - b)) <= PROVED * max(float(np.max(np.abs(a))), 1e-300)
         for a, b in zip(given, moved, strict=True)
     )
 

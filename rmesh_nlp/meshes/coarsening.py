@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
@@ -156,7 +157,7 @@ def _merges(measured: Measured, t: NDArray, line_edges: NDArray, on_line: Mask, 
     edges = np.unique(edges[:, chosen[edges[0]] & ~on_line[edges[0]]], axis=1)
     along = line_edges[:, line_edges[0] != line_edges[1]]
     along = np.hstack([along, along[::-1]])
-    along = along[:, ~_in_short_loops(along, n)[along[0]]]
+    along = along[:, ~_on_short_lines(along, n)[along[0]]]
     pairs = np.hstack([edges, np.unique(along[:, chosen[along[0]]], axis=1)])
     if pairs.shape[1] == 0:
         return pairs
@@ -167,19 +168,13 @@ def _merges(measured: Measured, t: NDArray, line_edges: NDArray, on_line: Mask, 
     return pairs[:, first[worst[first] < 1 / LEAST_QUALITY]]
 
 
-def _in_short_loops(along: NDArray, n: int) -> Mask:
-    """Nodes (n,) of closed lines of three or four edges, such as small holes: fewer would close them.
+def _on_short_lines(along: NDArray, n: int) -> Mask:
+    """Nodes (n,) of lines of up to four nodes by themselves, such as small holes: fewer would close them.
 
     Two nodes of a line may be taken out at once, so that five leave three at least.
     """
-    line = sp.csr_array((np.ones(along.shape[1]), along), shape=(n, n))
-    line.data[:] = 1.0  # an edge of two parts counts once
-    twice = sp.csr_array(line @ line)
-    in_loop = np.zeros(n, dtype=bool)
-    regular = np.flatnonzero(np.diff(line.indptr) == 2)
-    first, second = line.indices[line.indptr[regular]], line.indices[line.indptr[regular] + 1]
-    in_loop[regular] = (line[first, second] > 0) | (twice[first, second] > 1)
-    return in_loop
+    piece = connected_components(sp.coo_array((np.ones(along.shape[1]), along), shape=(n, n)))[1]
+    return np.asarray(np.bincount(piece)[piece] <= 4)
 
 
 def _worst(measured: Measured, t: NDArray, pairs: NDArray) -> Array:
