@@ -17,6 +17,7 @@ from rmesh_nlp.assessment.parts import AlongEdges, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.problem.body import Body, Edges, Index
 from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.vectorised import CHUNK
 
 Integrand = Callable[[Index, Array, Array], Array]
 """``(elements (m,), barycentric (3, m, k), points (2, m, k)) -> values (rows, m, k)``; on edges s (m, k) in
@@ -34,9 +35,6 @@ place nine."""
 
 DEPTH = 9
 """Last stage: times that a cell may be halved in each direction, and one."""
-
-CHUNK = 100_000
-"""Points that are evaluated at once."""
 
 
 class Integral(NamedTuple):
@@ -142,8 +140,7 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
 
 
 def _in_chunks(on_cells: OnCells, owner: Index, low: Array, width: Array, order: int) -> Array:
-    step = max(1, CHUNK // order ** len(low))
-    parts = [slice(i, i + step) for i in range(0, owner.size, step)]
+    parts = [slice(i, i + CHUNK) for i in range(0, owner.size, CHUNK)]
     return np.hstack([on_cells(owner[part], low[:, part], width[part], order) for part in parts])
 
 

@@ -93,7 +93,7 @@ class ContactSolver:
         self.discretisation = parts = discretise(problem)
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
-        self.contact_nodes = parts.contact_nodes
+        self.contact_nodes = parts.space.contact_nodes
         on = parts.at_positions(parts.vertices.positions)
         self._elastic = _AtZero(parts, [*strain(on), *gaps(on)], self.n_u, quadratic=True)
         self._loads = _AtZero(parts, loads(on, problem.rule), self.n_u)

@@ -89,11 +89,6 @@ class Discretisation:
         return self._displacement[1]
 
     @property
-    def contact_nodes(self) -> Index:
-        """(n_contact,) the node of every gap."""
-        return self.space.contact_nodes
-
-    @property
     def friction_rows(self) -> Index:
         """(n_s,) numbers of the gaps at which friction may act."""
         return self.space.friction_rows
@@ -101,7 +96,7 @@ class Discretisation:
     @property
     def n_contact(self) -> int:
         """Number of gaps."""
-        return int(self.contact_nodes.size)
+        return int(self.space.contact_nodes.size)
 
     @property
     def n_s(self) -> int:

@@ -38,6 +38,7 @@ from rmesh_nlp.fem.space import Index, outward_edges
 from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in, substituted, symbol
+from rmesh_nlp.problem.quadrature import HIGH
 
 __all__ = [
     "at_point",
@@ -55,9 +56,6 @@ __all__ = [
     "shear",
     "square",
 ]
-
-DEGREE = 8
-"""Degree of the rules for densities of one's own."""
 
 
 def _quantity(name: str) -> Callable[[Groups], Objective]:
@@ -79,7 +77,7 @@ def body_integral(
     *,
     name: str = "body integral",
     subdomain: str | None = None,
-    degree: int = DEGREE,
+    degree: int = HIGH,
 ) -> Objective:
     """Integral of a density over the elements of the body, or of a subdomain.
 
@@ -110,7 +108,7 @@ def boundary_integral(
     *,
     name: str = "boundary integral",
     mean: bool = False,
-    degree: int = DEGREE,
+    degree: int = HIGH,
 ) -> Objective:
     """Integral of a density over a named boundary, the contact boundary or another.
 
