@@ -4,7 +4,9 @@ from dataclasses import replace
 from typing import Any
 
 import casadi as ca
+import numpy as np
 import pytest
+from skfem import MeshTri
 
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
@@ -92,9 +94,35 @@ def test_a_load_that_the_rule_does_not_see_is_warned_of() -> None:
     assert setup_warnings(replace(problem, quadrature=12), accurate=accurate) == ()
 
 
-def test_nearly_incompressible_plane_stress_does_not_lock() -> None:
-    problem = sound(law=PlaneStress.from_young(21600.0, 0.4999))
-    assert "locking" not in {warning.kind for warning in setup_warnings(problem)}
+def bent_at_its_end() -> MeshTri:
+    """At 4 of the 15 inner nodes of the lower side."""
+    mesh = sound().mesh
+    rise = np.where(mesh.p[1] == 0, 0.02 * np.maximum(mesh.p[0] - 3, 0) ** 2, 0.0)
+    return replace(mesh, doflocs=mesh.p + np.stack([0 * rise, rise]))
+
+
+PRESSED = {"dirichlet": (Dirichlet("top", (0.0, -0.1)),)}
+TOE = named(sound().mesh, {"toe": lambda x: (x[1] == 0) & (x[0] > 3.8)})
+
+
+@pytest.mark.parametrize(
+    ("changes", "kind"),
+    [
+        ({"law": PlaneStress.from_young(21600.0, 0.4999)}, "locking"),
+        (PRESSED | WRONG["load"], "load"),
+        ({"mesh": bent_at_its_end()}, "round"),
+        (PRESSED | {"mesh": TOE, "obstacle": Obstacle.graph("toe", -0.05)}, "all-touching"),  # two nodes do
+    ],
+)
+def test_what_resembles_a_sign_is_none(changes: dict[str, Any], kind: str) -> None:
+    assert kind not in {warning.kind for warning in setup_warnings(sound(**changes))}
+
+
+def test_the_gap_of_a_membrane_is_not_compared_with_its_extent() -> None:
+    problem = ContactProblem(rectangle(4, 4), Laplace(-1.0), "left", Obstacle("bottom", (1.0,), 50.0))
+    (only,) = setup_warnings(problem)
+    assert only.kind == "open"
+    assert only.message.endswith("check units")
 
 
 def test_a_round_contact_boundary_without_a_curve_is_told() -> None:

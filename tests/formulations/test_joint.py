@@ -10,13 +10,23 @@ import pytest
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
+from formulations.units import half_energy
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.outer_solvers import OuterResult
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, Relative, Traction
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PlaneStrain,
+    Relative,
+    Traction,
+)
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
@@ -136,3 +146,12 @@ def test_the_program_in_another_unit_of_length_is_the_same() -> None:
     for own, other in zip(measured, transformed, strict=True):
         np.testing.assert_allclose(np.squeeze(own.full()), other, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(scaled.forces(lam)[0], usual.forces(lam / rows)[0])
+
+
+def test_energies_that_cancel_are_measured_by_their_size() -> None:
+    """-u'' = -6 with u = 1 at one end and free at the other: 6 are stored, and done by the load."""
+    outer = Outer.of(
+        ContactProblem(shapes.rectangle(8, 1), Laplace(-6.0), Dirichlet("left", 1.0), motion=Motion(0))
+    )
+    point = outer.energy(np.zeros(outer.n))
+    assert abs(point.value) < 0.1 < 1 < half_energy(point)

@@ -18,6 +18,7 @@ from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import area_ratios, is_upright, is_valid
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from support.designs import BOW, block
 
 
 def test_nodes_keep_to_their_sides_and_move_limits() -> None:
@@ -141,3 +142,14 @@ def test_a_least_angle_is_a_row_of_every_element_that_moves() -> None:
     validity = discretise(problem(Motion(0.01, min_angle=20.0))).validity
     moves = np.any(plain.mesh_map.positions.index >= 0, axis=0)
     assert validity.elements.size == np.sum(np.any(moves[plain.problem.triangles], axis=0)) > 0
+
+
+@pytest.mark.parametrize("min_angle", [0.0, 5.0])
+def test_elements_that_a_shape_moves_have_a_row(min_angle: float) -> None:
+    """No node moves but by the shape."""
+    design = replace(block(BOW), motion=Motion(0, min_angle=min_angle))
+    free, triangles = MeshMap.of(design), design.triangles
+    moves = np.any(free.positions.values(np.ones(free.n)) != design.mesh.p, axis=0)
+    expected = np.flatnonzero(np.any(moves[triangles], axis=0))
+    assert expected.size > 0
+    np.testing.assert_array_equal(discretise(design).validity.elements, expected)

@@ -61,6 +61,7 @@ DISC = Circle((0.0, 0.0), 1.0)
 GAP = Traction("top", lambda x, y: ca.log(ca.fabs(x - 0.06) - 0.01))
 BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
 LINES = BODY["mesh"].with_boundaries({"bottom": lambda x: x[1] < 0.6}, boundaries_only=False)
+PAIR = (BODY["mesh"] + rectangle(2, 2, x=(2, 3))).with_boundaries({"left": lambda x: x[0] == 0})
 POLE = Laplace(lambda x, y: 1 / (x - 0.25))
 
 
@@ -116,6 +117,7 @@ def between_nodes(x: Any, y: Any) -> Any:
         (BODY, {"mesh": LINES}, "contact", "'bottom' has an edge inside the body, between nodes"),
         (BODY, {"dirichlet": ("top", Dirichlet("bottom", (0.1, None)))}, "contact", "contact node 0 has"),
         (BODY, {"obstacle": (FLOOR, WALL)}, "contact", "belongs to 2 contact"),
+        (BODY, {"mesh": PAIR, "obstacle": NO_CONTACT}, "dirichlet", "part of the mesh .* can still move"),
     ],
 )  # fmt: skip
 def test_contradictions_name_their_part(base: dict, change: dict, part: str, message: str) -> None:

@@ -18,7 +18,7 @@ from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
-from rmesh_nlp.study.rows import RowsFile
+from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.study_file import read_study
 from support.planted import install
@@ -124,6 +124,19 @@ def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path):
     with worker.Worker(tmp_path) as another:  # a task that the scheduler repeats finds its row
         assert another.perform(PLAN[0]) == {"key": PLAN[0].key, "found": True}
     assert [PLAN[2].key] == SOLVED
+
+
+def test_keys_are_those_of_whole_lines_that_are_still_there(tmp_path):
+    keys, rows = Keys(tmp_path), RowsFile(tmp_path)
+    with rows.working():
+        rows.append({"key": "a", "success": False})
+        rows.append({"key": "b", "success": True})
+        for text, known in (('{"key": ', {"a", "b"}), ('"c"}\n', {"a", "b", "c"})):
+            with rows.path.open("a") as file:
+                file.write(text)
+            assert keys.now() == known
+        set_failures_aside(tmp_path, ["a"])
+        assert keys.now() == {"b", "c"}
 
 
 @pytest.mark.parametrize(
