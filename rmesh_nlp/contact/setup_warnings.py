@@ -188,8 +188,7 @@ def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:
 def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | None) -> Iterator[SetupWarning]:
     varying = any(callable(c) for law in problem.laws for c in law.load)
     given = bool(problem.tractions) or any(callable(c) or c != 0 for law in problem.laws for c in law.load)
-    held, value = problem.held
-    if given and not np.any(value[held]) and not np.any(system.load):
+    if given and not np.any(system.load):  # which has what given displacements pull
         text = "the loads vanish on this mesh: do they use the same lengths as the mesh?"
         yield SetupWarning("load", text)
     elif accurate is not None and varying:
