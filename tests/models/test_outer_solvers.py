@@ -10,10 +10,12 @@ from models.test_programs import bumpy
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import least_angles
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import outer_solvers
 from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Traction
+from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.solution import Solution
 from support.formulations import joint, nested
@@ -108,3 +110,22 @@ def test_newton_converges_where_angles_are_at_their_bounds() -> None:
     angle = np.min(least_angles(solution.mesh.p, problem.triangles))
     assert 30 - np.rad2deg(ROUNDING) <= angle < 30 + 1e-4
     assert solution.energy <= joint.solve(problem).energy * (1 - 0.01)
+
+
+@pytest.mark.parametrize("formulation", [joint, nested])
+def test_where_the_interior_point_leaves_the_valley_of_the_start_newton_lowers_the_energy(
+    formulation: Any,
+) -> None:
+    """The load jumps within triangles, so the energy of the rule jumps with the positions."""
+    problem = ContactProblem(
+        rectangle(3, 3, x=(0, 2)),
+        Laplace(lambda x, y: where(x > 1.21, -2.0, -3.0)),
+        ("left",),
+        Obstacle("right", (1.0,), 0.05),
+        Motion(None),
+        (Traction("top", (lambda x, y: 1 - x,)),),
+        quadrature=8,
+    )
+    solution = formulation.solve(problem)
+    assert solution.success
+    assert solution.gain_audited > 0.01
