@@ -45,9 +45,15 @@ class Finish:
         return self.status in (Status.CONVERGED, Status.ACCEPTABLE)
 
     @property
-    def rank(self) -> tuple[bool, bool, float]:
-        """Sort key: solved before exact but not stationary before inexact, then the lower objective."""
-        return self.solved, self.stationarity is not None, -self.f if np.isfinite(self.f) else -np.inf
+    def rank(self) -> tuple[bool, bool, bool, float]:
+        """Sort key: solved, unbounded, exact but not stationary, inexact; of equals the lower objective."""
+        is_unbounded, f = self.status is Status.UNBOUNDED, self.f if np.isfinite(self.f) else np.inf
+        return self.solved, is_unbounded, self.stationarity is not None, -f
+
+
+def is_below(f: float, other: float) -> bool:
+    """Whether an objective is below another one by more than rounding."""
+    return f < other - _DECREASE * (1 + abs(other))
 
 
 def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
@@ -63,19 +69,19 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -
 
 def settled(run: Run, result: NLPResult) -> Finish:
     """Descend over the branches from the solution of one, if it is exact."""
-    if not run.exact(result.x):
-        return Finish(result.x, result.f, Status.INACCURATE if result.converged else result.status)
-    if result.status is Status.UNBOUNDED:
-        return Finish(result.x, result.f, Status.UNBOUNDED)
-    return pivot(run, _labelled(run, result.x, result.f, result.lam_g))
+    return pivot(run, _ended(run, result))
 
 
-def _labelled(run: Run, z: Array, f: float, lam_rows: Array) -> Finish:
-    """Label an exact point that a solve ended at with these multipliers of the rows."""
-    options = run.options
+def _ended(run: Run, result: NLPResult) -> Finish:
+    """The end of a branch; an exact one is labelled, unless f falls without end in it."""
+    z, f, status, options = result.x, result.f, result.status, run.options
+    if not run.exact(z):
+        return Finish(z, f, Status.INACCURATE if result.converged else status)
+    if status is Status.UNBOUNDED:
+        return Finish(z, f, status)
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
-    result = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows)
-    return Finish(z, f, result.status, result, lin)
+    label = stationarity(run.lifted, lin, options.stationarity, run.budget, result.lam_g)
+    return Finish(z, f, label.status, label, lin)
 
 
 def pivot(run: Run, point: Finish) -> Finish:
@@ -88,11 +94,9 @@ def pivot(run: Run, point: Finish) -> Finish:
         if pivots == run.options.max_pivots:
             break
         better = run.branch(point.z, direction.zero)
-        if not (run.exact(better.x) and better.f < point.f - _DECREASE * (1 + abs(point.f))):
+        if not (run.exact(better.x) and is_below(better.f, point.f)):
             return point
-        if better.status is Status.UNBOUNDED:  # feasible points of ever lower objective in one branch
-            return Finish(better.x, better.f, Status.UNBOUNDED, pivots=pivots + 1)
-        point = _labelled(run, better.x, better.f, better.lam_g)
+        point = _ended(run, better)
     return replace(point, status=Status.ITERATION_LIMIT)
 
 

@@ -10,23 +10,29 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
-from rmesh_nlp.mpcc.finish import Finish, finish
+from rmesh_nlp.mpcc.finish import Finish, finish, is_below
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lower_level import DENSE
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
-_LOWER = 1e-7  # of two stationary points the later one is taken if it is lower by this, relative
 _SADDLES, _LENGTHS = 4, (0.1, 1e-2, 1e-3)  # saddles left, by steps of these lengths, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
+_UNTOLD = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
+"""What a path may have ended with that says no more than that it was not at a solution."""
+
+
+def best(paths: Sequence[Path]) -> Finish | None:
+    """The lowest stationary end, if there is one; see :attr:`Finish.rank`."""
+    return max((p.finish for p in paths if p.finish is not None), key=lambda end: end.rank, default=None)
 
 
 def leave_saddles(run: Run, paths: list[Path]) -> str:
     """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
     word = "not tested"
     for _ in range(_SADDLES):
-        end = _choose(paths)
+        end = best(paths)
         if end is None or not end.solved:
             return word
         word, d = descent_of_curvature(run, end)
@@ -45,7 +51,7 @@ def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
     for length in _LENGTHS:
         z = np.clip(saddle.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
         end = finish(run, z, search=False)
-        if end.solved and _beats(end, saddle):
+        if end.solved and is_below(end.f, saddle.f):
             return end
     return None
 
@@ -54,50 +60,22 @@ def end_of(
     run: Run, paths: Sequence[Path], z0: Array, limit: Status | None, infeasible: bool = False
 ) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
-    end = _choose(paths)
-    if end is not None and end.solved:
-        return end if run.exact(end.z) else replace(end, status=Status.INACCURATE)
-    if end is not None and end.stationarity is not None:  # exact, but not shown to be stationary
-        return replace(end, status=limit or end.status)
+    end = best(paths)
+    if end is not None and end.stationarity is not None:
+        return end if end.solved or limit is None else replace(end, status=limit)
     z, f, excess = run.nearest or (z0, np.nan, np.inf)
     if limit is not None:
         return Finish(z, f, limit)
-    tried = [path.relaxed.x for path in paths if path.relaxed is not None]
-    tried += [path.finish.z for path in paths if path.finish is not None]
-    for point in [z, *tried]:
+    ends = [path.finish for path in paths if path.finish is not None]
+    points = [path.relaxed.x for path in paths if path.relaxed is not None]
+    for point in [z, *points, *(end.z for end in ends)]:
         f = run.nlps.measure(point, run.p)[0]
         if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
             return Finish(point, f, Status.UNBOUNDED)
-    return Finish(z, f, _failure(paths, excess, infeasible))
-
-
-def _choose(paths: Sequence[Path]) -> Finish | None:
-    """The lowest stationary end, the earlier of equals; an unbounded one if none is stationary."""
-    best: Finish | None = None
-    for end in (path.finish for path in paths if path.finish is not None):
-        if best is None or _beats(end, best):
-            best = end
-    return best
-
-
-def _beats(end: Finish, best: Finish) -> bool:
-    if end.solved and best.solved:
-        return end.f < best.f - _LOWER * (1 + abs(best.f))
-    if end.solved != best.solved:
-        return end.solved
-    return (end.status is Status.UNBOUNDED, end.rank) > (best.status is Status.UNBOUNDED, best.rank)
-
-
-def _failure(paths: Sequence[Path], excess: float, infeasible: bool) -> Status:
-    """Why no exact point was found: INFEASIBLE only if a local minimum of the violation was certified."""
-    ends = [path.failure for path in paths if path.failure is not None]
-    ends += [path.finish.status for path in paths if path.finish is not None]
-    if excess <= 1.0:  # feasible after all: whatever Ipopt called it
-        return next((status for status in ends if status is not Status.INFEASIBLE), Status.STALLED)
-    others = set(ends) - {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
-    if infeasible:
-        return Status.INFEASIBLE
-    return next((status for status in ends if status in others), Status.STALLED if ends else Status.FAILED)
+    if infeasible and excess > 1.0:  # a local minimum of the violation was certified
+        return Finish(z, f, Status.INFEASIBLE)
+    said = [path.failure for path in paths if path.failure is not None] + [end.status for end in ends]
+    return Finish(z, f, next((status for status in said if status not in _UNTOLD), Status.STALLED))
 
 
 def result_of(

@@ -55,25 +55,17 @@ def test_better_end_is_chosen_in_either_order(better, worse):
         assert found.f == better.finish.f or better is UNBOUNDED
 
 
-@pytest.mark.parametrize("f", [0.0, -1000.0])
-def test_of_ends_that_differ_by_rounding_the_earlier_is_chosen(f):
-    first, second, lower = (end_of(f - part * 1e-7 * (1 + abs(f))) for part in (0, 0.5, 2))
-    assert chosen(first, second) is first.finish
-    assert chosen(first, lower) is lower.finish
-
-
 @pytest.mark.parametrize(
-    ("path", "limit", "exact", "said"),
+    ("path", "limit", "said"),
     [
-        (end_of(1.0), S.TIME_LIMIT, True, S.CONVERGED),  # stationary: keeps its status if it is exact
-        (end_of(1.0, S.ACCEPTABLE), None, True, S.ACCEPTABLE),
-        (end_of(1.0), None, False, S.INACCURATE),
-        (end_of(1.0, S.STALLED), None, True, S.STALLED),  # exact: its own status, or that of a limit
-        (end_of(1.0, S.STALLED), S.TIME_LIMIT, True, S.TIME_LIMIT),
+        (end_of(1.0), S.TIME_LIMIT, S.CONVERGED),  # stationary: keeps its status
+        (end_of(1.0, S.ACCEPTABLE), None, S.ACCEPTABLE),
+        (end_of(1.0, S.STALLED), None, S.STALLED),  # exact: its own status, or that of a limit
+        (end_of(1.0, S.STALLED), S.TIME_LIMIT, S.TIME_LIMIT),
     ],
 )
-def test_exact_end_is_returned_with_its_label(path, limit, exact, said):
-    found = chosen(path, limit=limit, exact=lambda z: exact)
+def test_exact_end_is_returned_with_its_label(path, limit, said):
+    found = chosen(path, limit=limit)
     assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
 
 
@@ -99,7 +91,6 @@ def test_iterates_or_objectives_beyond_all_measure_are_called_unbounded(f, point
         ([S.INFEASIBLE], 2.0, False, S.STALLED),  # nor what has no certificate
         ([S.INFEASIBLE, S.FAILED], 2.0, False, S.FAILED),
         ([S.STALLED, S.ITERATION_LIMIT], 2.0, False, S.ITERATION_LIMIT),
-        ([], 2.0, False, S.FAILED),
     ],
 )
 def test_without_an_exact_end_the_nearest_point_has_the_reason(failures, excess, infeasible, said):
