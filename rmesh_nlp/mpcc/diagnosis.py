@@ -7,10 +7,8 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.mpcc.lifting import Lifted
-from rmesh_nlp.mpcc.names import in_short, named
+from rmesh_nlp.mpcc.names import FEW, in_short, named
 from rmesh_nlp.mpcc.problem import MPCC
-
-_FEW = 4  # unknowns that are named
 
 
 def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
@@ -28,8 +26,8 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
     if not np.all(np.isfinite(values)):
         row = int(np.argmin(np.isfinite(values)))
         unknowns = columns[(rows == row) & (slopes != 0)]
-        at = ", ".join(f"{named(mpcc.x, int(j))} = {x[j]:g}" for j in unknowns[:_FEW])
-        return f"{places[row]} is {values[row]} at {at}{', ...' if unknowns.size > _FEW else ''}."
+        at = ", ".join(f"{named(mpcc.x, int(j))} = {x[j]:g}" for j in unknowns[:FEW])
+        return f"{places[row]} is {values[row]} at {at}{', ...' if unknowns.size > FEW else ''}."
     if not np.all(np.isfinite(slopes)):
         k = int(np.argmin(np.isfinite(slopes)))
         j = int(columns[k])

@@ -9,7 +9,7 @@ import casadi as ca
 Symbolic: TypeAlias = ca.SX | ca.MX
 """An expression of CasADi."""
 
-_SHORT, _FEW = 12, 4  # nodes of an expression that is shown, symbols that are named
+_SHORT, FEW = 12, 4  # nodes of an expression that is shown, symbols that are named
 
 
 def symbol_names(x: Symbolic) -> list[str]:
@@ -32,7 +32,7 @@ def of_symbol(symbols: Symbolic | None, i: int) -> str:
     """`` (pressure)`` to stand after the place of entry i; nothing where the name is only its place."""
     if symbols is None:
         return ""
-    name = str(symbols[i]) if isinstance(symbols, ca.SX) else symbol_names(symbols)[i]
+    name = symbol_names(symbols)[i]
     is_place = name in {f"{letter}{place}" for letter in "xp" for place in (f"_{i}", f"[{i}]")}
     return "" if is_place else f" ({name})"
 
@@ -42,4 +42,4 @@ def in_short(expression: Symbolic) -> str:
     if ca.n_nodes(expression) <= _SHORT:
         return str(expression)
     symbols = [symbol.name() for symbol in ca.symvar(expression)]
-    return f"a function of {', '.join(symbols[:_FEW])}{', ...' if len(symbols) > _FEW else ''}"
+    return f"a function of {', '.join(symbols[:FEW])}{', ...' if len(symbols) > FEW else ''}"
