@@ -24,6 +24,7 @@ from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, DesignVariable, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.refinement import surviving_gain
 from support.designs import block
 from support.orders import ORDERS
 from support.reduced import reduced
@@ -490,3 +491,12 @@ def test_the_gain_is_measured_on_refined_meshes_whose_triangles_a_point_could_le
     solution = rm.solve(problem, "nested", objective=objective)
     assert solution.success
     assert np.isfinite(solution.record()["gain_surviving"])
+
+
+def test_of_the_shape_of_elements_no_gain_is_left_to_measure() -> None:
+    problem = replace(example("6.3", (4, 2)), motion=rm.Motion(delta=0.02))
+    solution = rm.solve(problem, "nested", objective="mean(top, -uy) + 1e-9*quality")
+    found = surviving_gain(solution.assessment)
+    assert found is not None
+    assert found.objective == "mean(top, -uy)"
+    assert found.share == solution.record()["gain_surviving"]
