@@ -27,7 +27,9 @@ def run(arguments: list[str]) -> int:
         return code
     except ClickException as error:
         return _complain(f"{one_line(error.format_message())}{_got(error.__cause__)}")
-    except (BadInputError, OSError) as error:
+    except OSError as error:  # the file first, without the number of the error
+        return _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+    except BadInputError as error:
         return _complain(str(error))
     except InterruptedSolveError as error:
         print(f"rmesh: interrupted: {error}", file=sys.stderr)

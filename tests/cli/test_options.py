@@ -148,7 +148,7 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("figures .", "records.jsonl"),
         ("compare 6.1 --n 3 --out file/x", "file/x"),
         ("new nowhere/my.toml", "nowhere"),
-        ("new file", "File exists: 'file'"),
+        ("new file", "file: File exists"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) -> None:
