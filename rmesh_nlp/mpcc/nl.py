@@ -47,6 +47,7 @@ _UNSUPPORTED: dict[int | str, str] = {
     "f": "imported functions", "h": "strings",
 }  # fmt: skip
 """Names of operations, by their number, of segments and of expressions."""
+_MOST = 10_000_000  # unknowns or rows: more stand in damaged headers alone
 _SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
@@ -128,6 +129,7 @@ class _Reader:
     def __init__(self, path: Path, records: Records) -> None:
         self.path, self.records = path, records
         self.nonzeros: Counter[str] = Counter()
+        self.numbers: set[str] = set()
 
     def table(self, kinds: str, n: int) -> list[list[Any]]:
         """The next ``n`` records."""
@@ -138,6 +140,8 @@ class _Reader:
         n, m = int(header[1][0]), int(header[1][1])
         if any(int(count) for count in header[6][:5]):
             raise ValueError("integer unknowns are not supported")
+        if not 0 <= min(n, m) <= max(n, m) <= _MOST:
+            raise ValueError(f"{n} unknowns and {m} rows")
         names, free = _names(self.path, ".col", n), np.full(n, np.inf)
         x = ca.vertcat(*(ca.SX.sym(name) for name in names)) if names else ca.SX.sym("x", n)
         self.values: list[ca.SX] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
@@ -154,14 +158,22 @@ class _Reader:
                 raise ValueError(f"{have}: the file is not whole")
         return self.rows
 
+    def _once(self, segment: str) -> None:
+        """Segments that stand twice would be added up."""
+        if segment in self.numbers:
+            raise ValueError(f"segment {segment} stands twice")
+        self.numbers.add(segment)
+
     def _segment(self, key: str) -> None:
         rows, read, n, m = self.rows, self.records.read, int(self.rows.x.shape[0]), len(self.rows.bodies)
         match key:
             case "C":
                 number = _place(read("i")[0], m)
+                self._once(f"C{number}")
                 rows.bodies[number] += self._expression()
             case "O":
                 number, sense = read("ii")
+                self._once(f"O{number}")
                 expression = self._expression()
                 if number == 0:
                     rows.f += expression
@@ -177,13 +189,16 @@ class _Reader:
                 for i, start in self.table("if", read("i")[0]):
                     rows.x0[_place(i, n)] = start
             case "r":
+                self._once("r")
                 for row in range(m):
                     rows.lower[row], rows.upper[row] = self._bound(row)
             case "b":
+                self._once("b")
                 for j in range(n):
                     rows.lbx[j], rows.ubx[j] = self._bound(None)
             case "J" | "G":
                 number, n_terms = read("ii")
+                self._once(f"{key}{number}")
                 self.nonzeros[key] += n_terms
                 used = [_finite(c) * self.values[_place(i, n)] for i, c in self.table("if", n_terms) if c]
                 linear = _fold(operator.add, used) if used else 0

@@ -123,6 +123,8 @@ def test_every_operation_of_an_nl_file(nl, code):
         ("G0 3\n0 0\n1 0\n2 -2\n", "G0 3\n", "ends too early"),
         ("x2	# initial", "F0 1 1 f", "segment F .imported functions."),
         ("0 0.5", "0 half", "half"),
+        ("J0 2", "J1 2", "segment J1 stands twice"),
+        ("C1	", "C0	", "segment C0 stands twice"),
         ("0 -1 2", "3", r"row 0 .g.0.. complements an infinite bound of x.2."),
         ("2 0\n", "0 3 2\n", r"lbx.1. = 3.0 and ubx.1. = 2.0 leave no value"),
     ],
