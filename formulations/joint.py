@@ -5,9 +5,7 @@ Outer and inner objective are the same energy, so the bilevel problem collapses 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +17,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
 from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.optimize.solver import LEAST_SHIFTS, NLPResult, Solver
+from rmesh_nlp.optimize.solver import LEAST_SHIFTS, NLPResult, PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Positive
@@ -29,7 +27,7 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
 
-CENTRED: Mapping[str, Any] = {"mu_init": 2.0, "bound_mult_init_method": "mu-based", **LEAST_SHIFTS}
+CENTRED: PluginOptions = {"mu_init": 2.0, "bound_mult_init_method": "mu-based", **LEAST_SHIFTS}
 """Ipopt's options where nodes have move limits alone: it starts in the middle of them, and the nodes choose
 their corners as the barrier falls. Without these 6.1 with 8, 16, 24, 32 squares a side takes 48, 48, 105, 132
 iterations, with them 35, 48, 61, 79, and ends no higher."""
@@ -62,9 +60,9 @@ class Joint(Formulation):
 
     tol: Positive = 1e-10
     first_barrier: Positive = 1e-3
-    ipopt: Mapping[str, Any] = field(default_factory=dict)
+    ipopt: PluginOptions = field(default_factory=dict)
 
-    def options(self, areas: bool, unit: float, distorted: bool = False) -> dict[str, Any]:
+    def options(self, areas: bool, unit: float, distorted: bool = False) -> PluginOptions:
         """Ipopt's options, the objective in units of ``unit``, ``areas`` as constraints or without.
 
         ``distorted`` says that the objective has a distortion, which stands in the place of areas.

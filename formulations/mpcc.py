@@ -24,6 +24,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT, Bilevel, bilevel, in_units_of
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
+from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.settings import Open
@@ -51,7 +52,7 @@ OF_ALL_SOLVES = ("starts", "seed", "time_limit_s", "max_iterations")
 PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
 """Ipopt options that push a start off its bounds."""
 
-CENTRED: Mapping[str, Any] = {
+CENTRED: PluginOptions = {
     "mu_init": 2.0,
     "bound_mult_init_method": "mu-based",
     "mu_linear_decrease_factor": 0.5,

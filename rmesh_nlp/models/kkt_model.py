@@ -14,10 +14,9 @@ mesh adds them as unknowns sigma. Then
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -44,10 +43,10 @@ from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.optimize.solver import LEAST_SHIFTS
+from rmesh_nlp.optimize.solver import LEAST_SHIFTS, PluginOptions
 from rmesh_nlp.problem import ContactProblem
 
-COMMON: Mapping[str, Any] = {
+COMMON: PluginOptions = {
     "nlp_scaling_method": "none",
     "mu_strategy": "monotone",
     # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times

@@ -5,7 +5,6 @@ Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +16,7 @@ from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.reduced_nlp import ReducedProblem, reduced_nlp
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.constraints import LARGEST_DENSE
-from rmesh_nlp.optimize.solver import Solver
+from rmesh_nlp.optimize.solver import PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Count, Positive, Settings
@@ -56,7 +55,7 @@ class NestedSettings(Settings):
     enough: Positive | None = None
     patience: Count = 50
     newton: NewtonSettings = field(default_factory=NewtonSettings)
-    ipopt: Mapping[str, Any] = field(default_factory=dict)
+    ipopt: PluginOptions = field(default_factory=dict)
 
     def exact(self, problem: ReducedProblem) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""

@@ -21,9 +21,8 @@ import numpy as np
 
 from rmesh_nlp.errors import located, unknown
 from rmesh_nlp.mpcc.lower_level import LowerLevel
-from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC, _column
-from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.nlp import NLP, Symbolic
 
 _KEYS = ("x", "f", "g", "p", "lbx", "ubx", "lbg", "ubg")
 

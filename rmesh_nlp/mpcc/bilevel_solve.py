@@ -26,12 +26,11 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.bilevel import bilevel
 from rmesh_nlp.mpcc.lower_level import LowerLevel
-from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
-from rmesh_nlp.optimize.nlp import NLP
+from rmesh_nlp.optimize.nlp import NLP, Symbolic
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 

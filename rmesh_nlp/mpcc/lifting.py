@@ -17,10 +17,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array, Block, Evaluator, numbered
-from rmesh_nlp.mpcc.names import Symbolic
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
-from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 

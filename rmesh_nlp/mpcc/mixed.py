@@ -19,7 +19,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.mpcc.names import Symbolic, in_short
+from rmesh_nlp.mpcc.names import in_short
+from rmesh_nlp.optimize.nlp import Symbolic
 
 Member = tuple[Symbolic, float, float]
 """An expression with its bounds."""

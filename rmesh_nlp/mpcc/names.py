@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import casadi as ca
 
-Symbolic: TypeAlias = ca.SX | ca.MX
-"""An expression of CasADi."""
+from rmesh_nlp.optimize.nlp import Symbolic
 
 _SHORT, FEW = 12, 4  # nodes of an expression that is shown, symbols that are named
 

@@ -18,7 +18,7 @@ from rmesh_nlp.mpcc.result import Residuals, excess, residuals
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.optimize.solver import NLPResult, Solver
+from rmesh_nlp.optimize.solver import NLPResult, PluginOptions, Solver
 
 _CLOCK = 2000  # unknowns of a problem whose clock is looked at after every iteration
 
@@ -63,7 +63,7 @@ class CompiledNLPs:
     def _relaxed(self) -> tuple[NLP, Evaluator]:
         return relaxed_nlp(self.lifted, self.options.relaxation)
 
-    def _solver(self, kind: tuple[object, ...], nlp: NLP, options: dict[str, Any], watch: Watch) -> _AnySize:
+    def _solver(self, kind: tuple[object, ...], nlp: NLP, options: PluginOptions, watch: Watch) -> _AnySize:
         every = watch.every(nlp.n_x)
         key = (*kind, every)
         if key not in self._solvers:
@@ -229,7 +229,7 @@ class _AnySize:
     added only when a call needs them.
     """
 
-    def __init__(self, nlp: NLP, options: dict[str, Any], every: int) -> None:
+    def __init__(self, nlp: NLP, options: PluginOptions, every: int) -> None:
         self.nlp, self._options, self._every = nlp, options, every
         self._monitor: Monitor | None = None
         self._solver = self._ready(nlp)

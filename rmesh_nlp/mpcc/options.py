@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.budget import Budget, Limits
+from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
@@ -93,10 +92,10 @@ class Options(Settings):
     corner: Positive = ZERO
     stationarity: Positive = 1e-6
     max_pivots: Count = 30
-    ipopt_relaxed: Mapping[str, Any] = field(default_factory=dict)
-    ipopt_exact: Mapping[str, Any] = field(default_factory=dict)
-    ipopt_warm: Mapping[str, Any] = field(default_factory=dict)
-    ipopt: Mapping[str, Any] = field(default_factory=dict)
+    ipopt_relaxed: PluginOptions = field(default_factory=dict)
+    ipopt_exact: PluginOptions = field(default_factory=dict)
+    ipopt_warm: PluginOptions = field(default_factory=dict)
+    ipopt: PluginOptions = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -109,7 +108,7 @@ class Options(Settings):
 
     def relaxed(
         self, n: int, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
-    ) -> dict[str, Any]:
+    ) -> PluginOptions:
         """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
@@ -122,7 +121,7 @@ class Options(Settings):
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}
 
-    def exact(self, n: int, warm: bool = False) -> dict[str, Any]:
+    def exact(self, n: int, warm: bool = False) -> PluginOptions:
         """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
         own = {"max_iter": _iterations(n) // 3, **_EXACT, **(_WARM_EXACT if warm else {})}
         return {**own, **self.ipopt_exact, **self.ipopt}

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import plain_pairs
-from rmesh_nlp.mpcc.names import Symbolic, of_symbol
-from rmesh_nlp.optimize.nlp import NLP, Derivatives
+from rmesh_nlp.mpcc.names import of_symbol
+from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
 
 
 @dataclass(frozen=True, eq=False)

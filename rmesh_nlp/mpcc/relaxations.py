@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 import casadi as ca
 
-from rmesh_nlp.mpcc.names import Symbolic
+from rmesh_nlp.optimize.nlp import Symbolic
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,13 +14,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
+
+Symbolic: TypeAlias = ca.SX | ca.MX
+"""An expression of CasADi."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +69,17 @@ class NLP:
         Parts of the unknowns by name.
     """
 
-    x: Any
-    p: Any
-    f: Any
-    g: Any
+    x: Symbolic
+    p: Symbolic
+    f: Symbolic
+    g: Symbolic
     lbx: Array
     ubx: Array
     lbg: Array
     ubg: Array
     derivatives: Derivatives | None = None
     _of: tuple[int, int] = field(default=(0, 0), repr=False)
-    parts: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    parts: Mapping[str, Symbolic] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         of = (_identity(self.f), _identity(self.g))
@@ -99,17 +102,17 @@ class NLP:
     def extended(
         self,
         *,
-        x: Any = None,
-        p: Any = None,
-        f: Any = 0,
-        g: Any = None,
+        x: Symbolic | None = None,
+        p: Symbolic | None = None,
+        f: Symbolic | float = 0,
+        g: Symbolic | None = None,
         lbx: ArrayLike = -np.inf,
         ubx: ArrayLike = np.inf,
         lbg: ArrayLike = -np.inf,
         ubg: ArrayLike = np.inf,
-        weight: Any = 1,
+        weight: Symbolic | float = 1,
         rows: Sequence[int] | None = None,
-        shift: Any = None,
+        shift: Symbolic | None = None,
     ) -> NLP:
         """Append unknowns, parameters and constraint rows; change the objective and the rows by terms.
 
@@ -149,23 +152,23 @@ class NLP:
         return replace(larger, derivatives=own)
 
 
-def _rows(old: Any, kept: list[int], terms: Any) -> Any:
+def _rows(old: Symbolic, kept: list[int], terms: Symbolic) -> Symbolic:
     """The kept rows, then none, plus terms."""
     return ca.densify(ca.vertcat(old[kept], type(old)(terms.shape[0] - len(kept), 1)) + terms)
 
 
-def _longer(old: Array, new: ArrayLike, column: Any) -> Array:
+def _longer(old: Array, new: ArrayLike, column: Symbolic) -> Array:
     """Bounds, and those of an appended column."""
     return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
 
 
-def _identity(expression: Any) -> int:
+def _identity(expression: Symbolic) -> int:
     """A number for an expression; SX columns have no hash."""
     return hash(expression) if isinstance(expression, ca.MX) else id(expression)
 
 
 def _extended_derivatives(
-    nlp: NLP, larger: NLP, kept: list[int], weight: Any, f: Any, terms: Any
+    nlp: NLP, larger: NLP, kept: list[int], weight: Symbolic | float, f: Symbolic, terms: Symbolic
 ) -> Derivatives:
     """Those of the old objective and of the kept rows, plus automatic ones of the new terms."""
     kind, base = type(nlp.x), nlp.derivatives

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
-from typing import Any
+from typing import Any, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -20,6 +20,10 @@ from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, interruptib
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
 
+PluginOptions: TypeAlias = Mapping[str, Any]
+"""Options of a solver of CasADi by name: numbers, words, yes and no."""
+
+
 COMMON = (
     *("tol", "max_iter", "max_cpu_time", "max_wall_time", "print_level", "acceptable_tol", "acceptable_iter"),
     *("mu_strategy", "mu_init", "mu_target", "hessian_approximation", "linear_solver", "constr_viol_tol"),
@@ -29,7 +33,7 @@ COMMON = (
 """Options of Ipopt that people set, for the nearest name."""
 
 
-def refused_option(plugin: str, options: Mapping[str, Any], error: RuntimeError) -> Exception:
+def refused_option(plugin: str, options: PluginOptions, error: RuntimeError) -> Exception:
     """The error that names the option which ``plugin`` refuses; ``error`` itself if none is refused.
 
     Each option is tried by itself on an NLP of one unknown.
@@ -67,7 +71,7 @@ _IPOPT_STATUS = {
     "Invalid_Number_Detected": Status.EVALUATION_ERROR,
 }
 
-IPOPT_OPTIONS: Mapping[str, Any] = {
+IPOPT_OPTIONS: PluginOptions = {
     "print_level": 0,
     "sb": "yes",
     "tol": 1e-9,
@@ -75,7 +79,7 @@ IPOPT_OPTIONS: Mapping[str, Any] = {
     "bound_relax_factor": 0.0,
 }
 
-LEAST_SHIFTS: Mapping[str, Any] = {"perturb_dec_fact": 0.2, "perturb_inc_fact": 1.5}
+LEAST_SHIFTS: PluginOptions = {"perturb_dec_fact": 0.2, "perturb_inc_fact": 1.5}
 """Ipopt options for a Hessian that is indefinite at nearly every iterate, as that of an energy in the nodes.
 
 A shift within a factor 1.5 of the least one, where Ipopt's own search is within 8, repays the factorisations
@@ -132,7 +136,7 @@ class Solver:
         nlp: NLP,
         *,
         plugin: str = "ipopt",
-        options: Mapping[str, Any] | None = None,
+        options: PluginOptions | None = None,
         monitor: Monitor | None = None,
         every: int = 1,
     ) -> None:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import ArrayLike
 
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import Array
@@ -46,7 +45,7 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
     return outer, outer.variables(positions(outer, start)), "positions"
 
 
-def positions(outer: Outer, nodes: Any) -> Array:
+def positions(outer: Outer, nodes: ArrayLike) -> Array:
     """Node positions as an array, checked to be those of the problem's mesh."""
     positions_of, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
     if positions_of.ndim != 2 or positions_of.shape[0] != 2:
