@@ -62,8 +62,8 @@ def solve(
         Option(
             "--formulation",
             "-f",
-            help="fixed, nested, joint, mpcc, auto, or one you installed. Default: joint; of a file "
-            "what it names, or auto.",
+            help="fixed, nested, joint, mpcc, auto, or one you installed. Default: what a file "
+            "names, or auto.",
         ),
     ] = None,
     n: o.Size = None,

@@ -122,7 +122,10 @@ Relaxation = Annotated[
 TimeLimit = Annotated[
     float | None,
     Option(
-        "--time-limit", min=0.001, metavar="SECONDS", help="Of each solve; its best valid mesh then counts."
+        "--time-limit",
+        min=0.001,
+        metavar="SECONDS",
+        help="Of each solve; its best result so far then counts.",
     ),
 ]
 MaxIterations = Annotated[

@@ -52,7 +52,7 @@ def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
     results = read_quietly(folder)
     paths = write(drawn(results, page), Manifest(folder), page)
     if voice == "text":
-        print(f"\n{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
+        print(f"{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
 
 def draw_solution(results: Results, solution: Drawable, page: Page) -> list[Path]:

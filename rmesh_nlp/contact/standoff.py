@@ -86,7 +86,7 @@ class Cells:
 
     def depths(self, displacement: Array) -> Array:
         """(m,) how far the foundation passes into each cell at its points, 0 without."""
-        return np.maximum(0.0, -np.min(self.along(displacement) + self.distance, axis=1))
+        return np.abs(np.minimum(np.min(self.along(displacement) + self.distance, axis=1), 0.0))
 
     def dips(self, displacement: Array) -> Array:
         """(m, k) by how much the normal displacement is less between the points: of a parabola an eighth."""

@@ -71,7 +71,8 @@ def markdown(records: Sequence[Record], *, short: bool = False) -> str:
     parts = ["# Study\n" if study else "# Comparison of formulations\n"]
     parts += [table.section() for table in every if not table.is_detail]
     notes = study_notes(records) if study else main_notes(records)
-    parts.append(_items(notes) if records else "No solve has ended yet.\n")
+    if notes or not records:
+        parts.append(_items(notes) if records else "No solve has ended yet.\n")
     if not short:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
     if not short and not study:
