@@ -66,9 +66,9 @@ def follow(
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
-    Where the second step costs nothing, the pairs hold nothing up, and the next one is the last. Where a step
-    fails, the finish begins at the one before. ``first`` holds multipliers of the lifted problem
-    for the first step, ``former`` the levels of trajectories that this one may join; ``dependent``
+    Where the pairs cost nothing at ``t0``, to first order, they hold nothing up, and the next step is the
+    last. Where a step fails, the finish begins at the one before. ``first`` holds multipliers of the lifted
+    problem for the first step, ``former`` the levels of trajectories that this one may join; ``dependent``
     relaxations reckon with equations that follow from each other.
     """
     options = run.options
@@ -87,7 +87,7 @@ def follow(
         path.joined = next(matches, None)
         if path.joined is not None:
             return
-        if len(path.levels) == 2 and abs(objective - path.levels[t0]) <= _FREE * abs(objective):
+        if t == t0 and run.nlps.cost(result, t) <= _FREE * abs(objective):
             last = run.relaxed(result.x, t_final, result, last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last

@@ -145,8 +145,15 @@ class CompiledNLPs:
         lifted, n_rows = self.lifted, self.lifted.nlp.n_g
         _, pull = self._relaxed
         lam = result.lam_x.copy()
-        np.add.at(lam, lifted.pairs, np.array(pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])))
+        *forces, _ = pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])
+        np.add.at(lam, lifted.pairs, np.array(forces))
         return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
+
+    def cost(self, result: NLPResult, t: float) -> float:
+        """What the objective would change by if t fell to zero, to first order."""
+        _, pull = self._relaxed
+        *_, slope = pull(*result.x[self.lifted.pairs], t, result.lam_g[self.lifted.nlp.n_g :])
+        return t * abs(float(slope[0]))
 
     def padded(self, result: NLPResult) -> NLPResult:
         """Multipliers of the lifted NLP as a start of the relaxation: its own rows get zero."""
@@ -193,7 +200,8 @@ def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
 def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     """The lifted NLP with the rows and the penalty of a relaxation, t the last parameter; and its pull.
 
-    The pull is ``(a, b, t, lam) -> (force on a, force on b)``, the gradient of ``penalty + lam^T rows``.
+    The pull is ``(a, b, t, lam) -> (force on a, force on b, slope in t)``, the gradient of ``penalty + lam^T
+    rows``.
     """
     nlp, relax = lifted.nlp, relaxation(name)
     t = ca.MX.sym("t")
@@ -211,7 +219,7 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
     s, lam = ca.MX.sym("s"), ca.MX.sym("lam", n_rows)
     parts = relax(a, b, s)
     total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))
-    forces = [ca.densify(ca.gradient(total, member)) for member in (a, b)]
+    forces = [ca.densify(ca.gradient(total, part)) for part in (a, b, s)]
     return nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces))
 
 

@@ -20,10 +20,9 @@ _EXACT = {
     # the start is the relaxed solution: do not push it back into the interior
     "bound_push": 1e-6, "bound_frac": 1e-6,
 }  # fmt: skip
-_SHORT = {"max_iter": 50}  # of 447 finishes that began next to their solution none took more than 20
 _WARM_EXACT = {
     **_WARM, **{f"warm_start_{push}": 1e-9 for push in _PUSHES}, "mu_strategy": "monotone", "mu_init": 1e-9,
-    **_SHORT,
+    "max_iter": 50,  # of 447 finishes that began next to their solution none took more than 20
 }  # fmt: skip
 _DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
 
@@ -116,7 +115,7 @@ class Options(Settings):
         The ``last`` one is given up early. ``dependent`` reckons with equations that follow from each other;
         that costs iterations.
         """
-        own = {"max_iter": _iterations(n), **_RELAXED, **(_SHORT if last else {})}
+        own = {"max_iter": _iterations(n) // (3 if last else 1), **_RELAXED}
         own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}

@@ -130,7 +130,7 @@ def read_pyomo(model: Any) -> Problem:
     ValueError
         If a condition is no pair of expressions, or the model has integer variables.
     """
-    from rmesh_nlp.mpcc.pyomo_solver import Transformation
+    from rmesh_nlp.mpcc.pyomo_model import Transformation
 
     copy = model.clone()
     Transformation().apply_to(copy)

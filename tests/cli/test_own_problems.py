@@ -64,7 +64,7 @@ def test_own_problems_are_compared_with_refinements(rmesh) -> None:
     assert [row["formulation"] for row in rows] == ["fixed", "joint", "fixed", "fixed"]
     assert [row["nodes"] for row in rows] == [28, 28, 91, 325]
     assert rows[0]["energy"] > rows[2]["energy"] > rows[3]["energy"]
-    assert "## Relocation against uniform refinement: block" in said.out
+    assert "## Relocation against uniform refinement\n\n### block" in said.out
     assert "block: one uniform refinement (91 nodes) gains" in said.out
 
 

@@ -26,9 +26,9 @@ def restless(call, product=None):
     )
 
 
-def settled(objective=1.0, z=(1.0, 0.5), cost=1e-5):
-    """The branch whose minimum is 1, what the path foretells, and what the pairs cost at the second t."""
-    return lambda call: Answer(z, product=call.t, objective=objective * (1 - cost * (call.t < 1)))
+def settled(objective=1.0, z=(1.0, 0.5), cost=1e-3):
+    """The branch whose minimum is 1, what the path foretells, and what the pairs cost at the first t."""
+    return lambda call: Answer(z, product=call.t, objective=objective, cost=cost)
 
 
 def failing(status, bad):
@@ -75,10 +75,10 @@ def test_path_goes_down_and_ends(answers, options, ts, failure):
 @pytest.mark.parametrize(
     ("cost", "at_the_end", "ts"),
     [
-        (0.9e-6, {"objective": 1.0}, [*TENTHS[:2], TENTHS[-1]]),
+        (0.9e-6, {"objective": 1.0}, [1.0, TENTHS[-1]]),
         (1.1e-6, {"objective": 1.0}, TENTHS[:3]),  # the pairs cost something
-        (0.0, {"status": S.ITERATION_LIMIT}, [*TENTHS[:2], TENTHS[-1], TENTHS[2]]),
-        (0.0, {"x": (0.0, 1.0)}, [*TENTHS[:2], TENTHS[-1], TENTHS[2]]),  # f = 4: another minimum
+        (0.0, {"status": S.ITERATION_LIMIT}, [1.0, TENTHS[-1], *TENTHS[1:3]]),
+        (0.0, {"x": (0.0, 1.0)}, [1.0, TENTHS[-1], *TENTHS[1:3]]),  # f = 4: another minimum
     ],
 )
 def test_last_t_is_the_next_where_pairs_cost_nothing_and_the_end_is_as_low(cost, at_the_end, ts):

@@ -153,7 +153,7 @@ def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
 
 @pytest.mark.slow
 def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
-    """The obstacle a little lower: a few Newton steps, where the homotopy takes dozens of iterations."""
+    """The obstacle a little lower: a few iterations, where the homotopy takes dozens of iterations."""
     mpcc, depth = obstacle(), ca.SX.sym("depth")
     solver = MPCCSolver(MPCC(mpcc.x, mpcc.f, mpcc.g, mpcc.G, mpcc.H - 0.05 + depth, lbg=0, ubg=0, p=depth))
     known = solver(0.1, p=0.05)
@@ -161,7 +161,7 @@ def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
     cold, warm = solver(known.x, p=0.0502), solver(known.x, p=0.0502, start=given)
     assert warm.success
     assert warm.f == pytest.approx(cold.f, rel=1e-7)
-    assert warm.counts["ipopt_iterations"] == 0 < cold.counts["ipopt_iterations"]
-    far = solver(known.x, p=0.2, start=known)  # too far for Newton's method: the homotopy goes on
+    assert 5 * warm.counts["ipopt_iterations"] < cold.counts["ipopt_iterations"]
+    far = solver(known.x, p=0.2, start=known)  # another contact set
     assert far.success
     assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)
