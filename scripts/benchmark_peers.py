@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -31,8 +31,9 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.fields import Field
+from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.optimize.solver import IPOPT_OPTIONS
+from rmesh_nlp.optimize.solver import IPOPT_OPTIONS, Solver
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from rows import Row, command_line, markdown, timed
@@ -71,6 +72,19 @@ def start_of_joint(problem: ContactProblem, limit: float) -> tuple[Array, dict[s
     unit = joint.pull(outer.energy(q).gradient)
     options = {**IPOPT_OPTIONS, **joint.Joint().options(areas=False, unit=unit), "max_wall_time": limit}
     return outer.energy.unknowns(q, outer.contact.given.u), options
+
+
+def nlpsol_mapped(problem: ContactProblem, limit: float) -> End:
+    """Our expressions, all derivatives left to ``nlpsol``."""
+    start, options = start_of_joint(problem, limit)
+
+    def work() -> tuple[Array, str]:
+        rel = relocation(problem)
+        result = Solver(replace(rel.nlp, derivatives=None), options=options)(start)
+        return rel.nodes(rel.split(result.x)[0]), result.status.value
+
+    (nodes, status), seconds = timed(work)
+    return End(nodes, status, seconds)
 
 
 def nlpsol_written_out(problem: ContactProblem, limit: float) -> End:
@@ -148,6 +162,7 @@ def scipy_minimize(problem: ContactProblem, limit: float, method: str) -> End:
 SOLVERS: Mapping[str, Callable[[ContactProblem, float], End]] = {
     "joint": partial(ours, formulation="joint"),
     "nested": partial(ours, formulation="nested"),
+    "CasADi nlpsol, our expressions": nlpsol_mapped,
     "CasADi nlpsol, written out": nlpsol_written_out,
     "SciPy L-BFGS-B, our gradient": partial(scipy_minimize, method="L-BFGS-B"),
     "SciPy trust-constr, our gradient": partial(scipy_minimize, method="trust-constr"),

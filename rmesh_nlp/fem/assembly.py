@@ -2,7 +2,7 @@
 
 Each is a sum over elements of one small function of a few local values, which is differentiated once
 (:mod:`rmesh_nlp.fem.element`), and evaluated in numpy for all elements at a time. For solvers these sums are
-CasADi Functions that call Python.
+CasADi Functions that call Python. Objective and constraints are CasADi expressions as well.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Assembled:
     """Global objective and constraints and their derivatives, each built when asked for.
 
     The fields of the groups index the columns ``x`` or ``p``; of ``n_rows`` constraints those that no group
-    touches are zero. Its Functions and expressions live as long as it, or as ``derivatives``.
+    touches are zero.
     """
 
     def __init__(self, groups: Sequence[ElementGroup], x: ca.MX, p: ca.MX, n_rows: int) -> None:
@@ -64,29 +64,50 @@ class Assembled:
     @property
     def f(self) -> ca.MX:
         """The objective."""
-        return self._kernels[0].function(self._x, self._p)
+        return self._expressions[0]
 
     @property
     def g(self) -> ca.MX:
         """The constraints."""
-        return self._kernels[1].function(self._x, self._p)
+        return self._expressions[1]
 
     @cached_property
     def derivatives(self) -> Derivatives:
         """Derivative Functions in the form that nlpsol takes."""
-        _, _, grad_f, jac_g, hess_lag = (kernel.function for kernel in self._kernels)
-        return Derivatives(grad_f, jac_g, hess_lag, self._kernels)
-
-    @cached_property
-    def _kernels(self) -> tuple[_Summed, ...]:
         x, p, lam_f, lam_g = self._x, self._p, ca.MX.sym("lam_f"), ca.MX.sym("lam_g", self._n_rows)
-        return (
-            _Summed("nlp_f", [x, p], self.first, slice(0, 1)),
-            _Summed("nlp_g", [x, p], self.first, slice(2, 3)),
+        kernels = (
             _Summed("nlp_grad_f", [x, p], self.first, slice(0, 2)),
             _Summed("nlp_jac_g", [x, p], self.first, slice(2, 4)),
             _Summed("nlp_hess_l", [x, p, lam_f, lam_g], self.second, slice(0, 1)),
         )
+        grad_f, jac_g, hess_lag = (kernel.function for kernel in kernels)
+        return Derivatives(grad_f, jac_g, hess_lag, kernels)
+
+    @cached_property
+    def _expressions(self) -> tuple[ca.MX, ca.MX]:
+        f, g = ca.MX(0), ca.MX.zeros(self._n_rows)
+        for group in self._groups:
+            function = group.plain
+            value, rows = function.map(group.size).call([self._gathered(field) for field in group.arguments])
+            if not function(*local_symbols(function))[0].is_zero():
+                f += ca.sum2(value)
+            g += _picking(group.rows, np.ones(group.rows.shape), self._n_rows).T @ ca.vec(rows)
+        return f, g
+
+    def _gathered(self, field: Field) -> ca.MX:
+        """Local values (length, elements) of a field."""
+        w = self._p if field.source else self._x
+        values = _picking(field.index, field.scale, w.numel()) @ w + ca.DM(field.offset.ravel(order="F"))
+        return ca.reshape(values, *field.index.shape)
+
+
+def _picking(index: Index, scale: Array, n: int) -> ca.DM:
+    """What takes n values to those of this index (length, elements), one element after the other."""
+    numbers, factors = index.ravel(order="F"), scale.ravel(order="F")
+    used = np.flatnonzero(numbers >= 0)
+    matrix = sp.csc_matrix((factors[used], (used, numbers[used])), shape=(numbers.size, n))
+    matrix.sort_indices()  # CasADi ends the process where they are not
+    return ca.DM(matrix)
 
 
 class Entries(NamedTuple):
