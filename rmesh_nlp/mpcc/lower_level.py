@@ -254,6 +254,8 @@ def _largest(values: Array) -> float:
 
 def directions(gradients: Array) -> Array:
     """Orthonormal columns that span the directions along which no constraint changes."""
+    if not len(gradients):  # older versions of SciPy refuse a matrix without rows
+        return np.eye(gradients.shape[1])
     return np.asarray(null_space(gradients, rcond=ROUNDING))
 
 
