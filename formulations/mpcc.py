@@ -39,7 +39,6 @@ OPTIONS: Mapping[str, Any] = {
     "factor": 1e-2,
     "t_final": 1e-9,
     "warm_duals": True,
-    # Hundreds of move limits are weakly active at the end: an active-set Newton method does not find which.
     # Random positions and displacements are no start: a load that no design carries takes 3 s, 14 s with six.
     "moves": 0,
 }

@@ -116,7 +116,7 @@ def _constant(matrix: sp.sparray) -> ca.DM:
     columns = sp.csc_array(matrix)
     columns.sort_indices()
     pattern = ca.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data.tolist())  # hundred times faster than of the array
+    return ca.DM(pattern, columns.data.tolist())  # a hundred times faster than from the array
 
 
 def _worst(cells: Sequence[Cells], displacement: Array, force: Array | None = None) -> Index:

@@ -116,7 +116,8 @@ class BoxStep:
     def _projected_search(self, s: Array, gradient: Array, w: Array) -> tuple[Array, Array]:
         """A step along the projected path of ``w`` that decreases the model."""
         moved = self._clip(s + w) - s
-        while np.any(np.abs(moved) > 0):  # not so of NaN
+        least = np.finfo(float).eps * np.max(self._upper - self._lower, initial=0.0)
+        while np.any(np.abs(moved) > least):  # not so of NaN
             H_moved = self._product(moved)
             slope = gradient @ moved
             if slope + 0.5 * moved @ H_moved <= DECREASE * np.minimum(slope, 0.0):

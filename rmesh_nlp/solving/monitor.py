@@ -7,8 +7,10 @@ it. What was reached until then is kept here, so that no formulation has to look
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -26,6 +28,9 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step, Work
 
 NAN = float("nan")
+
+RECENT = 10
+"""Last iterates of an all-at-once solver among which a valid mesh is looked for."""
 
 OnStep = Callable[[Step], object]
 """Called after each iteration, for progress."""
@@ -187,7 +192,7 @@ class Track:
         self._lam_g: Array | None = None
         mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
         self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
-        self._last: Array | None = None
+        self._recent: deque[Array] = deque(maxlen=RECENT)
         self._best: tuple[tuple[float, float], Array] | None = None
 
     @property
@@ -244,9 +249,7 @@ class Track:
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
         q, value = x[: self.outer.n], f * self._unit
-        inside = self.outer.clipped(q)
-        if np.all(np.isfinite(inside)) and self.outer.is_valid(inside):
-            self._last = inside
+        self._recent.append(np.array(q))
         energy = value if self.outer.objective.is_energy else NAN
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
@@ -266,11 +269,10 @@ class Track:
     def best(self, start: Array) -> Array:
         """The best outer variables that give a valid mesh: at worst those it started with.
 
-        Of an all-at-once solver only the last valid ones are known.
+        Of an all-at-once solver only the last ones are known, and looked at only here.
         """
         if self._best is not None:
             return self._best[1]
-        if self._last is None:
-            return start
-        first, last = (self.outer.merit(self.outer.function(q)) for q in (start, self._last))
-        return self._last if last < first else start
+        recent = (self.outer.clipped(q) for q in reversed(self._recent))
+        valid = (q for q in recent if np.all(np.isfinite(q)) and self.outer.is_valid(q))
+        return min([start, *islice(valid, 1)], key=lambda q: self.outer.merit(self.outer.function(q)))
