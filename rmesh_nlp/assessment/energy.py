@@ -16,7 +16,7 @@ from rmesh_nlp.problem.body import Body, Edges, Index, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
 from rmesh_nlp.problem.laws import Laplace, Law
 from rmesh_nlp.problem.obstacle import Obstacle
-from rmesh_nlp.problem.quadrature import polynomial_degree
+from rmesh_nlp.problem.switches import polynomial_degree
 
 
 def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:

@@ -59,8 +59,11 @@ class Cell(ABC):
         self.columns, self.u = [*columns, u], ca.reshape(u, components, -1)
 
     @abstractmethod
-    def rule(self, degree: int) -> Rule:
-        """A rule that is exact for polynomials of a degree; its weights sum to 1 on the reference cell."""
+    def rule(self, degree: int | str) -> Rule:
+        """A rule that is exact for polynomials of a degree; its weights sum to 1 on the reference cell.
+
+        In triangles it may be :func:`triangle_rule`'s "midpoint".
+        """
 
     @abstractmethod
     def at(self, shares: Expression) -> Point:
@@ -89,7 +92,7 @@ class Straight(Cell):
         self.X = ca.reshape(X, 2, corners)
 
     def rule(self, degree: int | str) -> Rule:
-        """See :class:`Cell` and :func:`triangle_rule`."""
+        """See :class:`Cell`."""
         points, weights = line_rule(int(degree)) if self.X.shape[1] == 2 else triangle_rule(degree)
         return zip(points.T, weights, strict=True)
 
@@ -103,7 +106,10 @@ class Straight(Cell):
         if self.X.shape[1] == 2:
             x, y = ca.vertsplit(self.X[:, 1] - self.X[:, 0])
             return Point(self.X @ shares, 1.0, ca.norm_2(ca.vertcat(x, y)), ca.vertcat(y, -x))
-        return Point(self.X @ shares, 0.5, *affine(self.X, self.u @ ca.DM(slopes(self.order, shares))))
+        slope, *others = (ca.DM(slopes(self.order, corner)) for corner in np.eye(3))
+        if self.order == 2:  # linear in coordinates, which may be expressions
+            slope = shares[0] * slope + shares[1] * others[0] + shares[2] * others[1]
+        return Point(self.X @ shares, 0.5, *affine(self.X, self.u @ slope))
 
 
 class Arc(Cell):
@@ -113,9 +119,9 @@ class Arc(Cell):
         self._arc = ArcPoints(curve)
         super().__init__([self._arc.t], 2, components, order)
 
-    def rule(self, degree: int) -> Rule:
+    def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
-        points, weights = line_rule(max(degree, DEGREE))
+        points, weights = line_rule(_along_curves(degree))
         return zip(points.T, weights, strict=True)
 
     def at(self, shares: Expression) -> Point:
@@ -132,9 +138,9 @@ class Blended(Cell):
         self._apex = self._arc.kind.sym("X", 2)
         super().__init__([self._arc.t, self._apex], 3, components, order)
 
-    def rule(self, degree: int) -> Rule:
+    def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
-        return self._rule(max(degree, DEGREE), max(degree, DEGREE))
+        return self._rule(_along_curves(degree), _along_curves(degree))
 
     @property
     def energy_rule(self) -> Rule:
@@ -183,6 +189,10 @@ class ArcPoints:
         along = self.kind.sym("s")
         slope = ca.jacobian(self.point(along), along)
         return ca.substitute([slope], [along], [self.kind(s)])[0]
+
+
+def _along_curves(degree: int | str) -> int:
+    return DEGREE if isinstance(degree, str) else max(degree, DEGREE)
 
 
 def kind_of(curve: Curve) -> Kind:

@@ -6,27 +6,23 @@ All energies are per unit thickness, in N m/m. Columns run node by node:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.bernstein import functions
-from rmesh_nlp.fem.cells import Blended, Cell, Rule, Straight
+from rmesh_nlp.fem.cells import Blended, Cell, Straight
 from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
+from rmesh_nlp.fem.pieces import piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
-from rmesh_nlp.problem.quadrature import line_rule, traction_degree, triangle_rule
-from rmesh_nlp.problem.switches import switches
-
-MOST_BREAKS = 4
-"""Pieces of an edge are as many and one."""
+from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
+from rmesh_nlp.problem.switches import affine_switches
 
 
 def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
@@ -51,39 +47,11 @@ def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Fun
     return function, PointSums(load, shares, functions(cell.order, shares) * weights)
 
 
-def force_energy(force: tuple[Coefficient, ...], cell: Cell, rule: Rule) -> ca.Function:
+def force_energy(force: tuple[Coefficient, ...], cell: Cell, degree: str | int) -> ca.Function:
     """``(*place, u_e) -> (-integral of force . u, empty)``: a load on a triangle, a traction on an edge."""
+    rule = piecewise(cell, force, degree) if isinstance(cell, Straight) else cell.rule(degree)
     work = cell.integral(lambda x, y, u, _: ca.dot(vector(force, x, y), u), rule)
     return cell.function("force_energy", -work)
-
-
-def piecewise_rule(degree: int, places: Sequence[Expression]) -> Rule:
-    """A rule for each piece of an edge between ``places``, in ascending order from 0 to 1."""
-    points, weights = line_rule(degree)
-    for first, last in pairwise((0.0, *places, 1.0)):
-        for share, weight in zip(points[1], weights, strict=True):
-            s = first + share * (last - first)
-            yield ca.vertcat(1 - s, s), weight * (last - first)
-
-
-def breaks(coefficients: Sequence[Coefficient], X: ca.SX) -> list[ca.SX]:
-    """Where coefficients jump or kink on an edge with ends ``X`` (2, 2), in ascending order from 0 to 1.
-
-    They follow the nodes, so that a rule has nothing to gain by a node that goes past a jump. Only zeros of
-    affine switches are looked for, and only up to ``MOST_BREAKS``; one that is not on the edge is 0.
-    """
-    zero_of: dict[str, ca.SX] = {}
-    for one in filter(None, map(switches, coefficients)):
-        for function, degree in zip(one.functions, one.degrees, strict=True):
-            if degree == 1:
-                first, last = (function(*ca.vertsplit(X[:, k])) for k in (0, 1))
-                zero = ca.if_else(first * last < 0, first / (first - last), 0)
-                zero_of.setdefault(str(zero), zero)
-    zeros = list(zero_of.values()) if len(zero_of) <= MOST_BREAKS else []
-    for end in range(len(zeros) - 1, 0, -1):
-        for k in range(end):
-            zeros[k : k + 2] = ca.fmin(*zeros[k : k + 2]), ca.fmax(*zeros[k : k + 2])
-    return zeros
 
 
 def point_energy(load: PointLoad) -> ca.Function:
@@ -100,24 +68,18 @@ def strain(on: Fields) -> list[ElementGroup]:
 def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
     """Minus the work of source or body force, tractions and point loads."""
     groups = []
-    degree = traction_degree(rule)
     for law, cell, local in _cells(on):
         if not any(is_nonzero(component) for component in law.load):
             continue
-        if isinstance(cell, Straight):
+        if isinstance(cell, Straight) and not affine_switches(law.load):
             function, at_points = load_energy(law, cell, rule)
             groups.append(on.group(function, local, at_points=at_points))
         else:
-            groups.append(on.group(force_energy(law.load, cell, cell.rule(degree)), local))
+            groups.append(on.group(force_energy(law.load, cell, rule), local))
     for traction in on.problem.tractions:
         for edge, place, nodes in on.edges(traction.boundary, on.problem.components):
-            if isinstance(edge, Straight):
-                pieces = piecewise_rule(degree, breaks(traction.value, edge.X))
-            else:
-                pieces = edge.rule(degree)
-            groups.append(
-                on.group(force_energy(traction.value, edge, pieces), [place, on.displacement.at(nodes)])
-            )
+            function = force_energy(traction.value, edge, traction_degree(rule))
+            groups.append(on.group(function, [place, on.displacement.at(nodes)]))
     for load in on.problem.point_loads:
         groups.append(on.group(point_energy(load), [on.displacement.at(np.array([[load.node]]))]))
     return groups

@@ -38,7 +38,7 @@ from rmesh_nlp.fem.space import Index, outward_edges
 from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in, substituted, symbol
-from rmesh_nlp.problem.quadrature import HIGH
+from rmesh_nlp.problem.switches import HIGH
 
 __all__ = [
     "at_point",

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 from scipy.special import roots_jacobi
 from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient, PiecewiseLinear, at, once
+from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.problem.switches import HIGH, affine_switches, degree_of_pieces, polynomial_degree, switches
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
@@ -19,13 +19,8 @@ higher one of the load is taken for tractions too."""
 MIDPOINT = "midpoint"
 """The three edge midpoints, exact to degree 2."""
 
-HIGH = 8
-"""Degree for loads that are no polynomials. Of random problems with loads such as 4 sin(3 x) + x y none of
-those solved with degree 6 had a gain that the audit did not confirm to 10 %; 8 is for faster
-oscillations."""
-
-LARGEST_EXPRESSION = 5_000
-"""Operations in a derivative beyond which it is not looked at further."""
+MOST_SWITCHES = {2: 4, 3: 2}
+"""A cell with so many corners that is split at more switches is left whole: it has 16 pieces at most."""
 
 
 def suitable_rule(
@@ -35,7 +30,7 @@ def suitable_rule(
 
     Tractions are integrated with ``TRACTION_DEGREE`` at least, whatever the rule.
     """
-    degrees = [[polynomial_degree(part) for part in parts] for parts in (loads, tractions)]
+    degrees = [_degrees(parts, corners) for corners, parts in ((3, loads), (2, tractions))]
     if None in [*degrees[0], *degrees[1]]:
         return HIGH
     body, edge = (max((d + order for d in part if d is not None), default=0) for part in degrees)
@@ -43,28 +38,16 @@ def suitable_rule(
     return MIDPOINT if needed <= 2 else needed
 
 
-@once
-def polynomial_degree(coefficient: Coefficient) -> int | None:
-    """Degree in x and y together; None if it is no polynomial up to ``HIGH - 1``, where that is exact."""
-    if not callable(coefficient):
-        return 0
-    if isinstance(coefficient, PiecewiseLinear):
-        return 1 if not coefficient.kinks else None
-    point = ca.SX.sym("point", 2)
-    try:
-        derivatives = ca.SX(at(coefficient, point[0], point[1]))
-    except (NotImplementedError, RuntimeError, TypeError, ValueError):
-        return None  # a function of MX alone, or one that the assembly refuses with a reason
-    for degree in range(HIGH):
-        if ca.Function("count", [point], [derivatives], OPEN).n_nodes() > LARGEST_EXPRESSION:
-            return None
-        highest = derivatives
-        derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))
-        derivatives = ca.vertcat(*{hash(e): e for e in ca.vertsplit(derivatives) if e.nnz()}.values())
-        if derivatives.shape[0] == 0:
-            # that of a branch, such as |x|, depends on the point by its condition
-            return None if ca.depends_on(highest, point) else degree
-    return None
+def _degrees(coefficients: Sequence[Coefficient], corners: int) -> list[int | None]:
+    """Of coefficients, or of their pieces where cells are split at all of their switches."""
+    pieces = [degree_of_pieces(each) for each in coefficients]
+    if None in pieces:
+        return pieces
+    known = filter(None, map(switches, coefficients))
+    is_split = len(affine_switches(coefficients)) <= MOST_SWITCHES[corners] and all(
+        each.are_all and set(each.degrees) == {1} for each in known
+    )
+    return pieces if is_split else [polynomial_degree(each) for each in coefficients]
 
 
 def traction_degree(rule: str | int) -> int:

@@ -23,7 +23,7 @@ from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.models.remeshing import Solved
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.problem.quadrature import polynomial_degree
+from rmesh_nlp.problem.switches import polynomial_degree
 from rmesh_nlp.solving.driver import solve
 
 NODES = 300

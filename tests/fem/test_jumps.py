@@ -1,4 +1,4 @@
-"""Tractions that jump or kink along an edge: exact nodal loads on any mesh, and their derivatives."""
+"""Loads that jump or kink within edges and triangles: exact on any mesh, and their derivatives."""
 
 from __future__ import annotations
 
@@ -20,12 +20,16 @@ JUMPS = (
     lambda x, y: where(x > 1.51787, -5.62, -1.3534646),
     lambda x, y: where(ca.logic_and(x > 0.3, x < 0.35), -7.0, ca.fabs(x - 0.9)),
 )
+SOURCES = (
+    lambda x, y: where(x + 0.7 * y > 1.1, -3.5, 2.0 * y),
+    lambda x, y: ca.fmax(y - 0.6 * x, 0.0),
+)
 
 
 def pulled(order: int) -> rm.ContactProblem:
     return rm.ContactProblem(
         rm.shapes.rectangle(5, 3, x=(0, 2)),
-        rm.PlaneStrain.from_young(1000.0, 0.3),
+        rm.PlaneStrain.from_young(1000.0, 0.3, SOURCES),
         ("left",),
         rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0)),
         rm.Motion(None),
@@ -40,8 +44,9 @@ def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     for seed in range(2):
         mesh, rng = problem.mesh, np.random.default_rng(seed)
         p = np.array(mesh.p)
-        inner = (p[0] > 0) & (p[0] < 2)
-        p[0, inner] += rng.uniform(-0.15, 0.15, np.count_nonzero(inner))
+        for k, end in enumerate((2, 1)):
+            inner = (p[k] > 0) & (p[k] < end)
+            p[k, inner] += rng.uniform(-0.1, 0.1, np.count_nonzero(inner))
         moved = replace(problem, mesh=replace(mesh, doflocs=p))
         space = DisplacementSpace(moved)
         exact, doubt = load_vector(Body(moved, p), space)

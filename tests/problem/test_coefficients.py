@@ -24,7 +24,8 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.coefficients import is_nonzero, on_points
 from rmesh_nlp.problem.laws import energy_density
-from rmesh_nlp.problem.quadrature import polynomial_degree, suitable_rule
+from rmesh_nlp.problem.quadrature import suitable_rule
+from rmesh_nlp.problem.switches import polynomial_degree
 from support.formulations import fixed
 
 
