@@ -23,12 +23,13 @@ Piece = tuple[list[Expression], Expression]
 def piecewise(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str) -> Rule:
     """The cell's rule on each of its pieces between the zeros of the coefficients' affine switches.
 
-    Where a switch has no zero in the cell it makes pieces without measure.
+    Where a switch has no zero in the cell it makes pieces without measure. The midpoint rule is taken as it
+    is: its points would be where a coefficient jumps.
     """
     switches, corners = affine_switches(coefficients), ca.horzsplit(ca.SX.eye(cell.X.shape[1]))
-    if not switches or len(switches) > MOST_SWITCHES[len(corners)]:
-        return cell.rule(degree)
-    rule = list(cell.rule(2 if degree == MIDPOINT else degree))  # without points where a coefficient jumps
+    rule = list(cell.rule(degree))
+    if not switches or degree == MIDPOINT or len(switches) > MOST_SWITCHES[len(corners)]:
+        return rule
     pieces: list[Piece] = [([ca.vertcat(0, corner) for corner in corners], ca.SX(1))]
     for switch in switches:
         pieces = [part for piece in pieces for part in _cut(_valued(piece, cell, switch))]

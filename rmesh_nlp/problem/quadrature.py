@@ -35,7 +35,8 @@ def suitable_rule(
         return HIGH
     body, edge = (max((d + order for d in part if d is not None), default=0) for part in degrees)
     needed = max(body, edge if edge > TRACTION_DEGREE else 0)
-    return MIDPOINT if needed <= 2 else needed
+    # points on the sides of a triangle are of no use where it is split
+    return MIDPOINT if needed <= 2 and not affine_switches(loads) else needed
 
 
 def _degrees(coefficients: Sequence[Coefficient], corners: int) -> list[int | None]:

@@ -38,6 +38,7 @@ from support.formulations import fixed
         (lambda x, y: x**7 * y, None),
         (PiecewiseLinear((0, 1, 2), (0, 1, 2)), 1),
         (PiecewiseLinear((0, 1, 2), (0, 1, 1)), None),
+        (lambda x, y: ca.fmod(x, 0.3), None),
         (lambda x, y: ca.sin(x), None),
         (lambda x, y: ca.if_else(x > 0, x, 1.0), None),
         (lambda x, y: 1 / (1 + x**2), None),
@@ -61,6 +62,11 @@ def power(n: int) -> Any:
         ([1.0], [power(4)], 5),
         ([power(7)], [], 8),
         ([ca.sin, 1.0], [], 8),
+        # of jumps what is between them counts, where elements are split there
+        ([lambda x, y: ca.if_else(x > 0.3, y, 1.0)], [], 2),
+        ([lambda x, y: ca.if_else(x * y > 0.3, y, 1.0)], [], 8),
+        ([lambda x, y: ca.fabs(x) + ca.fabs(y) + ca.fabs(x - y)], [], 8),
+        ([], [lambda x, y: ca.fabs(x) + ca.fabs(y) + ca.fabs(x - y)], "midpoint"),
     ],
 )
 def test_rule_is_the_cheapest_exact_one(loads: list, tractions: list, rule: str | int) -> None:
