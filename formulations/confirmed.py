@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from rmesh_nlp.solving.formulation import Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.state import ACCURATE
+from rmesh_nlp.solving.state import accurate
 
 FIRST = 6
 """Degree of the quadrature rule that is tried before that of the assessment."""
@@ -38,26 +38,22 @@ class Confirmed(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         outcome, problem = monitor.run(self.inner, outer, q), outer.problem
         rules = [problem.quadrature]
-        if monitor.budget.is_over() or (isinstance(problem.rule, int) and problem.rule >= ACCURATE):
+        if monitor.budget.is_over() or accurate(problem) is problem:
             return outcome.having({"rules": tuple(rules)})
         with monitor.budget.during("audit"):
             confirmed = agrees(outcome)
         if not confirmed:
-            rules.append(ACCURATE)
             with monitor.budget.during("build"):
-                finer = outcome.outer.on(replace(outcome.outer.problem, quadrature=ACCURATE))
+                finer = outcome.outer.on(accurate(outcome.outer.problem))
+            rules.append(finer.problem.quadrature)
             outcome = monitor.run(self.then or self.inner, finer, outcome.q).after(outcome)
         return outcome.having({"rules": tuple(rules)})
 
 
 def first_rule(problem: ContactProblem) -> str | int:
-    """The rule to begin with: where a load varies an exact one of low degree, else degree 6 at least."""
-    if not any(callable(component) for law in problem.laws for component in law.load):
-        return problem.quadrature
-    rule = problem.rule
-    if not isinstance(rule, int):
-        return FIRST
-    return min(rule, FIRST) if problem.quadrature == "auto" else max(rule, FIRST)
+    """The rule to begin with: an exact one, else of degree 6 at least."""
+    rule = problem.quadrature
+    return problem.exact_rule or (max(rule, FIRST) if isinstance(rule, int) else FIRST)
 
 
 def agrees(outcome: Outcome) -> bool:

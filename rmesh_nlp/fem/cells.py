@@ -106,9 +106,9 @@ class Straight(Cell):
         if self.X.shape[1] == 2:
             x, y = ca.vertsplit(self.X[:, 1] - self.X[:, 0])
             return Point(self.X @ shares, 1.0, ca.norm_2(ca.vertcat(x, y)), ca.vertcat(y, -x))
-        slope, *others = (ca.DM(slopes(self.order, corner)) for corner in np.eye(3))
+        slope, second, third = (ca.DM(slopes(self.order, corner)) for corner in np.eye(3))
         if self.order == 2:  # linear in coordinates, which may be expressions
-            slope = shares[0] * slope + shares[1] * others[0] + shares[2] * others[1]
+            slope = shares[0] * slope + shares[1] * second + shares[2] * third
         return Point(self.X @ shares, 0.5, *affine(self.X, self.u @ slope))
 
 

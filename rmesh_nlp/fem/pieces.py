@@ -13,7 +13,7 @@ import casadi as ca
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.cells import Rule, Straight
 from rmesh_nlp.problem.coefficients import Coefficient
-from rmesh_nlp.problem.quadrature import MIDPOINT, MOST_SWITCHES
+from rmesh_nlp.problem.quadrature import MIDPOINT, is_split
 from rmesh_nlp.problem.switches import affine_switches
 
 Piece = tuple[list[Expression], Expression]
@@ -28,7 +28,7 @@ def piecewise(cell: Straight, coefficients: Sequence[Coefficient], degree: int |
     """
     switches, corners = affine_switches(coefficients), ca.horzsplit(ca.SX.eye(cell.X.shape[1]))
     rule = list(cell.rule(degree))
-    if not switches or degree == MIDPOINT or len(switches) > MOST_SWITCHES[len(corners)]:
+    if not switches or degree == MIDPOINT or not is_split(coefficients, degree, len(corners)):
         return rule
     pieces: list[Piece] = [([ca.vertcat(0, corner) for corner in corners], ca.SX(1))]
     for switch in switches:

@@ -20,7 +20,8 @@ from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_desig
 from rmesh_nlp.problem.laws import LOCKING, Law, PlaneStrain
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
-from rmesh_nlp.problem.quadrature import suitable_rule
+from rmesh_nlp.problem.quadrature import exact_rule
+from rmesh_nlp.problem.switches import HIGH
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
 BY_VALIDITY = Motion()
@@ -93,11 +94,14 @@ class ProblemData:
     @cached_property
     def rule(self) -> str | int:
         """The quadrature rule itself: "midpoint" or a degree."""
-        if self.quadrature != "auto":
-            return self.quadrature
+        return self.quadrature if self.quadrature != "auto" else self.exact_rule or HIGH
+
+    @cached_property
+    def exact_rule(self) -> str | int | None:
+        """The cheapest rule that is exact for the loads on straight triangles and edges; None if none is."""
         loads = [part for law in self.laws for part in law.load]
         tractions = [part for traction in self.tractions for part in traction.value]
-        return suitable_rule(loads, tractions, self.order)
+        return exact_rule(loads, tractions, self.order)
 
     @property
     def locking(self) -> tuple[float, ...]:

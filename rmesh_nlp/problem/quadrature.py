@@ -10,7 +10,7 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient
-from rmesh_nlp.problem.switches import HIGH, affine_switches, degree_of_pieces, polynomial_degree, switches
+from rmesh_nlp.problem.switches import affine_switches, degree_of_pieces, switches
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
@@ -19,36 +19,40 @@ higher one of the load is taken for tractions too."""
 MIDPOINT = "midpoint"
 """The three edge midpoints, exact to degree 2."""
 
-MOST_SWITCHES = {2: 4, 3: 2}
-"""A cell with so many corners that is split at more switches is left whole: it has 16 pieces at most."""
+MOST_POINTS = 400
+"""A cell is left whole where rules on the pieces between jumps of its load would have more points."""
 
 
-def suitable_rule(
+def exact_rule(
     loads: Sequence[Coefficient], tractions: Sequence[Coefficient], order: int = 1
-) -> str | int:
-    """The cheapest rule that is exact for these loads times functions of an order, or ``HIGH``.
+) -> str | int | None:
+    """The cheapest rule that is exact for these loads times functions of an order; None if none is.
 
     Tractions are integrated with ``TRACTION_DEGREE`` at least, whatever the rule.
     """
-    degrees = [_degrees(parts, corners) for corners, parts in ((3, loads), (2, tractions))]
+    degrees = [[_degree(part) for part in parts] for parts in (loads, tractions)]
     if None in [*degrees[0], *degrees[1]]:
-        return HIGH
+        return None
     body, edge = (max((d + order for d in part if d is not None), default=0) for part in degrees)
     needed = max(body, edge if edge > TRACTION_DEGREE else 0)
     # points on the sides of a triangle are of no use where it is split
-    return MIDPOINT if needed <= 2 and not affine_switches(loads) else needed
+    rule = MIDPOINT if needed <= 2 and not affine_switches(loads) else needed
+    are_split = is_split(loads, rule, 3) and is_split(tractions, traction_degree(rule), 2)
+    return rule if are_split else None
 
 
-def _degrees(coefficients: Sequence[Coefficient], corners: int) -> list[int | None]:
-    """Of coefficients, or of their pieces where cells are split at all of their switches."""
-    pieces = [degree_of_pieces(each) for each in coefficients]
-    if None in pieces:
-        return pieces
-    known = filter(None, map(switches, coefficients))
-    is_split = len(affine_switches(coefficients)) <= MOST_SWITCHES[corners] and all(
-        each.are_all and set(each.degrees) == {1} for each in known
-    )
-    return pieces if is_split else [polynomial_degree(each) for each in coefficients]
+def _degree(coefficient: Coefficient) -> int | None:
+    """Of the pieces of a coefficient between affine switches."""
+    degree = degree_of_pieces(coefficient)
+    known = None if degree is None else switches(coefficient)
+    return degree if known is None or (known.are_all and set(known.degrees) == {1}) else None
+
+
+def is_split(coefficients: Sequence[Coefficient], rule: str | int, corners: int) -> bool:
+    """Whether cells with so many corners are split at all affine switches of coefficients."""
+    number = len(affine_switches(coefficients))
+    points = (triangle_rule(rule) if corners == 3 else line_rule(traction_degree(rule)))[1]
+    return number == 0 or (2 if corners == 2 else 4) ** number * points.size <= MOST_POINTS
 
 
 def traction_degree(rule: str | int) -> int:

@@ -38,6 +38,16 @@ ACCURATE = 20
 NAN = float("nan")
 
 
+def accurate(problem: ContactProblem) -> ContactProblem:
+    """The same problem with a rule for loads that is exact, or of degree ``ACCURATE``; itself if it has one.
+
+    Beside curves none is exact.
+    """
+    exact, rule = None if problem.motion.curves else problem.exact_rule, problem.rule
+    has_one = rule == exact or (isinstance(rule, int) and rule >= ACCURATE)
+    return problem if has_one else problem.with_rule(exact or ACCURATE)
+
+
 @dataclass(frozen=True, kw_only=True)
 class State:
     """A mesh with its equilibrium, as it was measured. Where elements are inverted, all else is NaN.
