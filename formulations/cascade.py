@@ -60,7 +60,7 @@ class Descent(Formulation):
             energy,
             q,
             outer.is_valid,
-            lambda iteration, x, _: track.exact(iteration, x, energy(x)),
+            track.exact,
             tolerance=np.inf,
             gain_tolerance=self.end,
             # relative to all there is to gain, so that a good start ends soon

@@ -13,14 +13,14 @@ neighbouring branches that descend.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from formulations.outer_solvers import NestedSettings, solved
 from formulations.units import pull
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT
-from rmesh_nlp.models.outer_solvers import NestedSettings, solved
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCCSolver
 from rmesh_nlp.solving.monitor import Monitor
@@ -71,8 +71,7 @@ def is_above(energy: float, start: float) -> bool:
 def _newton(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, str]:
     """Newton steps on the reduced energy."""
     track = monitor.track(outer)
-    near = replace(outer.reduced, warm=True)
-    result = solved(near, point.q, lambda i, q, _: track.exact(i, q), NestedSettings())
+    result = solved(outer.near(), point.q, track.exact, NestedSettings())
     monitor.work += Work(kkt_factorisations=result.factorised)
     monitor.budget.check()
     return result.q, result.method

@@ -130,7 +130,7 @@ class AllAtOnce(Formulation):
             program = outer.kkt if at_start else in_units_of(outer.discretisation, outer.objective, point)
         track = monitor.track(outer, program.value)
         if is_energy:
-            track.state_residual = lambda x: outer.residual.of_state(*_state(program, x))
+            track.residual = lambda x: outer.residual.of_state(*_state(program, x))
         x = program.point(point)
         own = _options(outer, program.value / pull(outer.function(q).gradient))
         with monitor.budget.during("build"):

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from formulations import outer_solvers
 from formulations.finish import finished
+from formulations.outer_solvers import NEWTON, NestedSettings, OuterResult
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models import outer_solvers
-from rmesh_nlp.models.outer_solvers import NEWTON, NestedSettings, OuterResult
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.formulation import Formulation
@@ -44,16 +44,16 @@ class Nested(NestedSettings, Formulation):
         is_asked = self.enough is not None or self.iterations is not None
         may_creep = not (is_asked or outer.objective.collapses) and outer.discretisation.n_contact > 0
 
-        def watch(iteration: int, at: Array, _: float) -> bool:
+        def watch(iteration: int, at: Array) -> bool:
             point = outer.function(at)
             over = track.exact(iteration, at, point)
             return (may_creep and creeps(point, *outer.merit(point))) or over
 
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
-            watch(0, q, 0.0)
+            watch(0, q)
             result = OuterResult(q, Status.CONVERGED, NEWTON)
         else:
-            result = outer_solvers.solved(outer.reduced, q, watch, self)
+            result = outer_solvers.solved(outer, q, watch, self)
         monitor.work += Work(kkt_factorisations=result.factorised)
         monitor.budget.check()
         end, status, method = result.q, result.status, result.method

@@ -87,7 +87,7 @@ def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
 LIMITED, FREE, OTHERS = ("limits", "fine"), ("free",), ("other", "design")
 ENERGY, ALL = (*LIMITED, *FREE), (*LIMITED, *OTHERS)
 JOINT, MPCC, NESTED, AUTO, CONTACT = "joint", "mpcc", "nested", "auto", ("fixed", "nested")
-WARM = {"rmesh_nlp.models.outer_solvers:WARM_BARRIER": 0.1, "rmesh_nlp.models.outer_solvers:WARM_PUSH": 0.01}
+WARM = {"formulations.outer_solvers:WARM_BARRIER": 0.1, "formulations.outer_solvers:WARM_PUSH": 0.01}
 ABOVE = {"formulations.joint:is_above": lambda *_: False}
 ACTIVE_SET = "rmesh_nlp.contact.active_set"
 

@@ -16,9 +16,11 @@ from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced
 from rmesh_nlp.models.second_derivatives import curvature_of
-from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
+
+Watch = Callable[[int, Array], bool]
+"""Called as ``watch(iteration, q)`` with outer variables that have been evaluated; True ends the descent."""
 
 KEPT = 0.1
 """Part of its present area that a step leaves to every element."""
@@ -28,7 +30,7 @@ def descend(
     function: Reduced,
     q: Array,
     is_valid: Callable[[Array], bool],
-    monitor: Monitor,
+    watch: Watch,
     **options: Any,
 ) -> NewtonResult:
     """Descend from outer variables ``q``.
@@ -57,7 +59,7 @@ def descend(
         relocation.mesh_map.lower,
         relocation.mesh_map.upper,
         local=local if has_barrier else None,
-        on_step=lambda iteration, x, evaluation: monitor(iteration, x, evaluation.value),
+        on_step=watch,
         **options,
     )
 

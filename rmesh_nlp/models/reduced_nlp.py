@@ -22,7 +22,6 @@ itself, and dw has no effect. One factorisation takes the place of one back-subs
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -34,8 +33,7 @@ from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
-from rmesh_nlp.models.residual import OuterResidual
+from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.second_derivatives import Curvature, Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
@@ -45,48 +43,25 @@ STIFF = 1e8
 of the identity that a solver adds to make the matrix positive definite then act on those only."""
 
 
-@dataclass(frozen=True)
-class ReducedProblem:
-    """``min F(q)`` in the outer variables q alone, within limits, element areas and constraints.
+def reduced_nlp(function: Reduced, constraints: ReducedConstraints | None = None) -> NLP:
+    """The NLP in ``(q, w)``: limits, rows of element validity, then of constraints.
 
-    A solver should end with a first-order ``residual`` of at most ``tolerance``. ``merit`` is what points are
-    compared by: the violation of constraints, then the value. ``warm`` says that the start is likely to be
-    close to a minimiser.
+    Its objective is a contact solve. Only the energy has a w, which starts at 0.
     """
-
-    function: Reduced
-    is_valid: Callable[[Array], bool]
-    residual: OuterResidual
-    merit: Callable[[ReducedPoint], tuple[float, float]]
-    tolerance: float
-    constraints: ReducedConstraints | None = None
-    warm: bool = False
-
-    @property
-    def relocation(self) -> Relocation:
-        """The energy NLP of its discretisation."""
-        return self.function.energy.relocation
-
-    @property
-    def n_g(self) -> int:
-        """Number of rows: element areas and constraints."""
-        return self.relocation.n_valid + (0 if self.constraints is None else self.constraints.rows.size)
-
-
-def reduced_nlp(problem: ReducedProblem) -> NLP:
-    """The NLP in ``(q, w)``, its objective a contact solve; only the energy has a w, which starts at 0."""
-    rel, second = problem.relocation, _lifted if problem.function.objective.collapses else _dense
-    areas, free, constraints = rel.validity.assembled, rel.mesh_map, problem.constraints
-    first, hessian = _First(problem), _Second(problem, *second(problem))
+    rel = function.energy.relocation
+    n_g = rel.n_valid + (0 if constraints is None else constraints.rows.size)
+    second = _dense(function) if isinstance(function, ReducedObjective) else _lifted(function)
+    areas, free, first = rel.validity.assembled, rel.mesh_map, _First(function, constraints)
+    hessian = _Second(function, n_g, *second)
     n_w = hessian.size1_out(0) - rel.n_q
     q, w, unlimited = rel.validity.q, ca.MX.sym("w", n_w), np.full(n_w, np.inf)
-    x, p, lam_f, lam_g = ca.vertcat(q, w), ca.MX(0, 1), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", problem.n_g)
+    x, p, lam_f, lam_g = ca.vertcat(q, w), ca.MX(0, 1), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g)
     value, gradient, rows, of_rows = first(q)
     g, jacobian = ca.vertcat(areas.g, rows), ca.vertcat(areas.derivatives.jac_g(q, p)[1], of_rows)
     lower, upper = rel.validity.bound, np.full(rel.n_valid, np.inf)
     if constraints is not None:
         lower, upper = np.append(lower, constraints.rows.lower), np.append(upper, constraints.rows.upper)
-    slope, jacobian = ca.vertcat(gradient, ca.MX.zeros(n_w)), ca.horzcat(jacobian, ca.MX(problem.n_g, n_w))
+    slope, jacobian = ca.vertcat(gradient, ca.MX.zeros(n_w)), ca.horzcat(jacobian, ca.MX(n_g, n_w))
     return NLP(
         x=x,
         p=p,
@@ -108,23 +83,22 @@ def reduced_nlp(problem: ReducedProblem) -> NLP:
 class _First(PythonFunction):
     """F(q) and its gradient, the constraints (rows,) and their derivatives (rows, n_q)."""
 
-    def __init__(self, problem: ReducedProblem) -> None:
-        self._problem, n = problem, problem.relocation.n_q
-        self._rows = problem.n_g - problem.relocation.n_valid
+    def __init__(self, function: Reduced, constraints: ReducedConstraints | None) -> None:
+        self._function, self._constraints = function, constraints
+        self._rows, n = 0 if constraints is None else constraints.rows.size, function.energy.relocation.n_q
         shapes = (1,), (n,), (self._rows,), (self._rows, n)
         super().__init__("reduced", [ca.Sparsity.dense(n)], [ca.Sparsity.dense(*shape) for shape in shapes])
 
     def eval(self, arg: list[ca.DM]) -> list[Any]:
-        q, rel, function = arg[0].full().ravel(), self._problem.relocation, self._problem.function
-        of_rows = np.zeros((self._rows, q.size))
+        q, function, constraints = arg[0].full().ravel(), self._function, self._constraints
+        rel, of_rows = function.energy.relocation, np.zeros((self._rows, q.size))
         # the contact problem of a mesh with inverted elements has no meaning
-        upright = self._problem.n_g == 0 or is_upright(rel.problem, rel.nodes(q))
+        upright = rel.n_valid + self._rows == 0 or is_upright(rel.problem, rel.nodes(q))
         if not (upright and function.is_defined(q)):  # Ipopt then takes a shorter step
             return [np.nan, np.full(q.size, np.nan), np.full(self._rows, np.nan), of_rows]
         point = function(q)
-        if self._problem.constraints is None:
-            return [point.value, point.gradient, np.zeros(0), of_rows]
-        return [point.value, point.gradient, *self._problem.constraints.at(point)]
+        rows = (np.zeros(0), of_rows) if constraints is None else constraints.at(point)
+        return [point.value, point.gradient, *rows]
 
 
 Values = Callable[[Array, float, sp.csc_array | None, Array], Array]
@@ -135,23 +109,21 @@ there are any, and those of constraints with their multipliers."""
 class _Second(PythonFunction):
     """Upper triangle of the Hessian of ``lam_f f + lam_g^T g`` in the unknowns of the NLP."""
 
-    def __init__(self, problem: ReducedProblem, upper: ca.Sparsity, values: Values) -> None:
-        self._problem, self._upper, self._values = problem, upper, values
-        inputs = [ca.Sparsity.dense(size) for size in (problem.relocation.n_q, 1, problem.n_g)]
+    def __init__(self, function: Reduced, n_g: int, upper: ca.Sparsity, values: Values) -> None:
+        self._energy, self._upper, self._values = function.energy, upper, values
+        inputs = [ca.Sparsity.dense(size) for size in (self._energy.relocation.n_q, 1, n_g)]
         super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
         q, lam_f, lam_g = arg[0].full().ravel(), float(arg[1]), arg[2].full().ravel()
-        areas, own = np.split(lam_g, [self._problem.relocation.n_valid])
-        rows = self._problem.function.energy.validity.hessian(q, areas) if areas.size else None
+        areas, own = np.split(lam_g, [self._energy.relocation.n_valid])
+        rows = self._energy.validity.hessian(q, areas) if areas.size else None
         return [ca.DM(self._upper, self._values(q, lam_f, rows, own).tolist())]
 
 
-def _dense(problem: ReducedProblem) -> tuple[ca.Sparsity, Values]:
+def _dense(function: ReducedObjective) -> tuple[ca.Sparsity, Values]:
     """Second derivatives of another objective than the energy, a dense matrix."""
-    function = problem.function
-    assert isinstance(function, ReducedObjective)
-    n, conditions = problem.relocation.n_q, function.conditions
+    n, conditions = function.energy.relocation.n_q, function.conditions
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
@@ -164,10 +136,8 @@ def _dense(problem: ReducedProblem) -> tuple[ca.Sparsity, Values]:
     return upper, values
 
 
-def _lifted(problem: ReducedProblem) -> tuple[ca.Sparsity, Values]:
+def _lifted(function: ReducedEnergy) -> tuple[ca.Sparsity, Values]:
     """Second derivatives of the energy, a sparse matrix in ``(q, w)``."""
-    function = problem.function
-    assert isinstance(function, ReducedEnergy)
     curvature, pattern = Curvature(function), _pattern(function.relocation)
     columns = np.repeat(np.arange(pattern.shape[1], dtype=np.int64), np.diff(pattern.indptr))
     entries = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order

@@ -248,8 +248,8 @@ class _AnySize:
         watch = self._watch if self._every else None
         return Solver(nlp, options=self._options, monitor=watch, every=self._every or 1)
 
-    def _watch(self, iteration: int, x: Array, f: float) -> bool | None:
-        return None if self._monitor is None else self._monitor(iteration, x, f)
+    def _watch(self, iteration: int, x: Array, f: float, lam_g: Array) -> bool | None:
+        return None if self._monitor is None else self._monitor(iteration, x, f, lam_g)
 
     def __call__(self, z: Array, monitor: Monitor | None, **arguments: Array) -> NLPResult:
         self._monitor = monitor

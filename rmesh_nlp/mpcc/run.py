@@ -137,7 +137,7 @@ class Run:
         # of the whole solve: the callback's own count goes on between NLPs
         count, n_z, n_x = itertools.count(budget.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
 
-        def after(iteration: int, z: Array, f: float) -> bool:
+        def after(iteration: int, z: Array, f: float, lam_g: Array) -> bool:
             budget.iterations = next(count)
             if show is not None:
                 measured = self._measured(phase, t, z[:n_z])

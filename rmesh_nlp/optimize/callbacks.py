@@ -6,23 +6,15 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import Protocol, runtime_checkable
 
 import casadi as ca
 
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.optimize.budget import signals_to
 
-Monitor = Callable[[int, Array, float], bool | None]
-"""Called as ``monitor(iteration, x, f)`` after each accepted iteration; True stops the solver."""
-
-
-@runtime_checkable
-class SeesMultipliers(Protocol):
-    """A monitor that is shown the multipliers of the constraints before each call."""
-
-    def see_multipliers(self, lam_g: Array) -> None:
-        """Take the multipliers (n_g,) of the iterate that comes next, with CasADi's signs."""
+Monitor = Callable[[int, Array, float, Array], bool | None]
+"""Called as ``monitor(iteration, x, f, lam_g)`` after each accepted iteration, with the multipliers (n_g,) of
+the constraints; True stops the solver."""
 
 
 class PythonFunction(ca.Callback):
@@ -66,9 +58,8 @@ class IterationCallback(PythonFunction):
     def eval(self, arg: list[ca.DM]) -> list[int]:
         """Pass the iterate on."""
         try:
-            if isinstance(self._monitor, SeesMultipliers):
-                self._monitor.see_multipliers(flat(arg[ca.nlpsol_out().index("lam_g")]))
-            enough = self._monitor(self._iteration, flat(arg[0]), float(arg[1]))
+            at = dict(zip(ca.nlpsol_out(), arg, strict=True))
+            enough = self._monitor(self._iteration, flat(at["x"]), float(at["f"]), flat(at["lam_g"]))
         except KeyboardInterrupt:  # CasADi would take it for a failed evaluation
             enough = self.interrupted = True
         self._iteration += 1

@@ -110,7 +110,7 @@ def minimise(
     unit: float | None = None,
     max_iterations: int = 200,
     local: LocalRadii | None = None,
-    on_step: Callable[[int, Array, Evaluation], bool | None] | None = None,
+    on_step: Callable[[int, Array], bool | None] | None = None,
     settings: NewtonSettings | None = None,
 ) -> NewtonResult:
     """Minimise in the box ``lower <= x <= upper``.
@@ -129,7 +129,7 @@ def minimise(
         No decrease: the model predicts less than this fraction of the decrease so far, which counts from
         ``reference``, by default the value at the start.
     on_step : callable, optional
-        Called with the iteration, the point and its evaluation; the descent stops if it returns True.
+        Called with the iteration and the point; the descent stops if it returns True.
     """
     use = settings or NewtonSettings()
     x = np.clip(start, lower, upper)
@@ -139,7 +139,7 @@ def minimise(
     reference = current.value if reference is None else reference
     radius = 0.0
     for iteration in range(max_iterations + 1):
-        if on_step is not None and on_step(iteration, x, current):
+        if on_step is not None and on_step(iteration, x):
             return NewtonResult(x, Status.INTERRUPTED, iteration)
         if iteration == max_iterations:
             break

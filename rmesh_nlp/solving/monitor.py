@@ -178,18 +178,14 @@ class Track:
     Attributes
     ----------
     residual : callable or None
-        ``(x, lam_g) ->`` first-order residual of the outer problem at an iterate, for an NLP whose
-        multipliers give it.
-    state_residual : callable or None
-        ``x ->`` the same at an iterate of a homotopy, whose unknowns hold the forces.
+        First-order residual of the outer problem by an iterate's own displacement and forces: of the unknowns
+        and multipliers ``(x, lam_g)`` of an NLP, of the unknowns ``x`` of a homotopy, which hold the forces.
     """
 
     def __init__(self, monitor: Monitor, outer: Outer, unit: float = 1.0) -> None:
         self.monitor, self.outer, self._unit = monitor, outer, unit
         self._before, self._first = monitor.budget.iterations, len(monitor.steps)
-        self.residual: Callable[[Array, Array], float] | None = None
-        self.state_residual: Callable[[Array], float] | None = None
-        self._lam_g: Array | None = None
+        self.residual: Callable[..., float] | None = None
         mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
         self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
         self._recent: deque[Array] = deque(maxlen=RECENT)
@@ -200,15 +196,9 @@ class Track:
         """Of this NLP."""
         return self.monitor.budget.iterations - self._before
 
-    def see_multipliers(self, lam_g: Array) -> None:
-        """Multipliers of the iterate that comes next."""
-        self._lam_g = lam_g
-
-    def __call__(self, iteration: int, x: Array, f: float) -> bool:
+    def __call__(self, iteration: int, x: Array, f: float, lam_g: Array) -> bool:
         """An iterate of an NLP without complementarity: its relaxation parameter is infinite."""
-        residual = NAN
-        if self.residual is not None and self._lam_g is not None:
-            residual = self.residual(x, self._lam_g)
+        residual = NAN if self.residual is None else self.residual(x, lam_g)
         return self._approximate(iteration, x, f, t=math.inf, primal_residual=NAN, dual_residual=residual)
 
     def iterate(self, one: Iterate) -> None:
@@ -218,7 +208,7 @@ class Track:
             one.x,
             one.objective,
             t=one.t,
-            dual_residual=NAN if self.state_residual is None else self.state_residual(one.x),
+            dual_residual=NAN if self.residual is None else self.residual(one.x),
             primal_residual=one.constraint_violation,
             product=one.product,
             biactive=one.biactive,

@@ -24,7 +24,6 @@ from rmesh_nlp.models.kkt_model import Bilevel, in_units_of
 from rmesh_nlp.models.kkt_point import KKTConditions
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective, ReducedPoint
-from rmesh_nlp.models.reduced_nlp import ReducedProblem
 from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import Level
@@ -134,12 +133,6 @@ class Outer:
         if isinstance(self.function, ReducedObjective):
             return self.function.conditions
         return KKTConditions(in_units_of(self.discretisation, self.objective, self.energy.start))
-
-    @property
-    def reduced(self) -> ReducedProblem:
-        """The problem in the outer variables alone, whose objective is a contact solve."""
-        measures = self.is_valid, self.residual, self.merit
-        return ReducedProblem(self.function, *measures, self.tolerance, self.constraints, self.is_near)
 
     @property
     def kkt(self) -> Bilevel:

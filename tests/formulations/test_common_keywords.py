@@ -18,11 +18,11 @@ from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.multistart import MultiStart
 from formulations.nested import Nested
+from formulations.outer_solvers import NestedSettings
 from formulations.remeshed import Remeshed
 from formulations.schedule import Schedule
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.models.outer_solvers import NestedSettings
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status

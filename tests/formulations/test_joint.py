@@ -10,12 +10,12 @@ import pytest
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
 from formulations.nested import Nested
+from formulations.outer_solvers import OuterResult
 from formulations.units import half_energy
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.outer_solvers import OuterResult
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import (
     ContactProblem,

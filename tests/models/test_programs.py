@@ -16,7 +16,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.reduced_nlp import STIFF, ReducedProblem, reduced_nlp
+from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.solving.outer import Outer
@@ -107,10 +107,6 @@ ENERGIES |= {f"{name}, order 2": of_order_2(make) for name, make in ENERGIES.ite
 ENERGIES["bump, order 2"] = lambda: replace(membrane_over_a_bump(), motion=Motion(None), order=2)
 
 
-def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedProblem:
-    return Outer.of(problem, objective).reduced
-
-
 def whole(upper: ca.DM) -> Array:
     found = upper.full()
     assert np.all(np.tril(found, -1) == 0)
@@ -119,12 +115,12 @@ def whole(upper: ca.DM) -> Array:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
-    problem = reduced(replace(EXAMPLES["6.1"](4), order=order), "error-l2")
-    nlp, rng = reduced_nlp(problem), np.random.default_rng(4)
+    function = Outer.of(replace(EXAMPLES["6.1"](4), order=order), "error-l2").function
+    nlp, rng = reduced_nlp(function), np.random.default_rng(4)
     derivatives, n = nlp.derivatives, nlp.n_x
     q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]
     lam_f, lam_g = 1.5, rng.uniform(-1, 0, nlp.n_g)
-    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(problem.function(q).value)
+    assert float(derivatives.grad_f(q, [])[0]) == pytest.approx(function(q).value)
 
     def gradient(x: Array) -> Array:
         slope = derivatives.grad_f(x, [])[1].full().ravel()
@@ -138,12 +134,11 @@ def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
 
 @pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
-    problem = reduced(ENERGIES[name]())
-    larger, n, rng = reduced_nlp(problem), problem.relocation.n_q, np.random.default_rng(7)
-    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, problem.n_g)
-    function = problem.function
+    function = Outer.of(ENERGIES[name]()).energy
+    larger, n, rng = reduced_nlp(function), function.relocation.n_q, np.random.default_rng(7)
+    q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, larger.n_g)
     curvature = curvature_of(function)(function(q))(np.eye(n))
-    areas = function.energy.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
+    areas = function.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
     for factor in (1.5, 0.0):
         matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))
         corner, expected = matrix[n:, n:], factor * curvature + areas
@@ -156,13 +151,13 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
 
 def test_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_pattern", lambda rel: sp.csc_array(sp.eye_array(rel.n_q + rel.n_u)))
-    larger = reduced_nlp(reduced(bumpy(0.0)))
+    larger = reduced_nlp(Outer.of(bumpy(0.0)).energy)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
 
 
 def test_meshes_with_inverted_elements_have_no_energy() -> None:
-    problem = reduced(EXAMPLES["6.1"](3, 0.9))
-    nlp, q = reduced_nlp(problem), np.random.default_rng(0).uniform(-1, 1, problem.relocation.n_q)
+    outer = Outer.of(EXAMPLES["6.1"](3, 0.9))
+    nlp, q = reduced_nlp(outer.energy), np.random.default_rng(0).uniform(-1, 1, outer.n)
     x = np.append(q, np.zeros(nlp.n_x - q.size))
     assert np.isnan(float(nlp.derivatives.grad_f(x, [])[0]))

@@ -65,7 +65,7 @@ def test_convergence_is_quadratic_near_a_minimum_of_a_function_that_is_none_of_i
         unit=1.0,
         tolerance=1e-9,
         settings=NewtonSettings(forcing=1e-3),
-        on_step=lambda i, x, here: values.append(here.value),
+        on_step=lambda i, x: values.append(rosenbrock(x).value),
     )
     assert result.status is Status.CONVERGED
     np.testing.assert_allclose(result.x, 1.0, atol=1e-8)
@@ -94,7 +94,7 @@ def test_gradients_are_measured_in_the_given_unit(unit: float, stationary: bool)
 
 def test_a_callback_stops_it_and_the_iteration_limit_does() -> None:
     seen: list[int] = []
-    stopped = descent(rosenbrock, on_step=lambda i, x, _: seen.append(i) or i == 2)
+    stopped = descent(rosenbrock, on_step=lambda i, x: seen.append(i) or i == 2)
     assert (stopped.status, stopped.iterations, seen) == (Status.INTERRUPTED, 2, [0, 1, 2])
     limited = descent(rosenbrock, max_iterations=2)
     assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 2)

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pytest
 
+from formulations import outer_solvers
+from formulations.outer_solvers import INTERIOR, NEWTON
 from models.test_programs import bumpy
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.models import outer_solvers
-from rmesh_nlp.models.outer_solvers import INTERIOR, NEWTON
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Traction
 from rmesh_nlp.problem.coefficients import where

@@ -11,15 +11,15 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.models.descent import descend
+from rmesh_nlp.models.descent import Watch, descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy
-from rmesh_nlp.models.reduced_nlp import ReducedProblem, reduced_nlp
-from rmesh_nlp.optimize.callbacks import Monitor
+from rmesh_nlp.models.reduced_nlp import reduced_nlp
 from rmesh_nlp.optimize.constraints import LARGEST_DENSE
 from rmesh_nlp.optimize.solver import PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Count, Positive, Settings
+from rmesh_nlp.solving.outer import Outer
 
 NEWTON, INTERIOR = "newton", "interior point"  # as records name them
 
@@ -52,16 +52,16 @@ class NestedSettings(Settings):
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     ipopt: PluginOptions = field(default_factory=dict)
 
-    def exact(self, problem: ReducedProblem) -> dict[str, Any]:
+    def exact(self, outer: Outer) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""
         names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         return {
-            **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if problem.warm else {}),
+            **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if outer.is_near else {}),
             # many constraints are weakly active: an interior point meets those only to its square root
-            "tol": problem.tolerance**2,
+            "tol": outer.tolerance**2,
             "max_iter": self.iterations or 500,
             "nlp_scaling_method": "none",
-            "obj_scaling_factor": 1 / problem.residual.unit,
+            "obj_scaling_factor": 1 / outer.residual.unit,
             **self.ipopt,
         }
 
@@ -76,9 +76,7 @@ class OuterResult:
     factorised: int = 0
 
 
-def interior(
-    problem: ReducedProblem, start: Array, monitor: Monitor, settings: NestedSettings
-) -> OuterResult:
+def interior(outer: Outer, start: Array, watch: Watch, settings: NestedSettings) -> OuterResult:
     """Ipopt with second derivatives; ``start`` itself where it does not end below.
 
     Those of the energy are sparse in outer variables and displacements together
@@ -86,58 +84,54 @@ def interior(
     outer variables are stationary by the first-order residual: Ipopt's own test is of its multipliers, and
     where rounding keeps them from its tolerance it would go on for dozens of contact solves.
     """
-    function, nlp = problem.function, reduced_nlp(problem)
+    function, nlp = outer.function, reduced_nlp(outer.function, outer.constraints)
     n, stationary = start.size, False
-    violation, value = problem.merit(function(start))
+    violation, value = outer.merit(function(start))
     most = violation, value + ROUNDING * abs(value)
 
-    def clipped(x: Array) -> Array:
-        return np.asarray(np.clip(x[:n], nlp.lbx[:n], nlp.ubx[:n]))
-
-    def watch(iteration: int, x: Array, f: float) -> bool:
+    def monitor(iteration: int, x: Array, *_: object) -> bool:
         nonlocal stationary
-        stop, q = bool(monitor(iteration, x[:n], f)), clipped(x)
-        if not stop and iteration > 0 and problem.is_valid(q):
+        stop, q = watch(iteration, x[:n]), outer.clipped(x[:n])
+        if not stop and iteration > 0 and outer.is_valid(q):
             point = function(q)
-            stationary = problem.merit(point) <= most and problem.residual(point) <= problem.tolerance
+            stationary = outer.merit(point) <= most and outer.residual(point) <= outer.tolerance
         return stop or stationary
 
-    result = Solver(nlp, options=settings.exact(problem), monitor=watch)(
-        np.append(start, np.zeros(nlp.n_x - n))
-    )
-    q = clipped(result.x)
-    if not (np.isfinite(result.f) and problem.merit(function(q)) <= most):
+    solver = Solver(nlp, options=settings.exact(outer), monitor=monitor)
+    result = solver(np.append(start, np.zeros(nlp.n_x - n)))
+    q = outer.clipped(result.x[:n])
+    if not (np.isfinite(result.f) and outer.merit(function(q)) <= most):
         status = Status.STALLED if result.converged else result.status
         return OuterResult(start, status, INTERIOR, result.iterations)
     status = Status.CONVERGED if result.converged or stationary else result.status
     return OuterResult(q, status, INTERIOR, result.iterations)
 
 
-def solved(problem: ReducedProblem, start: Array, monitor: Monitor, settings: NestedSettings) -> OuterResult:
+def solved(outer: Outer, start: Array, watch: Watch, settings: NestedSettings) -> OuterResult:
     """Projected Newton-CG where move limits alone keep the elements valid, else an interior point first.
 
     Where that does not end below the start, or the Hessian of an objective other than the energy, a dense
     matrix, is too large for it, Newton-CG goes as far as the areas let it.
     """
-    function, constraints = problem.function, problem.constraints
+    function, constraints = outer.function, outer.constraints
     is_part = settings.enough is not None and constraints is None
-    has_rows = problem.n_g > 0 or function.objective.has_barrier
+    has_rows = outer.relocation.n_valid > 0 or constraints is not None or function.objective.has_barrier
     is_small = (
         isinstance(function, ReducedEnergy) or start.size**2 <= LARGEST_DENSE or constraints is not None
     )
     method, factorised = NEWTON, 0
     if has_rows and is_small and not is_part:
-        end = interior(problem, start, monitor, settings)
+        end = interior(outer, start, watch, settings)
         if end.q is not start:
             return end
         method, factorised = f"{INTERIOR}, then {NEWTON}", end.factorised
     result = descend(
         function,
         start,
-        problem.is_valid,
-        lambda iteration, q, value: monitor(factorised + iteration, q, value),
-        tolerance=np.inf if is_part else problem.tolerance,
-        unit=problem.residual.unit,
+        outer.is_valid,
+        lambda iteration, q: watch(factorised + iteration, q),
+        tolerance=np.inf if is_part else outer.tolerance,
+        unit=outer.residual.unit,
         gain_tolerance=settings.enough if is_part else np.inf,
         max_iterations=settings.iterations or 200,
         settings=settings.newton,
