@@ -112,7 +112,7 @@ class TestRadius:
     def points(self, settings: NewtonSettings, **options: Any) -> list[Array]:
         """The points of a descent of which every model is right."""
         found: list[Array] = []
-        options |= {"on_step": lambda iteration, x, here: found.append(x), "max_iterations": 3}
+        options |= {"on_step": lambda iteration, x: found.append(x), "max_iterations": 3}
         descent(self.true, np.zeros(4), 100.0, settings=settings, **options)
         return found
 

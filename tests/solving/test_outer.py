@@ -29,7 +29,7 @@ def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_t
     start, track = np.zeros(outer.n), Monitor().track(outer)
     gradient = outer.energy(start).gradient
     q = step * gradient / np.max(np.abs(gradient))
-    track(1, np.append(q, np.zeros(outer.relocation.n_u)), 0.0)
+    track(1, np.append(q, np.zeros(outer.relocation.n_u)), 0.0, np.zeros(0))
     np.testing.assert_array_equal(track.best(start), q if step < 0 else start)
 
 
