@@ -115,12 +115,12 @@ class Joint(Formulation):
             if length(contact) != 1:
                 program = relocation(outer.discretisation, objective, length(contact))
             options = self.options(areas, unit, objective.has_barrier)
-            solver = Solver(program.nlp, options=options, monitor=track)
+            solver = Solver(program.nlp, options=options)
         track.residual = lambda x, lam_g: outer.residual.of_state(
             *program.split(x)[:2], *program.forces(lam_g)
         )
         begin = outer.relocation.split(outer.energy.unknowns(q, contact.equilibrium.u))
-        result = solver(program.unknowns(*begin))
+        result = solver(program.unknowns(*begin), monitor=track)
         track.with_violations(result.history["inf_pr"])
         return program, result
 

@@ -97,8 +97,8 @@ def interior(outer: Outer, start: Array, watch: Watch, settings: NestedSettings)
             stationary = outer.merit(point) <= most and outer.residual(point) <= outer.tolerance
         return stop or stationary
 
-    solver = Solver(nlp, options=settings.exact(outer), monitor=monitor)
-    result = solver(np.append(start, np.zeros(nlp.n_x - n)))
+    solver = Solver(nlp, options=settings.exact(outer))
+    result = solver(np.append(start, np.zeros(nlp.n_x - n)), monitor=monitor)
     q = outer.clipped(result.x[:n])
     if not (np.isfinite(result.f) and outer.merit(function(q)) <= most):
         status = Status.STALLED if result.converged else result.status

@@ -12,22 +12,18 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
 from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Step
-from rmesh_nlp.mpcc.solver import MPCCSolver, multistart, solve
-from rmesh_nlp.mpcc.starts import MultiStart
-from rmesh_nlp.mpcc.stationarity import Classification, classify
+from rmesh_nlp.mpcc.solver import MPCCSolver, classify, solve
 
 __all__ = [
     "MPCC",
     "RELAXATIONS",
     "BilevelResult",
-    "Classification",
     "Duals",
     "Iterate",
     "LowerLevel",
     "LowerLevelCheck",
     "MPCCResult",
     "MPCCSolver",
-    "MultiStart",
     "Options",
     "Problem",
     "Reached",
@@ -35,7 +31,6 @@ __all__ = [
     "bilevel",
     "classify",
     "mpccsol",
-    "multistart",
     "read",
     "solve",
     "solve_bilevel",

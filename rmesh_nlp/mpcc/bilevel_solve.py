@@ -30,7 +30,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
-from rmesh_nlp.optimize.nlp import NLP, Symbolic
+from rmesh_nlp.optimize.nlp import Symbolic
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 
@@ -93,8 +93,8 @@ def solve_bilevel(
     found: list[MPCCResult] = []
     for made in itertools.count():
         solver = MPCCSolver(program, chosen)
-        several = (solver.several(start, p=parameters, budget=budget) for start in starts)
-        ends = [end for many in several for end in many.results]
+        results = [solver(start, p=parameters, budget=budget) for start in starts]
+        ends = [end for result in results for end in result.ends or (result,)]
         found += [end for end in ends if end.success]
         end = min(ends, key=lambda end: (not (end.success or end.status is Status.NO_MINIMUM), end.f))
         lowest = None if end.lower_level is None else end.lower_level.lower
@@ -150,11 +150,8 @@ def _inside(
     """A point as far inside the rows as half of the gain allows; ``lowest`` if none is found."""
     nlp, room = level.nlp, type(level.nlp.x).sym("room")
     most = float(lower(y, parameters)[0] + lower(lowest, parameters)[0]) / 2
-    deeper = NLP(
-        ca.vertcat(nlp.x, room), nlp.p, -room, ca.vertcat(nlp.f, nlp.g, rows + room),
-        np.append(nlp.lbx, 0.0), np.append(nlp.ubx, 1.0),
-        np.concatenate([[-np.inf], nlp.lbg, np.full(rows.shape[0], -np.inf)]),
-        np.concatenate([[most], nlp.ubg, np.zeros(rows.shape[0])]),
-    )  # fmt: skip
+    deeper = nlp.extended(
+        x=room, weight=0, f=-room, g=ca.vertcat(rows + room, nlp.f - most), lbx=0, ubx=1, ubg=0
+    )
     end = Solver(deeper)(np.append(lowest, 0.0), p=parameters)
     return end.x[:-1] if end.converged else lowest

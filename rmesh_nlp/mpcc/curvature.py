@@ -13,7 +13,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.lower_level import MOST, directions, least_critical, least_eigenvalue
-from rmesh_nlp.mpcc.multipliers import Columns
+from rmesh_nlp.mpcc.multipliers import columns_of
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.activity import ZERO
 
@@ -28,23 +28,20 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
         return "not tested", None
     if lifted.base.hess_lag is None or lifted.nlp.n_x > MOST:
         return "not tested", None
-    own, columns = stationarity.multipliers, Columns(lifted, lin)
+    own, columns = stationarity.multipliers, columns_of(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows)
     if not np.all(np.isfinite(hessian)):
         return "not tested", None
     flat = ZERO * float(np.max(np.abs(hessian), initial=0.0))
     gradients = columns.matrix.T.toarray()
-    values = np.concatenate(
-        [own.rows[columns.rows], own.z[columns.bounds], own.pairs.reshape(-1)[columns.members]]
-    )
-    n_own = columns.rows.size + columns.bounds.size
-    one_sided = np.append(columns.may_fall[:n_own] ^ columns.may_rise[:n_own], columns.corner)
-    strong = ~one_sided | (np.abs(values) > run.options.stationarity * lin.scale)
+    one_sided = (columns.may_fall ^ columns.may_rise) | columns.corner
+    strong = ~one_sided | (np.abs(columns.gathered(own)) > run.options.stationarity * lin.scale)
     sign = np.where(columns.may_fall, 1.0, -1.0)[~strong]  # a lower bound: the value may only rise
     weak = -sign[:, None] * gradients[~strong]
     if least_eigenvalue(hessian, directions(gradients[strong]))[0] >= -flat:
         return "not negative", None
-    pair = np.append(np.full(n_own, -1), columns.members % max(lifted.pairs.shape[1], 1))[~strong]
+    of_members = columns.members % max(lifted.pairs.shape[1], 1)
+    pair = np.append(np.full(columns.active.size, -1), of_members)[~strong]
     value, d, is_complete = least_critical(hessian, gradients[strong], weak, pair)
     if value < -flat:
         return "negative", d

@@ -69,18 +69,19 @@ def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -
 
 def settled(run: Run, result: NLPResult) -> Finish:
     """Descend over the branches from the solution of one, if it is exact."""
-    return pivot(run, _ended(run, result))
+    return pivot(run, labelled(run, result.x, result.f, result.status, result.lam_g))
 
 
-def _ended(run: Run, result: NLPResult) -> Finish:
+def labelled(run: Run, z: Array, f: float, status: Status, lam_rows: Array | None = None) -> Finish:
     """The end of a branch; an exact one is labelled, unless f falls without end in it."""
-    z, f, status, options = result.x, result.f, result.status, run.options
     if not run.exact(z):
-        return Finish(z, f, Status.INACCURATE if result.converged else status)
+        is_solution = status in (Status.CONVERGED, Status.ACCEPTABLE)
+        return Finish(z, f, Status.INACCURATE if is_solution else status)
     if status is Status.UNBOUNDED:
         return Finish(z, f, status)
+    options = run.options
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
-    label = stationarity(run.lifted, lin, options.stationarity, run.budget, result.lam_g)
+    label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows)
     return Finish(z, f, label.status, label, lin)
 
 
@@ -96,7 +97,7 @@ def pivot(run: Run, point: Finish) -> Finish:
         better = run.branch(point.z, direction.zero)
         if not (run.exact(better.x) and is_below(better.f, point.f)):
             return point
-        point = _ended(run, better)
+        point = labelled(run, better.x, better.f, better.status, better.lam_g)
     return replace(point, status=Status.ITERATION_LIMIT)
 
 

@@ -10,13 +10,13 @@ import numpy as np
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.mpcc.finish import Finish, finish, settled
 from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
-_SAME = 1e-4  # relaxed solutions whose objectives differ by less, relative, are one
 _FREE = 1e-6  # relative change of the objective in which pairs cost nothing
 
 
@@ -73,7 +73,7 @@ def follow(
     """
     options = run.options
     t, t_final = t0, options.t_final
-    warm = None if first is None else run.nlps.padded(first)
+    warm = None if first is None else run.padded(first)
     z, is_first, clear = z0, True, None
     sides: BoolArray | None = None
     while True:
@@ -83,17 +83,17 @@ def follow(
             break
         path.relaxed, product, objective = result, run.steps[-1].product, run.steps[-1].objective * run.p[-1]
         path.levels[t] = objective
-        matches = (k for k, levels in enumerate(former) if _is_level(objective, levels.get(t, np.inf)))
+        matches = (k for k, levels in enumerate(former) if is_same(objective, levels.get(t, np.inf)))
         path.joined = next(matches, None)
         if path.joined is not None:
             return
-        if t == t0 and run.nlps.cost(result, t) <= _FREE * abs(objective):
+        if t == t0 and run.cost(result, t) <= _FREE * abs(objective):
             last = run.relaxed(result.x, t_final, result, last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last
                 t = t_final
         before, sides = sides, run.lifted.smaller(result.x)
-        clear = run.nlps.without_relaxation(result, t)
+        clear = run.without_relaxation(result, t)
         if run.exact(result.x) or t <= t_final:
             break
         is_settled = before is not None and _settled(before, sides)
@@ -122,10 +122,6 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
 def _at_the_limit(finished: float, expected: float) -> bool:
     """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
     return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
-
-
-def _is_level(objective: float, level: float) -> bool:
-    return abs(objective - level) <= _SAME * (1 + abs(level)) if np.isfinite(level) else False
 
 
 def _settled(before: BoolArray, sides: BoolArray) -> bool:

@@ -29,17 +29,16 @@ _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given 
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """First-order data of the lifted problem at a point, with its active bounds of rows and unknowns.
+    """First-order data of the lifted problem at a point.
 
-    The zero bound of a member is left to its pair: ``zero`` members are (2, n_pairs). Biactive: both.
+    ``lower`` and ``upper`` say which bounds are active, those of the rows, then those of the unknowns. The
+    zero bound of a member is left to its pair: ``zero`` members are (2, n_pairs). Biactive: both.
     """
 
     gradient: Array
     jacobian: sp.csr_matrix
-    row_lower: BoolArray
-    row_upper: BoolArray
-    z_lower: BoolArray
-    z_upper: BoolArray
+    lower: BoolArray
+    upper: BoolArray
     zero: BoolArray
 
     @property
@@ -61,16 +60,16 @@ def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: floa
     """
     _, gradient, rows, jacobian = lifted.linearise(z, p)
     steep, nlp = steepness(jacobian), lifted.nlp
+    values = np.append(rows / steep, z)
 
-    def active(value: Array, bound: Array) -> BoolArray:
+    def active(of_rows: Array, of_unknowns: Array) -> BoolArray:
+        bound = np.append(of_rows / steep, of_unknowns)
         finite = np.where(np.isfinite(bound), bound, 0.0)
-        return np.isfinite(bound) & (np.abs(value - finite) <= tolerance * (1 + np.abs(finite)))
+        return np.isfinite(bound) & (np.abs(values - finite) <= tolerance * (1 + np.abs(finite)))
 
-    return Linearisation(
-        gradient, jacobian, active(rows / steep, nlp.lbg / steep), active(rows / steep, nlp.ubg / steep),
-        active(z, nlp.lbx) & ~(lifted.member & (nlp.lbx == 0)), active(z, nlp.ubx),
-        np.abs(z[lifted.pairs]) <= corner,
-    )  # fmt: skip
+    own = np.where(lifted.member & (nlp.lbx == 0), -np.inf, nlp.lbx)
+    zero = np.abs(z[lifted.pairs]) <= corner
+    return Linearisation(gradient, jacobian, active(nlp.lbg, own), active(nlp.ubg, nlp.ubx), zero)
 
 
 def steepness(jacobian: sp.csr_matrix) -> Array:
@@ -95,14 +94,15 @@ class Direction:
 
 def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) -> Direction | None:
     """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
-    lower, upper = np.where(lin.z_lower, 0.0, -1.0), np.where(lin.z_upper, 0.0, 1.0)
+    (row_lower, z_lower), (row_upper, z_upper) = (
+        np.split(active, [lifted.nlp.n_g]) for active in (lin.lower, lin.upper)
+    )
+    lower, upper = np.where(z_lower, 0.0, -1.0), np.where(z_upper, 0.0, 1.0)
     lower[lifted.pairs[lin.zero]] = 0.0
     upper[lifted.pairs[lin.zero & ~lin.zero[::-1]]] = 0.0
-    active = np.flatnonzero(lin.row_lower | lin.row_upper)
+    active = np.flatnonzero(row_lower | row_upper)
     rows = LinearConstraint(
-        lin.jacobian[active],
-        np.where(lin.row_lower[active], 0.0, -np.inf),
-        np.where(lin.row_upper[active], 0.0, np.inf),
+        lin.jacobian[active], np.where(row_lower[active], 0, -np.inf), np.where(row_upper[active], 0, np.inf)
     )
     members = np.zeros(lifted.nlp.n_x)
     direction = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], lin.biactive, members, budget)
@@ -140,6 +140,11 @@ def nearest_branch(
     return None if direction is None else (z + radius * direction.step, direction.zero)
 
 
+def limits(budget: Budget | None) -> dict[str, float]:
+    """The options of HiGHS by which it stops in time."""
+    return {} if budget is None else {"time_limit": max(budget.remaining, LEAST_SECONDS)}
+
+
 def _milp(
     cost: Array,
     rows: LinearConstraint,
@@ -169,15 +174,13 @@ def _milp(
     if rows.A.shape[0]:
         wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
         constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
-    options: dict[str, float] = {"node_limit": int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))}
-    if budget is not None and np.isfinite(budget.remaining):
-        options["time_limit"] = max(budget.remaining, LEAST_SECONDS)
+    nodes = int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))
     answer = milp(
         np.append(cost, np.zeros(k)),
         integrality=np.append(np.zeros(n), np.ones(k)),
         bounds=Bounds(np.append(lower, np.zeros(k)), np.append(upper, np.ones(k))),
         constraints=constraints,
-        options=options,
+        options={"node_limit": nodes, **limits(budget)},
     )
     if answer.x is None:
         return None

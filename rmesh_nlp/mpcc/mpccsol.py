@@ -25,6 +25,7 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
+from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.status import Status
 
 _COLUMNS = ["f", "g", "G", "H"]
@@ -102,13 +103,12 @@ class MPCCFunction(ca.Function):
         }  # fmt: skip
 
 
-class _Solve(ca.Callback):
+class _Solve(PythonFunction):
     """The solver as a callback on numbers."""
 
     def __init__(
         self, name: str, mpcc: MPCC, options: Options, error_on_fail: bool, own: dict[str, Any]
     ) -> None:
-        ca.Callback.__init__(self)
         self._mpcc, self._name, self._options, self._error_on_fail = mpcc, name, options, error_on_fail
         sums = {"gamma": _COLUMNS}
         weights = [f"lam:{column}" for column in _COLUMNS]
@@ -122,36 +122,23 @@ class _Solve(ca.Callback):
             for part in _KEYS
             for name in ("{}", "{}0", "lb{}", "ub{}", "lam_{}", "lam_{}0")
         }
-        self.construct(f"{name}_solve", own)
-
-    def get_n_in(self) -> int:
-        """Number of inputs."""
-        return len(_INPUTS)
-
-    def get_n_out(self) -> int:
-        """Number of outputs."""
-        return len(_OUTPUTS)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        """A column."""
-        return ca.Sparsity.dense(self.sizes[_INPUTS[i]], 1)
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        """A column."""
-        return ca.Sparsity.dense(self.sizes[_OUTPUTS[i]], 1)
+        inputs, outputs = (
+            [ca.Sparsity.dense(self.sizes[key], 1) for key in keys] for keys in (_INPUTS, _OUTPUTS)
+        )
+        super().__init__(f"{name}_solve", inputs, outputs, own)
 
     def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
         """Solve for numbers."""
         given = {name: flat(value) for name, value in zip(_INPUTS, arguments, strict=True)}
         try:
-            return [ca.DM(value) for value in self._outputs(given)]
+            return [ca.DM(value) for value in self._answers(given)]
         except (Exception, KeyboardInterrupt) as error:
             if not self.is_called:
                 raise
             self.error = error  # CasADi would print it and lose its kind
             return [ca.DM.nan(self.sizes[name], 1) for name in _OUTPUTS]
 
-    def _outputs(self, given: dict[str, Array]) -> list[Any]:
+    def _answers(self, given: dict[str, Array]) -> list[Any]:
         duals = Duals(*(given[f"lam_{part}0"] for part in ("x", "g", "G", "H")))
         is_warm = any(np.any(np.nan_to_num(values)) for values in vars(duals).values())
         solver = self._solver(*(given[name].tobytes() for name in _BOUNDS))

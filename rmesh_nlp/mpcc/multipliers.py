@@ -8,7 +8,6 @@ which a solve ended prove S where they have its signs. Linear programs over the 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,66 +28,74 @@ class Multipliers:
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """Gradients of what is active at a linearised point: rows, then bounds, then zero members of pairs."""
+    """Gradients of what is active at a linearised point: rows, then bounds, then zero members of pairs.
 
-    lifted: Lifted
+    Attributes
+    ----------
+    lin : Linearisation
+    matrix : sparse (n_x, number of columns)
+    active : int array
+        The active ones of the rows and of the unknowns, in one numbering.
+    members : int array
+        Places of the zero members in the raveled pairs.
+    unknowns : int array
+        The unknown that a bound or a member is, of the columns after the ``n_rows`` first.
+    corner : bool array
+        Of each column whether it is a member of a biactive pair.
+    may_fall, may_rise : bool arrays
+        Whether a multiplier may be negative (of a lower bound, and of every member) and positive, with the
+        signs of W. With those of S multipliers of the corner may not rise.
+    """
+
     lin: Linearisation
+    matrix: sp.csc_matrix
+    active: IntArray
+    members: IntArray
+    unknowns: IntArray
+    corner: BoolArray
+    may_fall: BoolArray
+    may_rise: BoolArray
 
-    @cached_property
-    def rows(self) -> IntArray:
-        """Active rows."""
-        return np.flatnonzero(self.lin.row_lower | self.lin.row_upper).astype(np.int64)
+    @property
+    def n_rows(self) -> int:
+        """Number of active rows."""
+        return self.corner.size - self.unknowns.size
 
-    @cached_property
-    def bounds(self) -> IntArray:
-        """Unknowns at a bound of their own."""
-        return np.flatnonzero(self.lin.z_lower | self.lin.z_upper).astype(np.int64)
-
-    @cached_property
-    def members(self) -> IntArray:
-        """Places of the zero members in the raveled pairs."""
-        return np.flatnonzero(self.lin.zero).astype(np.int64)
-
-    @cached_property
-    def corner(self) -> BoolArray:
-        """Of each zero member whether its pair is biactive."""
-        both = self.lin.zero & self.lin.zero[::-1]
-        return np.asarray(both[self.lin.zero])
-
-    @cached_property
-    def matrix(self) -> sp.csc_matrix:
-        """M, (n_x, number of columns)."""
-        eye = sp.identity(self.lifted.nlp.n_x, format="csc")
-        places = (self.bounds, self.lifted.pairs[self.lin.zero])
-        return sp.hstack([self.lin.jacobian[self.rows].T, *(eye[:, p] for p in places)], format="csc")
-
-    @cached_property
-    def may_fall(self) -> BoolArray:
-        """Whether a multiplier may be negative: that of a lower bound, and of every member."""
-        lin = self.lin
-        yes = np.ones(self.members.size, dtype=bool)
-        return np.concatenate([lin.row_lower[self.rows], lin.z_lower[self.bounds], yes])
-
-    @cached_property
-    def may_rise(self) -> BoolArray:
-        """Whether it may be positive, with the signs of W: that of biactive members may."""
-        lin = self.lin
-        yes = np.ones(self.members.size, dtype=bool)
-        return np.concatenate([lin.row_upper[self.rows], lin.z_upper[self.bounds], yes])
-
-    @cached_property
-    def may_rise_in_s(self) -> BoolArray:
-        """The same with the signs of S: that of biactive members may not."""
-        own = np.zeros(self.rows.size + self.bounds.size, dtype=bool)
-        return self.may_rise & ~np.append(own, self.corner)
+    def signed(self, values: Array) -> Array:
+        """Each multiplier cut to the signs that S allows."""
+        may_rise = self.may_rise & ~self.corner
+        fallen, risen = np.minimum(values, 0.0), np.maximum(values, 0.0)
+        return np.where(self.may_fall, fallen, 0.0) + np.where(may_rise, risen, 0.0)
 
     def scattered(self, values: Array) -> Multipliers:
         """Multipliers of the columns at their places."""
-        nlp, pairs = self.lifted.nlp, np.zeros(self.lifted.pairs.shape)
-        lam = Multipliers(np.zeros(nlp.n_g), np.zeros(nlp.n_x), pairs)
-        ends = np.cumsum([self.rows.size, self.bounds.size])
-        lam.rows[self.rows], lam.z[self.bounds], pairs.reshape(-1)[self.members] = np.split(values, ends)
-        return lam
+        own, pairs = np.zeros(self.lin.lower.size), np.zeros(self.lin.zero.shape)
+        own[self.active], pairs.reshape(-1)[self.members] = np.split(values, [self.active.size])
+        n_rows = self.lin.jacobian.shape[0]
+        return Multipliers(own[:n_rows], own[n_rows:], pairs)
+
+    def gathered(self, multipliers: Multipliers) -> Array:
+        """The multipliers of the columns."""
+        own = np.append(multipliers.rows, multipliers.z)[self.active]
+        return np.append(own, multipliers.pairs.reshape(-1)[self.members])
+
+
+def columns_of(lifted: Lifted, lin: Linearisation) -> Columns:
+    """What is active at a linearised point."""
+    n_g, active = lifted.nlp.n_g, np.flatnonzero(lin.lower | lin.upper)
+    rows = active[active < n_g]
+    unknowns = np.append(active[rows.size :] - n_g, lifted.pairs[lin.zero])
+    eye, every = sp.identity(lifted.nlp.n_x, format="csc"), np.ones(np.count_nonzero(lin.zero), dtype=bool)
+    return Columns(
+        lin=lin,
+        matrix=sp.hstack([lin.jacobian[rows].T, eye[:, unknowns]], format="csc"),
+        active=active,
+        members=np.flatnonzero(lin.zero),
+        unknowns=unknowns,
+        corner=np.append(np.zeros(active.size, dtype=bool), (lin.zero & lin.zero[::-1])[lin.zero]),
+        may_fall=np.append(lin.lower[active], every),
+        may_rise=np.append(lin.upper[active], every),
+    )
 
 
 def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: float) -> Multipliers | None:
@@ -96,21 +103,14 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
 
     Those of bounds and members are what the Lagrangian leaves to them. It is stationary within ``tolerance``.
     """
-    columns, slack = Columns(lifted, lin), tolerance * lin.scale
-    n_rows, n_bounds = columns.rows.size, columns.bounds.size
-    rows = signed(lam_rows[columns.rows], lin.row_lower[columns.rows], lin.row_upper[columns.rows])
-    values = np.append(rows, np.zeros(n_bounds + columns.members.size))
+    columns = columns_of(lifted, lin)
+    n_rows, unknowns = columns.n_rows, columns.unknowns
+    values = columns.signed(np.append(lam_rows[columns.active[:n_rows]], np.zeros(unknowns.size)))
     rest = -(lin.gradient + columns.matrix @ values)
     # an unknown may be a member of several pairs: the one with the freest sign takes all
-    places = np.append(columns.bounds, lifted.pairs[lin.zero])
-    order = np.argsort(np.append(np.zeros(n_bounds, dtype=bool), columns.corner), kind="stable")
-    unknowns, first = np.unique(places[order], return_index=True)
-    values[n_rows + order[first]] = rest[unknowns]
-    values = signed(values, columns.may_fall, columns.may_rise_in_s)
-    residual = np.abs(lin.gradient + columns.matrix @ values)
-    return columns.scattered(values) if np.max(residual, initial=0.0) <= slack else None
-
-
-def signed(values: Array, may_fall: BoolArray, may_rise: BoolArray) -> Array:
-    """Each multiplier cut to the signs it may have."""
-    return np.where(may_fall, np.minimum(values, 0.0), 0.0) + np.where(may_rise, np.maximum(values, 0.0), 0.0)
+    order = np.argsort(columns.corner[n_rows:], kind="stable")
+    distinct, first = np.unique(unknowns[order], return_index=True)
+    values[n_rows + order[first]] = rest[distinct]
+    values = columns.signed(values)
+    residual = np.max(np.abs(lin.gradient + columns.matrix @ values), initial=0.0)
+    return columns.scattered(values) if residual <= tolerance * lin.scale else None

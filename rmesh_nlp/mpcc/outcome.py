@@ -28,21 +28,17 @@ def best(paths: Sequence[Path]) -> Finish | None:
     return max((p.finish for p in paths if p.finish is not None), key=lambda end: end.rank, default=None)
 
 
-def leave_saddles(run: Run, paths: list[Path]) -> str:
-    """Go on from ends with negative curvature, keep what is lower, and say what was found at the last."""
-    word = "not tested"
+def leave_saddles(run: Run, paths: list[Path]) -> None:
+    """Go on from ends with negative curvature, and keep what is lower."""
     for _ in range(_SADDLES):
         end = best(paths)
         if end is None or not end.solved:
-            return word
-        word, d = descent_of_curvature(run, end)
-        if d is None:
-            return word
-        lower = _beyond(run, end, d)
+            return
+        run.curvature, d = descent_of_curvature(run, end)
+        lower = None if d is None else _beyond(run, end, d)
         if lower is None:
-            return word
+            return
         paths.append(Path(finish=lower))
-    return word
 
 
 def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
@@ -56,34 +52,30 @@ def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
     return None
 
 
-def end_of(
-    run: Run, paths: Sequence[Path], z0: Array, limit: Status | None, infeasible: bool = False
-) -> Finish:
+def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
     end = best(paths)
     if end is not None and end.stationarity is not None:
-        return end if end.solved or limit is None else replace(end, status=limit)
+        return end if end.solved or run.limit is None else replace(end, status=run.limit)
     z, f, excess = run.nearest or (z0, np.nan, np.inf)
-    if limit is not None:
-        return Finish(z, f, limit)
+    if run.limit is not None:
+        return Finish(z, f, run.limit)
     ends = [path.finish for path in paths if path.finish is not None]
     points = [path.relaxed.x for path in paths if path.relaxed is not None]
     for point in [z, *points, *(end.z for end in ends)]:
-        f = run.nlps.measure(point, run.p)[0]
+        f = run.measure(point)[0]
         if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
             return Finish(point, f, Status.UNBOUNDED)
-    if infeasible and excess > 1.0:  # a local minimum of the violation was certified
+    if run.is_infeasible and excess > 1.0:  # a local minimum of the violation was certified
         return Finish(z, f, Status.INFEASIBLE)
     said = [path.failure for path in paths if path.failure is not None] + [end.status for end in ends]
     return Finish(z, f, next((status for status in said if status not in _UNTOLD), Status.STALLED))
 
 
-def result_of(
-    run: Run, end: Finish, build: float, total: float, rescues: int, curvature: str = "not tested"
-) -> MPCCResult:
+def result_of(run: Run, end: Finish) -> MPCCResult:
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.lifted, run.lifted.source
-    f, res, (g, G, H) = run.nlps.measure(end.z, run.p)
+    f, res, (g, G, H) = run.measure(end.z)
     stationarity = end.stationarity
     column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
@@ -99,7 +91,7 @@ def result_of(
         check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], search=end.solved)
         if end.solved and check.verdict == "no minimum":
             status = Status.NO_MINIMUM
-    phases = {"homotopy": 0.0, "finish": 0.0}
+    phases = {"build": run.nlps.build_seconds - run.built, "homotopy": 0.0, "finish": 0.0}
     for step in run.steps:
         phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
     where = ""
@@ -109,7 +101,7 @@ def result_of(
         where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
-        message=f"{status.message} {where}".strip(), lower_level=check, curvature=curvature,
+        message=f"{status.message} {where}".strip(), lower_level=check, curvature=run.curvature,
         **vars(res),
         stationarity="" if stationarity is None else stationarity.label,
         b_stationary=None if stationarity is None else stationarity.b_stationary,
@@ -118,7 +110,23 @@ def result_of(
         history=tuple(run.steps),
         counts={
             "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
-            "pivots": end.pivots, "rescues": rescues,
+            "pivots": end.pivots, "rescues": run.rescues,
         },
-        seconds={"build": build, **phases, "total": total},
+        seconds={**phases, "total": run.watch.elapsed},
     )  # fmt: skip
+
+
+def best_of(ends: Sequence[MPCCResult]) -> MPCCResult:
+    """The lowest successful result of several starts; if none succeeded, the most nearly feasible one.
+
+    It has all of them, with counts and seconds that are sums. Those of one trajectory are one object.
+    """
+    if len(ends) == 1:
+        return ends[0]
+    best = min(
+        ends, key=lambda r: (not r.success, r.f if r.success else r.constraint_violation + r.complementarity)
+    )
+    own = list(dict.fromkeys(ends))
+    counts = {name: sum(r.counts[name] for r in own) for name in best.counts}
+    seconds = {name: sum(r.seconds[name] for r in own) for name in best.seconds}
+    return replace(best, ends=tuple(ends), counts=counts, seconds=seconds)

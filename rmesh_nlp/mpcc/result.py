@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -118,6 +118,11 @@ def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
     return worst if np.isfinite(worst) else np.inf
 
 
+def is_same(f: float, other: float) -> bool:
+    """Whether two objectives are taken for those of one point, or of one trajectory at the same t."""
+    return bool(np.isclose(f, other, rtol=1e-4, atol=1e-4))
+
+
 def in_words(stationarity: str, b_stationary: bool | None, n_biactive: int) -> str:
     """A stationarity label, and what it means with so many biactive pairs."""
     if stationarity == "S" and n_biactive == 0:
@@ -197,8 +202,9 @@ class MPCCResult:
         Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
         saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with
         slacks, no Hessian, or more than six constraints without multipliers).
-    reached : tuple of Reached
-        Of several starts: what they ended at, the lowest first. The result itself is the best one;
+    ends : tuple of MPCCResult
+        The results of several starts, in their order; the first is from the given start. A start whose
+        trajectory came upon a former one has that one's result. The result itself is the best one; its
         ``counts`` and ``seconds`` are sums over all starts.
     lower_level : LowerLevelCheck, optional
         Of a bilevel program: whether its lower level is at a minimum. Without success where it is not.
@@ -227,7 +233,7 @@ class MPCCResult:
     seconds: Mapping[str, float]
     lower_level: LowerLevelCheck | None = None
     curvature: str = "not tested"
-    reached: tuple[Reached, ...] = ()
+    ends: tuple[MPCCResult, ...] = ()
 
     @property
     def n_biactive(self) -> int:
@@ -238,6 +244,18 @@ class MPCCResult:
     def label(self) -> str:
         """The stationarity in words: the letter, and what it means here."""
         return in_words(self.stationarity, self.b_stationary, self.n_biactive)
+
+    @property
+    def reached(self) -> tuple[Reached, ...]:
+        """What several starts ended at: objectives, the lowest first, then statuses without success."""
+        reached: list[Reached] = []
+        for end in sorted(self.ends, key=lambda r: (not r.success, r.f if r.success else 0.0)):
+            last, f = reached[-1] if reached else None, end.f if end.success else np.nan
+            if last is not None and last.status is end.status and (not end.success or is_same(f, last.f)):
+                reached[-1] = replace(last, starts=last.starts + 1)
+            else:
+                reached.append(Reached(f, end.status, 1))
+        return tuple(reached)
 
     def table(self) -> str:
         """The history as text, one line per NLP solve."""

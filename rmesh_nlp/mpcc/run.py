@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray
-from rmesh_nlp.mpcc.nlps import CompiledNLPs, Watch
-from rmesh_nlp.mpcc.result import Iterate, Step
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.mpcc.nlps import CompiledNLPs
+from rmesh_nlp.mpcc.result import Iterate, Residuals, Step, excess, residuals
+from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.callbacks import Monitor
-from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.optimize.solver import NLPResult, Solver
+from rmesh_nlp.optimize.status import Status
 
-Progress = Callable[[str], None]
-Watchers = tuple[Progress | None, Callable[[Step], None] | None, Callable[[Iterate], None] | None]
-"""Who is told of lines, of steps and of iterations."""
+Watchers = tuple[Callable[[str], None] | None, Callable[[Iterate], None] | None]
+"""Who is told of lines, one per NLP, and of iterations."""
 
 
 class Run:
@@ -33,6 +34,14 @@ class Run:
         Ipopt iterations spent.
     nearest : (z, f, excess) or None
         The point with the smallest residuals that any NLP ended at; of exact ones the lowest.
+    limit : Status or None
+        The limit that ended it.
+    is_infeasible : bool
+        Whether a local minimum of the violation was shown.
+    rescues : int
+        Trajectories that were tried beside the first.
+    curvature : str
+        As in ``MPCCResult``, at the best end.
     """
 
     def __init__(
@@ -40,24 +49,38 @@ class Run:
         nlps: CompiledNLPs,
         p: Array,
         weight: float = 1.0,
-        progress: Progress | None = None,
-        on_step: Callable[[Step], None] | None = None,
-        on_iteration: Callable[[Iterate], None] | None = None,
+        watchers: Watchers = (None, None),
         budget: Budget | None = None,
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
         self.p = np.append(p, weight)
         self.steps: list[Step] = []
+        self.watch, self.built = Budget(), nlps.build_seconds
         self.budget = budget or nlps.options.budget()
         self._before = self.budget.iterations
         self.nearest: tuple[Array, float, float] | None = None
-        self._progress, self._on_step, self._on_iteration = progress, on_step, on_iteration
-        if progress is not None:
-            progress(Step.HEADER)
+        self.limit: Status | None = None
+        self.is_infeasible, self.rescues, self.curvature = False, 0, "not tested"
+        self._progress, self._on_iteration = watchers
+        if self._progress is not None:
+            self._progress(Step.HEADER)
 
-    def relaxed(self, z: Array, t: float, warm: NLPResult | None = None, **how: bool | int) -> NLPResult:
-        """Solve the relaxation at ``t``, see :meth:`CompiledNLPs.relaxed`."""
-        return self.solve("relaxed", t, lambda w: self.nlps.relaxed(z, self.p, t, warm, w, **how))
+    @contextmanager
+    def limited(self) -> Iterator[None]:
+        """What runs in this context is left at a limit, which is remembered."""
+        try:
+            yield
+        except StoppedError as stop:
+            self.limit = stop.status
+
+    def relaxed(self, z: Array, t: float, warm: NLPResult | None = None, **how: bool) -> NLPResult:
+        """Solve the relaxation at ``t`` from ``z``, and from the multipliers of ``warm``.
+
+        The words of ``how`` are those of :meth:`Options.relaxed`.
+        """
+        nlp, _ = self.nlps.relaxed
+        solver = self.nlps.solver(nlp, self.options.relaxed(nlp.n_x, warm is not None, **how))
+        return self.solve("relaxed", t, solver, z, p=np.append(self.p, t), **_multipliers(warm))
 
     def branch(
         self,
@@ -68,24 +91,47 @@ class Run:
         free_signs: bool = False,
         warm: NLPResult | None = None,
     ) -> NLPResult:
-        """Solve the NLP in which the given members are zero, see :meth:`CompiledNLPs.branch`."""
-        parts = (z, self.p, zero)
-        return self.solve(
-            phase,
-            0.0,
-            lambda w: self.nlps.branch(*parts, free_signs=free_signs, warm=warm, watch=w),
-        )
+        """Solve the NLP in which the given members are zero, from ``z``.
+
+        ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
+        """
+        nlp, (lower, upper) = self.lifted.nlp, self._bounds(zero, free_signs)
+        solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x, warm is not None))
+        start = np.clip(z, lower, upper)
+        return self.solve(phase, 0.0, solver, start, p=self.p, lbx=lower, ubx=upper, **_multipliers(warm))
 
     def least_violation(self, z: Array, zero: BoolArray) -> NLPResult:
-        """Minimise the violation of the rows on a branch, see :meth:`CompiledNLPs.least_violation`."""
-        return self.solve("feasible", 0.0, lambda w: self.nlps.least_violation(z, self.p, zero, w))
+        """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
 
-    def solve(self, phase: str, t: float, nlp: Callable[[Watch], NLPResult]) -> NLPResult:
-        """Solve an NLP within the limits, watched and recorded."""
+        ``f`` is that sum.
+        """
+        nlp, (lower, upper) = self.nlps.elastic, self._bounds(zero)
+        z = np.clip(z, lower, upper)
+        rows, _ = self.lifted.jacobian(z, self.p)
+        apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
+        start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
+        solver, others = self.nlps.solver(nlp, self.options.exact(nlp.n_x)), np.zeros(2 * nlp.n_g)
+        bounds = {"lbx": np.append(lower, others), "ubx": np.append(upper, others + np.inf)}
+        return self.solve("feasible", 0.0, solver, start, p=self.p, **bounds)
+
+    def _bounds(self, zero: BoolArray, free_signs: bool = False) -> tuple[Array, Array]:
+        """Bounds of the lifted unknowns with the given members at zero."""
+        lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
+        if free_signs:
+            lower[self.lifted.member] = -np.inf
+        fixed = self.lifted.pairs[zero]
+        lower[fixed] = upper[fixed] = 0.0
+        return lower, upper
+
+    def solve(self, phase: str, t: float, solver: Solver, z: Array, **arguments: Array) -> NLPResult:
+        """Solve an NLP within the limits, watched and recorded; idle unknowns of the solver are left out."""
         self.budget.check()
-        before = self.budget.iterations
-        only_clock = self._on_iteration is None and self.budget.iterations_left is None
-        result = nlp(Watch(self._monitor(phase, t), only_clock))
+        before, n, idle = self.budget.iterations, self.lifted.nlp.n_x, np.zeros(solver.nlp.n_x - z.size)
+        for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
+            if name in arguments:
+                arguments[name] = np.append(arguments[name], idle + fill)
+        result = solver(np.append(z, idle), monitor=self._monitor(phase, t), **arguments)
+        result = replace(result, x=result.x[:n], lam_x=result.lam_x[:n])
         self.budget.iterations = before + result.iterations
         self._record(phase, t, result)
         self.budget.check()
@@ -105,12 +151,10 @@ class Run:
         self.steps.append(step)
         if self._progress is not None:
             self._progress(step.line())
-        if self._on_step is not None:
-            self._on_step(step)
 
     def keep(self, z: Array, f: float) -> None:
         """Remember a point if it is better than the one remembered."""
-        excess = self.nlps.excess(z, self.p)
+        excess = self.excess(z)
         if np.isfinite(excess) and (
             self.nearest is None or (max(excess, 1.0), f) < (max(self.nearest[2], 1.0), self.nearest[1])
         ):
@@ -120,34 +164,87 @@ class Run:
         """Weighted objective at a lifted point, as in a ``Finish``."""
         return float(self.lifted.value(z, self.p)[0][0])
 
+    def measure(self, z: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
+        """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
+        source = self.lifted.source
+        x = z[: source.n_x]
+        f, column = self.lifted.source_values(x, self.p[:-1])
+        g, G, H = np.split(column, [source.n_g, source.n_g + source.n_pairs])
+        return float(f[0]), residuals(source, x, g, G, H), (g, G, H)
+
     def exact(self, z: Array) -> bool:
         """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
-        return self.nlps.excess(z, self.p) <= 1.0
+        return self.excess(z) <= 1.0
+
+    def excess(self, z: Array) -> float:
+        """Largest residual of the source problem in units of its tolerance: at most 1 is a solution.
+
+        A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1), as rounding is.
+        """
+        lifted, options, source = self.lifted, self.options, self.lifted.source
+        x = z[: source.n_x]
+        _, nonzeros = lifted.jacobian(z, self.p)
+        row_of, column_of = lifted.pattern
+        scale = np.ones(source.n_g + 2 * source.n_pairs)
+        with np.errstate(invalid="ignore"):  # what is not finite is infinitely far away, below
+            np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
+        f, rows = lifted.source_values(x, self.p[:-1])
+        lower = np.append(source.lbg, np.zeros(2 * source.n_pairs))
+        upper = np.append(source.ubg, np.full(2 * source.n_pairs, np.inf))
+        G, H = np.split(np.abs(rows[source.n_g :]) / scale[source.n_g :], 2)
+        worst = max(
+            excess(rows / scale, lower / scale, upper / scale) / options.feasibility,
+            excess(x, np.asarray(source.lbx), np.asarray(source.ubx)) / options.feasibility,
+            float(np.max(np.minimum(G, H), initial=0.0)) / options.complementarity,
+        )
+        return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
+
+    def without_relaxation(self, result: NLPResult, t: float) -> NLPResult:
+        """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
+        lifted, n_rows = self.lifted, self.lifted.nlp.n_g
+        _, pull = self.nlps.relaxed
+        lam = result.lam_x.copy()
+        *forces, _ = pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])
+        np.add.at(lam, lifted.pairs, np.array(forces))
+        return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
+
+    def cost(self, result: NLPResult, t: float) -> float:
+        """What the objective would change by if t fell to zero, to first order."""
+        _, pull = self.nlps.relaxed
+        *_, slope = pull(*result.x[self.lifted.pairs], t, result.lam_g[self.lifted.nlp.n_g :])
+        return t * abs(float(slope[0]))
+
+    def padded(self, result: NLPResult) -> NLPResult:
+        """Multipliers of the lifted NLP as a start of the relaxation: its own rows get zero."""
+        n_rows = self.lifted.nlp.n_g
+        extra = self.nlps.relaxed[0].n_g - n_rows
+        return replace(result, lam_g=np.append(result.lam_g[:n_rows], np.zeros(extra)))
 
     @property
     def iterations(self) -> int:
         """Ipopt iterations spent."""
         return self.budget.iterations - self._before
 
-    def _monitor(self, phase: str, t: float) -> Monitor | None:
-        """What the NLP calls after each iteration; nothing if nobody asks."""
-        budget, show = self.budget, self._on_iteration
-        if show is None and not budget.is_limited:
-            return None
-        # of the whole solve: the callback's own count goes on between NLPs
-        count, n_z, n_x = itertools.count(budget.iterations), self.lifted.nlp.n_x, self.lifted.source.n_x
+    def _monitor(self, phase: str, t: float) -> Monitor:
+        """What an NLP calls after each iteration."""
+        budget, before, n = self.budget, self.budget.iterations, self.lifted.nlp.n_x
 
-        def after(iteration: int, z: Array, f: float, lam_g: Array) -> bool:
-            budget.iterations = next(count)
-            if show is not None:
-                measured = self._measured(phase, t, z[:n_z])
-                show(Iterate(iteration=self.iterations, x=z[:n_x], **measured))
+        def after(iteration: int, z: Array, *_: object) -> bool:
+            budget.iterations = before + iteration
+            if self._on_iteration is not None:
+                measured = self._measured(phase, t, z[:n])
+                x = z[: self.lifted.source.n_x]
+                self._on_iteration(Iterate(iteration=self.iterations, x=x, **measured))
             return budget.is_over()
 
         return after
 
     def _measured(self, phase: str, t: float, z: Array) -> dict[str, Any]:
-        f, res, (_, G, H) = self.nlps.measure(z, self.p)
+        f, res, (_, G, H) = self.measure(z)
         near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
         biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
         return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **vars(res)}
+
+
+def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
+    return {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}

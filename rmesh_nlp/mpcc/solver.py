@@ -4,24 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import islice
+from itertools import chain, islice
 
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import finish, settled
+from rmesh_nlp.mpcc.finish import finish, labelled, settled
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options
-from rmesh_nlp.mpcc.outcome import end_of, leave_saddles, result_of
+from rmesh_nlp.mpcc.outcome import best_of, end_of, leave_saddles, result_of
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.rescues import rescue
-from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Step
-from rmesh_nlp.mpcc.run import Progress, Run, Watchers
-from rmesh_nlp.mpcc.starts import MultiStart, moved_starts
-from rmesh_nlp.optimize.budget import Budget, StoppedError
-from rmesh_nlp.optimize.solver import NLPResult
+from rmesh_nlp.mpcc.rescues import moved_starts, rescue
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult
+from rmesh_nlp.mpcc.run import Run, Watchers
+from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.status import Status
+
+Progress = Callable[[str], None] | bool
 
 
 class MPCCSolver:
@@ -45,99 +46,71 @@ class MPCCSolver:
         *,
         p: ArrayLike = (),
         start: MPCCResult | Duals | None = None,
-        progress: Progress | bool = False,
-        on_step: Callable[[Step], None] | None = None,
+        progress: Progress = False,
         on_iteration: Callable[[Iterate], None] | None = None,
         budget: Budget | None = None,
     ) -> MPCCResult:
         """Solve from ``x0`` with parameters ``p``; see :func:`solve`. A ``budget`` replaces the limits."""
-        show = print if progress is True else (progress or None)
-        many = self._several(x0, p, start, (show, on_step, on_iteration), budget)
-        return many.results[0] if self.options.starts == 1 else many.summary()
-
-    def several(
-        self,
-        x0: ArrayLike,
-        *,
-        p: ArrayLike = (),
-        progress: Progress | bool = False,
-        budget: Budget | None = None,
-    ) -> MultiStart:
-        """Solve from ``x0`` and from ``starts - 1`` others; the results of all."""
-        show = print if progress is True else (progress or None)
-        return self._several(x0, p, None, (show, None, None), budget)
-
-    def _several(
-        self,
-        x0: ArrayLike,
-        p: ArrayLike,
-        start: MPCCResult | Duals | None,
-        watchers: Watchers,
-        budget: Budget | None,
-    ) -> MultiStart:
-        options, budget = self.options, budget or self.options.budget()
-        parameters = self.mpcc.parameters(p)
+        watchers: Watchers = (print if progress is True else (progress or None), on_iteration)
+        parameters, budget, options = self.mpcc.parameters(p), budget or self.options.budget(), self.options
         given = self.mpcc.start(x0, parameters)
         weight = self.nlps.lifted.weight(given, parameters)
-        first = None
-        if start is not None:
-            first = warm_start(self.nlps.lifted, self.nlps.lifted.start(given, parameters), weight, start)
-        results: list[MPCCResult] = []
-        joined: list[int | None] = []
+        ends: list[MPCCResult] = []
         former: list[dict[float, float]] = []
-        others = islice(moved_starts(self.mpcc, given, options.seed), options.starts - 1)
-        starts = [given, *others]
-        for x in starts:
-            run = Run(self.nlps, parameters, weight, *watchers, budget)
-            result, path = self._one(run, x, first, former)
-            joined.append(path.joined)
-            results.append(result if path.joined is None else results[path.joined])
+        for x in islice(chain([given], moved_starts(self.mpcc, given, options.seed)), options.starts):
+            run = Run(self.nlps, parameters, weight, watchers, budget)
+            result, path = self._one(run, x, None if ends else start, former)
+            ends.append(result if path.joined is None else ends[path.joined])
             former.append(path.levels if result.success else {})
             if budget.is_over():
                 break
-        return MultiStart(tuple(results), tuple(starts[: len(results)]), options.seed, tuple(joined))
+        return best_of(ends)
 
     def _one(
-        self, run: Run, given: Array, first: NLPResult | None, former: Sequence[dict[float, float]]
+        self,
+        run: Run,
+        given: Array,
+        start: MPCCResult | Duals | None,
+        former: Sequence[dict[float, float]],
     ) -> tuple[MPCCResult, Path]:
         """Solve from one start; also the trajectory of the homotopy, which may have joined a former one."""
-        watch, nlps, built = Budget(), self.nlps, self.nlps.build_seconds
-        z0, is_first = nlps.lifted.start(given, run.p[:-1]), not former
-        paths, main = [], Path()
-        limit, rescues, infeasible, curvature = None, 0, False, "not tested"
-        try:
-            if first is not None and is_first:
-                paths.append(Path(finish=settled(run, run.branch(z0, nlps.lifted.smaller(z0), warm=first))))
+        lifted, paths, main = self.nlps.lifted, list[Path](), Path()
+        z0 = lifted.start(given, run.p[:-1])
+        first = None if start is None else warm_start(lifted, z0, run.p[-1], start)
+        with run.limited():
+            if first is not None:
+                paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))
             if not any(path.ended for path in paths):
                 paths.append(main)
-                follow(run, main, z0, self.options.t0, first if is_first else None, former)
-            if is_first:
-                before = len(paths)
-                infeasible = rescue(run, paths, given, z0)
-                rescues = len(paths) - before
+                follow(run, main, z0, self.options.t0, first, former)
+            if not former:
+                rescue(run, paths, given, z0)
             if main.joined is None:
-                curvature = leave_saddles(run, paths)
-        except StoppedError as stop:
-            limit = stop.status
-        end = end_of(run, paths, z0, limit, infeasible)
-        return result_of(run, end, nlps.build_seconds - built, watch.elapsed, rescues, curvature), main
+                leave_saddles(run, paths)
+        return result_of(run, end_of(run, paths, z0)), main
 
     def finish(self, x0: ArrayLike, *, p: ArrayLike = (), budget: Budget | None = None) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
 
         It descends over the branches from the one that ``x0`` is next to, without any relaxation.
         """
-        watch, built, path = Budget(), self.nlps.build_seconds, Path()
-        parameters = self.mpcc.parameters(p)
-        given = self.mpcc.start(x0, parameters)
-        z0, weight = self.nlps.lifted.start(given, parameters), self.nlps.lifted.weight(given, parameters)
-        run, limit = Run(self.nlps, parameters, weight, budget=budget), None
-        try:
+        run, z0 = self._at(x0, p, budget)
+        path = Path()
+        with run.limited():
             path.keep(finish(run, z0, search=not run.exact(z0)))
-        except StoppedError as stop:
-            limit = stop.status
-        end = end_of(run, [path], z0, limit)
-        return result_of(run, end, self.nlps.build_seconds - built, watch.elapsed, 0)
+        return result_of(run, end_of(run, [path], z0))
+
+    def classify(self, x: ArrayLike, *, p: ArrayLike = ()) -> MPCCResult:
+        """Measure and label a given point; see :func:`classify`."""
+        run, z = self._at(x, p)
+        return result_of(run, labelled(run, z, run.objective(z), Status.CONVERGED))
+
+    def _at(self, x: ArrayLike, p: ArrayLike, budget: Budget | None = None) -> tuple[Run, Array]:
+        """A run, and a point of the source problem as one of the lifted problem."""
+        lifted, parameters = self.nlps.lifted, self.mpcc.parameters(p)
+        given = self.mpcc.start(x, parameters)
+        run = Run(self.nlps, parameters, lifted.weight(given, parameters), budget=budget)
+        return run, lifted.start(given, parameters)
 
 
 def solve(
@@ -147,8 +120,7 @@ def solve(
     p: ArrayLike = (),
     start: MPCCResult | Duals | None = None,
     options: Options | None = None,
-    progress: Progress | bool = False,
-    on_step: Callable[[Step], None] | None = None,
+    progress: Progress = False,
     on_iteration: Callable[[Iterate], None] | None = None,
     **changes: object,
 ) -> MPCCResult:
@@ -168,16 +140,16 @@ def solve(
     options : Options, optional
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.
-    on_step : callable, optional
-        Receives the ``Step`` of each NLP: t, residuals, product, number of biactive pairs.
     on_iteration : callable, optional
-        Receives an ``Iterate`` after each Ipopt iteration; costs an evaluation of the problem each.
+        Receives an ``Iterate`` after each Ipopt iteration: t, residuals, product, number of biactive pairs;
+        costs an evaluation of the problem each.
     **changes
-        Single fields of ``Options`` by name, e.g. ``relaxation="kanzow-schwartz"``.
+        Single fields of ``Options`` by name, e.g. ``relaxation="kanzow-schwartz"``, ``starts=10``.
 
     Returns
     -------
     MPCCResult
+        Of several starts that of the best end, with all of them in ``ends``.
 
     Raises
     ------
@@ -189,33 +161,19 @@ def solve(
     chosen = (options or Options()).having(changes)
     budget = chosen.budget()  # what is built counts too
     solver = MPCCSolver(mpcc, chosen)
-    result = solver(
-        x0, p=p, start=start, progress=progress, on_step=on_step, on_iteration=on_iteration, budget=budget
-    )
+    result = solver(x0, p=p, start=start, progress=progress, on_iteration=on_iteration, budget=budget)
     seconds = {**result.seconds, "build": solver.nlps.build_seconds, "total": budget.elapsed}
     return replace(result, seconds=seconds)
 
 
-def multistart(
-    mpcc: MPCC,
-    x0: ArrayLike,
-    *,
-    n: int = 10,
-    seed: int = 0,
-    p: ArrayLike = (),
-    options: Options | None = None,
-    progress: Progress | bool = False,
-    **changes: object,
-) -> MultiStart:
-    """Solve from ``x0`` and from ``n - 1`` seeded random starts around it; the results of all.
+def classify(mpcc: MPCC, x: ArrayLike, *, p: ArrayLike = (), options: Options | None = None) -> MPCCResult:
+    """Measure and label a given point, without solving the MPCC.
 
-    ``solve(..., starts=n, seed=seed)`` returns the best of them. Starts are uniform between the bounds where
-    both are near enough, else normal around ``x0`` and around 0, clipped to the bounds. The same seed gives
-    the same starts. A start whose trajectory comes upon a former one has that one's result. Limits hold for
-    all starts together.
+    The status of a point that is not feasible and complementary is ``inaccurate``; it has no label.
+
+    Raises
+    ------
+    ValueError
+        If ``x`` or ``p`` has the wrong length or is not finite.
     """
-    if n < 1:
-        raise ValueError(f"n = {n} starts: at least 1 is needed")
-    return MPCCSolver(mpcc, options, **{**changes, "starts": n, "seed": seed}).several(
-        x0, p=p, progress=progress
-    )
+    return MPCCSolver(mpcc, options).classify(x, p=p)

@@ -22,22 +22,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import ArrayLike
-from scipy.optimize import linprog
+from scipy.optimize import Bounds, LinearConstraint, milp
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
-from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, linearise
-from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, proving
-from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.options import Options
-from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
+from rmesh_nlp.mpcc.lifting import BoolArray, Lifted
+from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, limits
+from rmesh_nlp.mpcc.multipliers import Multipliers, columns_of, proving
+from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
 _SHARP = 1e-3  # part of the tolerance with which multipliers are asked for first
-_OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
+_OPTIMAL, _INFEASIBLE = 0, 2  # words of milp
 AT_LEAST = "at least "
 Range = tuple[float, float]
 Piece = tuple[Range, Range]
@@ -108,20 +104,18 @@ class _MultiplierLP:
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
-        self.columns, self.pairs, self.decided = Columns(lifted, lin), lin.biactive, True
-        self.budget = budget or Budget()
-        n_own = self.columns.rows.size + self.columns.bounds.size
-        self.at_corner = n_own + np.flatnonzero(self.columns.corner)
+        self.columns, self.pairs, self.decided = columns_of(lifted, lin), lin.biactive, True
+        self.budget = budget
+        self.at_corner = np.flatnonzero(self.columns.corner)
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
         matrix = sp.hstack([self.columns.matrix, self.columns.matrix[:, self.at_corner]], format="csc")
-        self.slack = tolerance * lin.scale
-        self.matrix = sp.vstack([matrix, -matrix], format="csc")
-        self.right = np.append(-lin.gradient, lin.gradient)
-        may_fall, may_rise = self.columns.may_fall, self.columns.may_rise_in_s
-        self.lower = np.append(np.where(may_fall, -np.inf, 0.0), np.zeros(self.at_corner.size))
-        self.upper = np.append(np.where(may_rise, np.inf, 0.0), np.full(self.at_corner.size, np.inf))
-        self.cost = np.repeat([0.0, 1.0], [may_fall.size, self.at_corner.size])
+        self.matrix, self.right, self.slack = matrix, -lin.gradient, tolerance * lin.scale
+        may_fall, may_rise = self.columns.may_fall, self.columns.may_rise & ~self.columns.corner
+        copies = np.zeros(self.at_corner.size)
+        self.lower = np.append(np.where(may_fall, -np.inf, 0.0), copies)
+        self.upper = np.append(np.where(may_rise, np.inf, 0.0), copies + np.inf)
+        self.cost = np.append(np.zeros(may_fall.size), copies + 1.0)
 
     def solve(self, pieces: dict[int, Piece]) -> tuple[Multipliers, float] | None:
         """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any."""
@@ -131,14 +125,13 @@ class _MultiplierLP:
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
                 lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
         if lower.size == 0:
-            return (self.columns.scattered(lower), 0.0) if np.all(self.right >= -self.slack) else None
-        remaining = self.budget.remaining
-        options = {"time_limit": max(remaining, LEAST_SECONDS)} if np.isfinite(remaining) else {}
+            flat = np.all(np.abs(self.right) <= self.slack)
+            return (self.columns.scattered(lower), 0.0) if flat else None
         for slack in (_SHARP * self.slack, self.slack):  # multipliers are used: as sharp as there are
-            answer = linprog(
-                self.cost, A_ub=self.matrix, b_ub=self.right + slack, bounds=np.column_stack([lower, upper]),
-                method="highs", options=options,
-            )  # fmt: skip
+            stationary = LinearConstraint(self.matrix, self.right - slack, self.right + slack)
+            answer = milp(
+                self.cost, bounds=Bounds(lower, upper), constraints=stationary, options=limits(self.budget)
+            )
             if answer.status == _OPTIMAL:
                 break
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
@@ -204,47 +197,3 @@ def _distance(value: float, within: Range) -> float:
 
 def _inside(value: Array, within: Range, zero: float) -> BoolArray:
     return np.asarray((value >= within[0] - zero) & (value <= within[1] + zero))
-
-
-@dataclass(frozen=True, eq=False)
-class Classification:
-    """Stationarity of a given point.
-
-    Attributes
-    ----------
-    stationarity : str
-        As in ``MPCCResult``: the strongest of S, M, C, W, or ``"none"``; ``""`` if infeasible.
-    b_stationary : bool or None
-    feasible : bool
-        Within the scaled tolerances of ``Options``; an infeasible point gets no label.
-    biactive : int array
-    """
-
-    stationarity: str
-    b_stationary: bool | None
-    feasible: bool
-    biactive: IntArray
-
-
-def classify(
-    mpcc: MPCC, x: ArrayLike, *, p: ArrayLike = (), options: Options | None = None
-) -> Classification:
-    """Label a given feasible point, without solving anything but linear programs.
-
-    Raises
-    ------
-    ValueError
-        If ``x`` or ``p`` has the wrong length or is not finite.
-    """
-    settings = options or Options()
-    nlps = CompiledNLPs(mpcc, settings)
-    lifted = nlps.lifted
-    parameters = mpcc.parameters(p)
-    point = mpcc.start(x, parameters)
-    z = lifted.start(point, parameters)
-    parameters = np.append(parameters, lifted.weight(point, parameters))
-    if nlps.excess(z, parameters) > 1.0:
-        return Classification("", None, False, np.zeros(0, dtype=np.int64))
-    lin = linearise(lifted, z, parameters, settings.activity, settings.corner)
-    result = stationarity(lifted, lin, settings.stationarity)
-    return Classification(result.label, result.b_stationary, True, lin.biactive)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from types import FrameType
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.budget import signals_to
 
 Monitor = Callable[[int, Array, float, Array], bool | None]
@@ -23,10 +23,16 @@ class PythonFunction(ca.Callback):
     CasADi does not own Python callbacks: they must live as long as what is made of them.
     """
 
-    def __init__(self, name: str, inputs: Sequence[ca.Sparsity], outputs: Sequence[ca.Sparsity]) -> None:
+    def __init__(
+        self,
+        name: str,
+        inputs: Sequence[ca.Sparsity],
+        outputs: Sequence[ca.Sparsity],
+        options: Mapping[str, Any] | None = None,
+    ) -> None:
         super().__init__()
         self._inputs, self._outputs = inputs, outputs
-        self.construct(name, {})
+        self.construct(name, dict(options or {}))
 
     def get_n_in(self) -> int:
         """Number of inputs."""
@@ -48,49 +54,45 @@ class PythonFunction(ca.Callback):
 class IterationCallback(PythonFunction):
     """Adapter from CasADi's iteration callback, whose inputs are the outputs of nlpsol, to a Monitor."""
 
-    def __init__(self, n_x: int, n_g: int, n_p: int, monitor: Monitor) -> None:
+    def __init__(self, n_x: int, n_g: int, n_p: int) -> None:
         sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
-        self._monitor, self._iteration = monitor, 0
-        self.stop = self.interrupted = False
+        self._monitor: Monitor | None = None
         inputs = [ca.Sparsity.dense(sizes[name]) for name in ca.nlpsol_out()]
         super().__init__("monitor", inputs, [ca.Sparsity.dense(1)])
 
-    def eval(self, arg: list[ca.DM]) -> list[int]:
-        """Pass the iterate on."""
+    def has_eval_buffer(self) -> bool:
+        """Evaluation in place: copies to CasADi's matrices would take longer than a small iteration."""
+        return True
+
+    def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview]) -> int:
+        """Pass the iterate on; an argument None is zero."""
+        x, f, _, _, lam_g, _ = (
+            np.zeros(self.nnz_in(k)) if a is None else np.frombuffer(a).copy() for k, a in enumerate(arg)
+        )
         try:
-            at = dict(zip(ca.nlpsol_out(), arg, strict=True))
-            enough = self._monitor(self._iteration, flat(at["x"]), float(at["f"]), flat(at["lam_g"]))
+            if self._monitor is not None and self._monitor(self._iteration, x, float(f[0]), lam_g):
+                self._stop = True
         except KeyboardInterrupt:  # CasADi would take it for a failed evaluation
-            enough = self.interrupted = True
+            self._interrupt()
         self._iteration += 1
-        self.stop = self.stop or bool(enough)
-        return [int(self.stop)]
+        np.frombuffer(res[0])[:] = self._stop
+        return 0
 
+    def _interrupt(self, *_: object) -> None:
+        self._stop = self._interrupted = True
 
-@contextmanager
-def interruptible(callback: IterationCallback | None) -> Iterator[None]:
-    """Raise KeyboardInterrupt when the solver that was interrupted by Ctrl-C has returned.
+    @contextmanager
+    def watched(self, monitor: Monitor | None) -> Iterator[None]:
+        """A solve that ``monitor`` sees; raises KeyboardInterrupt after one that Ctrl-C interrupted.
 
-    CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and reports an
-    ordinary failure. Where there is a callback the signal asks it to stop the solver at the next iteration
-    instead, because an exception inside a Python function would only be a failed evaluation.
-    """
-    interrupted = False
-
-    def note(number: int, frame: FrameType | None) -> None:
-        nonlocal interrupted
-        interrupted = True
-        if callback is None:
-            signal.default_int_handler(number, frame)
-        else:
-            callback.stop = True
-
-    try:
-        with signals_to(note):
-            yield
-    finally:
-        if callback is not None:
-            interrupted = interrupted or callback.interrupted
-            callback.stop = callback.interrupted = False  # it may serve another solve
-        if interrupted:
-            raise KeyboardInterrupt from None
+        CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and reports an
+        ordinary failure. So the signal asks the callback to stop the solver at the next iteration.
+        """
+        self._monitor, self._iteration, self._stop, self._interrupted = monitor, 0, False, False
+        try:
+            with signals_to(self._interrupt):
+                yield
+        finally:
+            self._monitor = None
+            if self._interrupted:
+                raise KeyboardInterrupt from None

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.optimize.budget import Budget
-from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor, interruptible
+from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
 
@@ -119,8 +119,6 @@ class Solver:
         Any CasADi ``nlpsol`` plugin; the options below are Ipopt's.
     options : mapping
         Solver options without the plugin prefix; they add to and override ``IPOPT_OPTIONS``.
-    monitor : callable, optional
-        Called after each iteration, or after each ``every`` ones.
 
     Raises
     ------
@@ -131,16 +129,10 @@ class Solver:
         At a call, if the user interrupts.
     """
 
-    def __init__(
-        self,
-        nlp: NLP,
-        *,
-        plugin: str = "ipopt",
-        options: PluginOptions | None = None,
-        monitor: Monitor | None = None,
-        every: int = 1,
-    ) -> None:
+    def __init__(self, nlp: NLP, *, plugin: str = "ipopt", options: PluginOptions | None = None) -> None:
         self.nlp = nlp
+        # CasADi does not own its callbacks: the reference must be kept alive
+        self._callback = IterationCallback(nlp.n_x, nlp.n_g, int(nlp.p.shape[0]))
         self._options = own = {**(IPOPT_OPTIONS if plugin == "ipopt" else {}), **(options or {})}
         settings: dict[str, Any] = {
             "print_time": False,
@@ -148,16 +140,13 @@ class Solver:
             "no_nlp_grad": True,
             "calc_lam_p": False,
             "show_eval_warnings": False,
+            "iteration_callback": self._callback,
             plugin: own,
         }
         if nlp.derivatives is not None:
             settings |= {"grad_f": nlp.derivatives.grad_f, "jac_g": nlp.derivatives.jac_g}
             if own.get("hessian_approximation", "exact") == "exact":
                 settings["hess_lag"] = nlp.derivatives.hess_lag
-        self._callback: IterationCallback | None = None
-        if monitor is not None:  # CasADi does not own its callbacks: the reference must be kept alive
-            self._callback = IterationCallback(nlp.n_x, nlp.n_g, int(nlp.p.shape[0]), monitor)
-            settings |= {"iteration_callback": self._callback, "iteration_callback_step": every}
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
         try:
             with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
@@ -165,8 +154,13 @@ class Solver:
         except RuntimeError as error:
             raise refused_option(plugin, options or {}, error) from None
 
-    def __call__(self, x0: ArrayLike, *, p: ArrayLike = (), **others: ArrayLike) -> NLPResult:
-        """Solve; ``others`` are bounds that replace the NLP's own, and multipliers ``lam_x0``, ``lam_g0``."""
+    def __call__(
+        self, x0: ArrayLike, *, p: ArrayLike = (), monitor: Monitor | None = None, **others: ArrayLike
+    ) -> NLPResult:
+        """Solve; ``monitor`` is called after each iteration.
+
+        ``others`` are bounds that replace the NLP's own, and multipliers ``lam_x0``, ``lam_g0``.
+        """
         nlp = self.nlp
         start = np.asarray(x0, dtype=float).ravel()
         if start.size != nlp.n_x:
@@ -175,7 +169,7 @@ class Solver:
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
         watch = Budget()
-        with interruptible(self._callback):
+        with self._callback.watched(monitor):
             solution = self._function(x0=start, p=p, **{**bounds, **others})
         stats = self._function.stats()
         word = str(stats["return_status"])

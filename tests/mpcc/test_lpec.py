@@ -9,7 +9,7 @@ import pytest
 from rmesh_nlp.mpcc import MPCC, lpec
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import descent, nearest_branch
-from rmesh_nlp.mpcc.phase_one import phase_one
+from rmesh_nlp.mpcc.rescues import phase_one
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, linearised, run_of, x, y
@@ -28,10 +28,10 @@ def test_what_is_active_by_hand():
     assert z[6] == pytest.approx(1.1e-6)
     assert lin.zero.tolist() == [[True, False], [False, True]]  # 1e-6 is zero
     assert list(lin.biactive) == []
-    assert list(np.flatnonzero(lin.z_lower)) == [1, 4]  # neither member, nor v_4 of bound 9 within 1e-4
-    assert list(np.flatnonzero(lin.z_upper)) == [3, 5]
-    assert list(lin.row_lower) == [False, False, False, True]  # the equation is 9e-5 off; the slack's row
-    assert list(lin.row_upper) == [False, True, False, True]  # 1e-2 of 1e3 x is 1e-5 of x
+    assert list(np.flatnonzero(lin.lower[4:])) == [1, 4]  # neither member, nor v_4 of bound 9 within 1e-4
+    assert list(np.flatnonzero(lin.upper[4:])) == [3, 5]
+    assert list(lin.lower[:4]) == [False, False, False, True]  # the equation is 9e-5 off; the slack's row
+    assert list(lin.upper[:4]) == [False, True, False, True]  # 1e-2 of 1e3 x is 1e-5 of x
     assert lin.scale == pytest.approx(2 * (9 + 9e-5))
 
 

@@ -4,16 +4,16 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, Options, solve
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
-from rmesh_nlp.mpcc.nlps import CompiledNLPs, relaxed_nlp
+from rmesh_nlp.mpcc.nlps import relaxed_nlp
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
 from support.derivatives import assert_derivatives_are_casadis
-from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, two_minima, w, x, y
+from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, run_of, two_minima, w, x, y
 
 p = ca.SX.sym("p")
-NONE, ONE, INF = np.zeros(0), np.ones(1), np.inf
+NONE, INF = np.zeros(0), np.inf
 
 
 def test_only_members_that_are_no_unknowns_get_slacks():
@@ -127,9 +127,9 @@ def test_kanzow_schwartz_below_the_corner_and_the_penalty_by_hand():
 @pytest.mark.parametrize("name", RELAXATIONS)
 def test_solution_of_max_x_on_the_diagonal_is_the_corner(name):
     """-x + x y / sqrt(t) on x = y has its minimum at sqrt(t) / 2."""
-    nlps = CompiledNLPs(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), Options(relaxation=name))
+    run = run_of(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), relaxation=name)
     for t in (1.0, 1e-2, 1e-4):
-        result = nlps.relaxed(np.array([0.1, 0.1]) * np.sqrt(t), np.ones(1), t)
+        result = run.relaxed(np.array([0.1, 0.1]) * np.sqrt(t), t)
         expected = np.sqrt(t) * (0.5 if name == "l1-penalty" else 1.0)
         assert result.x == pytest.approx([expected] * 2, rel=1e-4)
 
@@ -150,7 +150,7 @@ def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
 
 
 def compiled(mpcc=None, **options):
-    return CompiledNLPs(mpcc or two_minima(), Options(**options))
+    return run_of(mpcc or two_minima(), **options)
 
 
 THREE = MPCC(XY, x, x + y, ca.vertcat(x, y), ca.vertcat(y, x), lbx=-1, ubx=4, lbg=0, ubg=1)
@@ -196,28 +196,28 @@ def test_complementarity_is_the_smaller_member_and_product_the_product():
 )
 def test_excess_is_in_units_of_the_tolerance_and_of_the_terms_of_a_row(point, units):
     own = compiled(MPCC(XYW, x, 10 * w, x, y, ubg=20, lbx=[-INF, -INF, -3]))
-    assert own.excess(np.array(point), ONE) == pytest.approx(units, rel=1e-3, abs=1e-6)
+    assert own.excess(np.array(point)) == pytest.approx(units, rel=1e-3, abs=1e-6)
     sized = compiled(MPCC(XYW, x, None, 1e6 * (x - w), y))  # zero only up to rounding of its terms
     at_3 = sized.lifted.start(np.array([3.0 + 1e-6, 1.0, 3.0]), np.zeros(0))
-    assert sized.excess(at_3, ONE) == pytest.approx(100 / 3, rel=0.01)
-    assert compiled(MPCC(XYW, ca.log(x - 1), None, x, y)).excess(np.array([0.0, 1.0, 0.0]), ONE) == INF
+    assert sized.excess(at_3) == pytest.approx(100 / 3, rel=0.01)
+    assert compiled(MPCC(XYW, ca.log(x - 1), None, x, y)).excess(np.array([0.0, 1.0, 0.0])) == INF
 
 
 def test_looser_tolerances_belong_to_their_residual():
     loose = compiled(MPCC(XY, x, x, x, y, ubg=1), feasibility=1e-2, complementarity=1e-4)
-    assert loose.excess(np.array([1.02, 0.0]), ONE) == pytest.approx(2 / 1.02)
-    assert loose.excess(np.array([1.0, 3e-4]), ONE) == pytest.approx(3)
+    assert loose.excess(np.array([1.02, 0.0])) == pytest.approx(2 / 1.02)
+    assert loose.excess(np.array([1.0, 3e-4])) == pytest.approx(3)
 
 
 def test_branch_fixes_one_member_of_each_pair():
     own = compiled()
-    on_first = own.branch(START, ONE, ON_G)
-    on_second = own.branch(START, ONE, ON_H)
+    on_first = own.branch(START, ON_G)
+    on_second = own.branch(START, ON_H)
     assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
     assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
     down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
-    assert down.branch(np.ones(2), ONE, ON_G).x == pytest.approx([0, 0], abs=1e-6)
-    assert down.branch(np.ones(2), ONE, ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
+    assert down.branch(np.ones(2), ON_G).x == pytest.approx([0, 0], abs=1e-6)
+    assert down.branch(np.ones(2), ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
@@ -225,7 +225,7 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     """One equation three times on one free unknown, from the relaxed multipliers too."""
     g = ca.vertcat(y - 1, 2 * y - 2, 3 * y - 3)
     own = compiled(MPCC(XY, scale * (x + y), g, x, y, lbg=0, ubg=0))
-    result = own.branch(np.array([0.0, 0.5]), ONE, ON_G, warm=ended([0, 0.5], lam_g=np.zeros(3)))
+    result = own.branch(np.array([0.0, 0.5]), ON_G, warm=ended([0, 0.5], lam_g=np.zeros(3)))
     assert result.x == pytest.approx([0, 1], abs=1e-7)
     assert (result.x.size, result.lam_x.size, result.f) == (2, 2, pytest.approx(scale))
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success

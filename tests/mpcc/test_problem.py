@@ -8,7 +8,7 @@ import pytest
 
 from formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mpcc import MPCC, Options, multistart, solve
+from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.derivatives import assert_derivatives_are_casadis
@@ -62,8 +62,6 @@ def test_bad_parameters_and_options_are_refused():
         solve(corner(f=x * stray, p=stray), [0, 0])
     with pytest.raises(ValueError, match="unknown relaxation 'none'; there are scholtes"):
         solve(corner(), [0, 0], relaxation="none")
-    with pytest.raises(ValueError, match="n = 0 starts"):
-        multistart(corner(), [0, 0], n=0)
     for name, value, words in (
         ("factor", 2.0, r"factor must be below 1, got 2\.0"),
         ("t0", 0.0, r"t0 must be positive and finite, got 0\.0"),

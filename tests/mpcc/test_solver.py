@@ -33,8 +33,8 @@ UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
 def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
     """What is made of the ends of the paths, whose points are exact unless a test says otherwise."""
     run = ScriptedRun(**{"exact": lambda z: True} | names)
-    run.nearest = nearest
-    return outcome.end_of(run, paths, START, limit, infeasible)
+    run.nearest, run.limit, run.is_infeasible = nearest, limit, infeasible
+    return outcome.end_of(run, paths, START)
 
 
 @pytest.mark.parametrize(

@@ -1,32 +1,34 @@
 """Many starts, and the generated families of the benchmark."""
 
+from dataclasses import replace
 from itertools import islice
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
 import pytest
 
 from mpcc_library.families import FAMILIES
-from rmesh_nlp.mpcc import MPCC, MultiStart, multistart, solve
-from rmesh_nlp.mpcc.starts import moved_starts
+from rmesh_nlp.mpcc import MPCC, solve
+from rmesh_nlp.mpcc.outcome import best_of
+from rmesh_nlp.mpcc.rescues import moved_starts
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, x, y
 
 p = ca.SX.sym("p")
 
 
-def test_best_is_the_lowest_success_else_the_most_feasible():
-    names = ("success", "f", "constraint_violation", "complementarity")
-    for rows, spread in (
-        ([(False, -9, 0, 0), (True, 1.0, 0, 0), (True, 2.0, 0, 0)], (1.0, 2.0)),
-        ([(False, 0, 0, 1), (False, 0, 0.1, 0), (False, -9, 0.2, 0)], (np.nan, np.nan)),
-    ):
-        ends = [SimpleNamespace(**dict(zip(names, row, strict=True))) for row in rows]
-        many = MultiStart(tuple(ends), (), 0)
-        assert many.best is ends[1]
-        assert many.spread == pytest.approx(spread, nan_ok=True)
-        assert f"{sum(end.success for end in ends)} of 3 starts succeeded" in str(many)
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [(False, -9, 0, 0), (True, 1.0, 0, 0), (True, 2.0, 0, 0)],
+        [(False, 0, 0, 1), (False, 0, 0.1, 0), (False, -9, 0.2, 0)],
+    ],
+)
+def test_best_is_the_lowest_success_else_the_most_feasible(rows):
+    names, result = ("success", "f", "constraint_violation", "complementarity"), solve(ARMS, 0.5)
+    ends = [replace(result, **dict(zip(names, row, strict=True))) for row in rows]
+    assert [getattr(best_of(ends), name) for name in names] == list(rows[1])
+    assert best_of(ends).ends == tuple(ends)
 
 
 def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_origin():
@@ -48,7 +50,8 @@ def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_orig
 def test_start_of_a_mixed_problem_is_completed_with_its_parameters():
     """-1 <= y <= 2 _|_ x - p: at x = 1 and p = 3 the new unknowns are 0 and 2."""
     mpcc = MPCC.mixed(XY, x**2 + y**2, None, x - p, y, lbH=-1, ubH=2, p=p)
-    assert list(multistart(mpcc, [1, 0], n=2, p=3).starts[0]) == [1, 0, 0, 2]
+    assert list(mpcc.start([1, 0], p=3)) == [1, 0, 0, 2]
+    assert solve(mpcc, [1, 0], p=3, starts=2).success
 
 
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3)
@@ -57,39 +60,30 @@ ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3
 
 @pytest.fixture(scope="module")
 def many():
-    return multistart(ARMS, [1.5, 0], n=8, seed=3, t0=1e-4)
+    return solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
 
 
 def test_best_of_several_starts_says_what_they_reached(many):
-    best = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
-    assert best.x == pytest.approx([0, 1.05], abs=1e-7)
-    assert many.spread == pytest.approx((0.8975, 1.0), abs=1e-6)
-    assert [end.f for end in best.reached] == pytest.approx([0.8975, 1.0], abs=1e-6)
-    assert sum(end.starts for end in best.reached) == 8
-    assert "starts: " in str(best)
-    assert np.array_equal(best.x, many.best.x)
+    assert many.x == pytest.approx([0, 1.05], abs=1e-7)
+    assert [end.f for end in many.reached] == pytest.approx([0.8975, 1.0], abs=1e-6)
+    assert sum(end.starts for end in many.reached) == len(many.ends) == 8
+    assert "starts: " in str(many)
     assert not solve(ARMS, [1.5, 0], t0=1e-4).reached
 
 
 def test_trajectory_that_comes_upon_a_former_one_has_its_result(many):
-    followed = [k for k, former in enumerate(many.joined) if former is None]
-    assert many.joined[0] is None
-    assert 2 <= len(followed) < 8
-    for k, former in enumerate(many.joined):
-        if former is not None:
-            assert former in followed[: followed.index(former) + 1]
-            assert many.results[k] is many.results[former]
-    own = [many.results[k] for k in followed]
-    assert many.summary().counts["nlp_solves"] == sum(r.counts["nlp_solves"] for r in own)
+    own = {id(end): end for end in many.ends}.values()
+    assert 2 <= len(own) < 8
+    assert many.counts["nlp_solves"] == sum(end.counts["nlp_solves"] for end in own)
 
 
 def test_limits_hold_for_all_starts_together():
     alone = solve(ARMS, [1.5, 0], t0=1e-4).counts["ipopt_iterations"]
-    many = multistart(ARMS, [1.5, 0], n=50, t0=1e-4, max_iterations=alone + 5)
-    assert 2 <= len(many.results) == len(many.starts) < 50
-    assert many.best.success
-    late = multistart(ARMS, [1.5, 0], n=50, time_limit_s=1e-9)
-    assert [(r.status, r.history) for r in late.results] == [(Status.TIME_LIMIT, ())]
+    many = solve(ARMS, [1.5, 0], starts=50, t0=1e-4, max_iterations=alone + 5)
+    assert 2 <= len(many.ends) < 50
+    assert many.success
+    late = solve(ARMS, [1.5, 0], starts=50, time_limit_s=1e-9)
+    assert (late.status, late.history, late.ends) == (Status.TIME_LIMIT, (), ())
 
 
 @pytest.mark.parametrize("options", [{"starts": 0}, {"starts": 2.5}, {"seed": -1}, {"moves": -1}])

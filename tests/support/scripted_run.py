@@ -92,6 +92,7 @@ class ScriptedRun(Run):
         **options: Any,
     ) -> None:
         super().__init__(CompiledNLPs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight)
+        self.answered_cost = 1.0
         self.relaxations, self.branches, self.is_exact = relaxations, branches, exact
         self.calls: list[Call] = []
         self.branch_calls: list[BranchCall] = []
@@ -109,8 +110,11 @@ class ScriptedRun(Run):
         self.steps.append(
             Step(phase="relaxed", t=t, **measured, product=answer.product, status=answer.status)
         )
-        self.nlps.cost = lambda *_: answer.cost  # type: ignore[method-assign]
+        self.answered_cost = answer.cost
         return ended(answer.x, answer.status)
+
+    def cost(self, result: NLPResult, t: float) -> float:
+        return self.answered_cost
 
     def branch(self, z, zero, **options):  # type: ignore[no-untyped-def]
         if self.branches is None:
