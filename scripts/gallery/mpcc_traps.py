@@ -44,7 +44,7 @@ class Case:
     Attributes
     ----------
     name : str
-    corner : Classification
+    corner : MPCCResult
         Of the point x = y = 0.
     plain : array
         Where a loop of relaxations down to t = 1e-8 ends.
@@ -53,7 +53,7 @@ class Case:
     """
 
     name: str
-    corner: rm.mpcc.Classification
+    corner: rm.mpcc.MPCCResult
     plain: np.ndarray
     solved: rm.mpcc.MPCCResult
 
