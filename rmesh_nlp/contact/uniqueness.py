@@ -18,7 +18,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from rmesh_nlp.contact.next_set import rank
 from rmesh_nlp.contact.sensitivity import TangentResponse
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 
@@ -26,14 +25,11 @@ from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 def contraction(system: ContactSystem, state: Equilibrium) -> float:
     """Largest spectral radius of the derivative of ``F lambda(b)``: as at a solution, and if all nodes slide.
 
-    The latter is left out where nothing would hold the body then.
+    Gaps hold every body then: problems are refused in which they leave a rigid motion.
     """
-    if system.coulomb is None:
-        return 0.0
-    sets, every = [state.active], np.ones(system.offset.size, dtype=bool)
-    if system.rigid is None or rank(system.normals @ system.rigid, every) == system.rigid.shape[1]:
-        sets.append(ActiveSet(every, np.ones(every.size, dtype=np.int8)))  # either way: signs of all change
-    return max(spectral_radius(system, active) for active in sets)
+    every = np.ones(system.offset.size, dtype=bool)
+    all_slide = ActiveSet(every, np.ones(every.size, dtype=np.int8))  # either way: signs of all change
+    return max(spectral_radius(system, active) for active in (state.active, all_slide))
 
 
 def spectral_radius(system: ContactSystem, active: ActiveSet) -> float:

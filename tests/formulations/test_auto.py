@@ -12,6 +12,7 @@ import pytest
 
 import rmesh_nlp as rm
 from formulations.auto import Auto
+from formulations.confirmed import agrees
 from formulations.joint import Joint
 from formulations.nested import Nested
 from rmesh_nlp.examples import EXAMPLES
@@ -26,6 +27,8 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     signed_areas,
 )
+from rmesh_nlp.solving.outcome import Outcome
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import summary
 from support.formulations import auto
@@ -95,6 +98,16 @@ def test_the_rule_is_raised_until_the_audit_confirms_the_gain() -> None:
     assert row["rules"][-1] == row["quadrature"]
     assert row["gain_audited"] > 0
     assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
+
+
+def test_an_error_of_the_rule_that_both_meshes_have_is_none_of_the_gain() -> None:
+    source = Laplace(lambda x, y: ca.exp(3 * x + y))
+    outer = Outer.of(ContactProblem(rectangle(4, 4), source, ("left",), motion=Motion(None), quadrature=4))
+    assessor, downhill = outer.assessor, -outer.energy(np.zeros(outer.n)).gradient
+    q = 1e-6 * downhill / np.max(np.abs(downhill))
+    moved = assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
+    assert abs(assessor.initial_corrections["quadrature"]) > assessor.initial.energy - moved.energy > 0
+    assert agrees(Outcome(outer, q, Status.CONVERGED))
 
 
 @pytest.mark.parametrize(("n", "chosen"), [(8, Joint), (33, Nested)])
