@@ -11,6 +11,7 @@ import pandas as pd
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.report.blocks import in_common_units
 from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, check_taken, taken
 from rmesh_nlp.solving.parts import DESIGN
@@ -61,11 +62,11 @@ class Comparison:
 
     def frame(self) -> pd.DataFrame:
         """Every scalar of the records, one row per formulation."""
-        return frame(self.records).set_axis(list(self.names))
+        return frame(in_common_units(self.records)).set_axis(list(self.names))
 
     def markdown(self) -> str:
         """The tables of ``rmesh compare``."""
-        return markdown(self.records)
+        return markdown(in_common_units(self.records))
 
     def summary(self) -> pd.DataFrame:
         """Audited energies, or another objective and the design, work and status; a row per formulation."""

@@ -6,11 +6,13 @@ import sys
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 from rmesh_nlp.io.folder import remove_leftovers
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
+from rmesh_nlp.report.blocks import in_common_units
 
 SUCCESS, NO_SUCCESS = 0, 1  # exit codes
 
@@ -49,11 +51,12 @@ def notes(kind: type[Warning], head: str) -> Iterator[None]:
 
 
 def read_quietly(folder: Path) -> list[Result]:
-    """The results of a folder; what is passed over is printed in one line each.
+    """The results of a folder, costs in common units; what is passed over is printed in one line each.
 
     What killed writers left aside goes.
     """
     with notes(DamagedRecordsWarning, "rmesh: warning"):
         results = read_results(folder)
     remove_leftovers(folder)
-    return results
+    records = in_common_units([result.record for result in results])
+    return [replace(result, record=record) for result, record in zip(results, records, strict=True)]

@@ -184,6 +184,15 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
     return names
 
 
+def in_common_units(records: Sequence[Record]) -> list[Record]:
+    """The records with the unit of cost of their block, :attr:`Block.unit`, if they measured one."""
+    units = {block_key(block.records[0]): block.unit for block in blocks(records)}
+    return [
+        {**record, "contact_time_s": units[block_key(record)]} if record.get("contact_time_s") else record
+        for record in records
+    ]
+
+
 def delta_text(delta: Any) -> str:
     """Half-widths as text, once if both are the same."""
     if delta is None:
@@ -200,6 +209,6 @@ def seconds_of_work(record: Record) -> float | None:
 
 
 def contact_units(record: Record) -> float | None:
-    """Build and solve over the time of one contact solve measured in the same run."""
+    """Build and solve over the time of one contact solve; of :func:`in_common_units` for a fair one."""
     seconds, unit = seconds_of_work(record), record.get("contact_time_s")
     return seconds / unit if seconds is not None and unit else None

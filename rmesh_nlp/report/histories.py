@@ -19,7 +19,14 @@ from numpy.typing import ArrayLike, NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, blocks_of, grouped, label, seconds_of_work
+from rmesh_nlp.report.blocks import (
+    RELOCATING_NOTHING,
+    blocks_of,
+    contact_units,
+    grouped,
+    label,
+    seconds_of_work,
+)
 from rmesh_nlp.solving.outer import TOLERANCE
 
 SLACK = 1e-3  # part of the worst gain by which the common level may miss it: last digits are not compared
@@ -37,11 +44,8 @@ class Curve:
     stationarity: Array
 
 
-def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | None:
-    """The curve of a result; None without a history of what was minimised.
-
-    ``unit`` are the seconds of a contact solve, by default those that this result measured.
-    """
+def curve(result: Result, name: str = "") -> Curve | None:
+    """The curve of a result; None without a history of what was minimised."""
     record = result.record
     if record["formulation"] == RELOCATING_NOTHING:
         return None
@@ -49,7 +53,7 @@ def curve(result: Result, unit: float | None = None, name: str = "") -> Curve | 
     value = steps["energy" if _is_energy(record) else "objective"]
     if not value.notna().any():
         return None
-    unit = unit or record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
+    unit = record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
     return Curve(
         name or label(record),
         steps["iteration"].to_numpy(),
@@ -78,7 +82,7 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
     """The records, in blocks of two or more successful formulations with the levels and the costs to them.
 
     ``common_objective`` is audited if it is the energy. Costs, of build and solve until then, are in contact
-    solves, whose time is the median of the block.
+    solves.
     """
     added: dict[int, Record] = {}
     for block, own in blocks_of(results):
@@ -86,11 +90,11 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
         moved = (result for result in good if result.record["formulation"] != RELOCATING_NOTHING)
         for group in grouped(moved, lambda result: result.record["objective"]).values():
             if len(group) > 1 and block.unit is not None:
-                added |= zip(map(id, group), _costs(group, block.unit), strict=True)
+                added |= zip(map(id, group), _costs(group), strict=True)
     return [{**result.record, **added.get(id(result), {})} for result in results]
 
 
-def _costs(results: Sequence[Result], unit: float) -> list[Record]:
+def _costs(results: Sequence[Result]) -> list[Record]:
     """The levels of one group, and what each result needs to reach them."""
     records = [result.record for result in results]
     ends = pd.DataFrame(map(_ends, records), columns=["start", "end"], dtype=float).dropna()
@@ -102,8 +106,8 @@ def _costs(results: Sequence[Result], unit: float) -> list[Record]:
     for result, record in zip(results, records, strict=True):
         total = seconds_of_work(record) or math.nan
         # a history may miss the last digits that the end has: all reach the levels at their ends
-        costs = [total / unit] * 2
-        if (way := curve(result, unit)) is not None:
+        costs = [contact_units(record) or math.nan] * 2
+        if (way := curve(result)) is not None:
             # the history is of the first run, the times are medians over all
             pace = way.cost * total / (record.get("first_cost_s") or total)
             low = way.feasible & (way.energy + shift_to_audited(record) <= level)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
+from typing import Any
 
+import pandas as pd
 import pytest
 
 from rmesh_nlp.io.folder import folder_lock
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run
+from support.reporting import joint_62
 
 
 def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
@@ -99,3 +103,34 @@ def test_a_folder_without_permission(rmesh) -> None:
     said = rmesh("solve 6.1 --n 3 --out locked")
     assert said.code == 2
     assert "locked" in said.err
+
+
+@pytest.mark.parametrize("study", [{}, {"variant": "joint", "family": "slabs"}])
+def test_the_unit_of_cost_is_that_of_the_problem_in_all_outputs(rmesh, study: dict[str, Any]) -> None:
+    """Solves of 0.08 s from two starts beside contact solves of 2 and 6 ms: 20 of the median."""
+    times = {1: 0.002, 2: 0.006}
+    rows = [joint_62(key=f"{s}", seed=s, contact_time_s=time, **study) for s, time in times.items()]
+    Path("records.jsonl").write_text("".join(to_json(row) + "\n" for row in rows))
+    assert rmesh("table .").code == rmesh("report .").code == 0
+    table = pd.read_csv("table.csv")
+    assert [*table["time_contact_solves"], *table["contact_time_s"]] == pytest.approx([20, 20, 0.004, 0.004])
+    for name in ("table.md", "report.html"):
+        assert set(costs(Path(name).read_text())) == {"20"}
+
+
+COST = "cost [contact solves]"
+
+
+def costs(text: str) -> list[str]:
+    """All cells below a heading ``cost [contact solves]``, of tables in Markdown or HTML."""
+    cells = []
+    for table in text.split("</table>" if "<html" in text else "\n\n"):
+        if "<td" in table:
+            rows = [
+                re.findall(r"<t[hd][^>]*>\s*(.*?)\s*</t[hd]>", row, re.S) for row in table.split("<tr")[1:]
+            ]
+        else:
+            rows = [re.split(r"\s*\|\s*", line) for line in table.splitlines() if not line.startswith("|:")]
+        if rows and COST in rows[0]:
+            cells += [row[rows[0].index(COST)] for row in rows[1:]]
+    return cells

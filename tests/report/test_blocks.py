@@ -6,7 +6,15 @@ from typing import Any
 
 import pytest
 
-from rmesh_nlp.report.blocks import Block, block_key, blocks, delta_text, label, names_of_solves
+from rmesh_nlp.report.blocks import (
+    Block,
+    block_key,
+    blocks,
+    delta_text,
+    in_common_units,
+    label,
+    names_of_solves,
+)
 from rmesh_nlp.report.columns import ENERGIES, KINDS, Column, body
 from support.reporting import designed, fixed_61, joint_61, joint_62
 
@@ -31,8 +39,9 @@ def test_unit_of_cost_is_the_median_of_those_measured() -> None:
     rows = tuple(fixed_61(contact_time_s=time) for time in (0.5, None, 0.1, 0.3, 0.0))
     assert Block(rows).unit == 0.3
     assert Block(rows[1:2]).unit is None
-    unmeasured = body(COST, Block((joint_61(wall_time_s=3.0, contact_time_s=None), *rows)))
-    assert unmeasured[0][-1] == "-"
+    common = in_common_units([joint_61(wall_time_s=3.0, contact_time_s=None), *rows])
+    assert [row["contact_time_s"] for row in common] == [None, 0.3, None, 0.3, 0.3, 0.0]
+    assert body(COST, Block(tuple(common)))[0][-1] == "-"
 
 
 def test_failures_are_neither_best_nor_successes() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import pytest
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, Results, write_history
+from rmesh_nlp.report.blocks import in_common_units
 from rmesh_nlp.report.histories import cost_of_gain, curve, with_common_costs
 from rmesh_nlp.report.study_summary import (
     charts,
@@ -172,7 +174,9 @@ def test_costs_are_in_the_median_unit_and_scaled_to_the_median_time(tmp_path: Pa
     joint = result(tmp_path, "joint", -1.4, steps, contact_time_s=0.01, first_cost_s=1.0, **exact)
     nested = result(tmp_path, "nested", -1.4, steps, contact_time_s=0.03, **exact)
     # the unit is 0.02 s; the first run of joint took twice its median
-    rows = with_common_costs([joint, nested])
+    records = in_common_units([joint.record, nested.record])
+    common = [replace(one, record=row) for one, row in zip((joint, nested), records, strict=True)]
+    rows = with_common_costs(common)
     assert [row["cost_to_objective"] for row in rows] == pytest.approx([12.5, 25])
     assert [row["common_stationarity"] for row in rows] == [1e-6] * 2  # less is not told apart
 

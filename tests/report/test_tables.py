@@ -57,7 +57,7 @@ Own rule: the energy with the quadrature of the problem. Extremes of the displac
 | joint       | given |                       1 + 2 |                7; 44 or more |      0.02 |      0.06 |     0.003 |                    20 |
 | mpcc        |     - |                           - |                            - |         - |         - |         - |                     - |
 
-Cost: time of build and solve over that of one contact solve on the given mesh, measured in the same run. Factorisations of KKT matrices: at least as many as Ipopt took iterations.
+Cost: time of build and solve over that of one contact solve on the given mesh, the median of those that the rows measured. Factorisations of KKT matrices: at least as many as Ipopt took iterations.
 
 ## Residuals
 
