@@ -110,21 +110,23 @@ class AllAtOnce(Formulation):
         Options(**{**OPTIONS, **self.options})
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        before = monitor.budget.iterations
+        before, begin = monitor.budget.iterations, len(monitor.steps)
         first = self._path(outer, q, monitor)
         twice = bool(outer.problem.design) if self.twice is None else self.twice
         if not twice or outer.is_near or outer.objective.is_energy:
             return first
-        most = SECOND * (monitor.budget.iterations - before)
+        most, end = SECOND * (monitor.budget.iterations - before), len(monitor.steps)
         second = monitor.attempt(lambda: self._path(outer.near(), q, monitor, most))
         if second is not None and second.status not in LIMITS and _rank(second) < _rank(first):
+            del monitor.steps[begin:end]  # the history is that of the path that is kept
             return second
+        del monitor.steps[end:]
         if outer.is_valid(first.q):
-            monitor.track(outer).exact(0, first.q)  # the history ends where the solve does
+            monitor.track(outer).exact(0, first.q)  # it ends where the solve does
         return first
 
     def _path(self, outer: Outer, q: Array, monitor: Monitor, most: int | None = None) -> Outcome:
-        point, is_energy = outer.energy(q), outer.objective.is_energy
+        point, is_energy, begin = outer.energy(q), outer.objective.is_energy, len(monitor.steps)
         with monitor.budget.during("build"):
             at_start = not np.any(q)
             program = outer.kkt if at_start else in_units_of(outer.discretisation, outer.objective, point)
@@ -146,6 +148,7 @@ class AllAtOnce(Formulation):
         if is_energy and not outer.is_near:
             energy = outer.contact.system_at(end).energy(state[0])
             if is_above(energy, point.value):
+                del monitor.steps[begin:]
                 return self._path(outer.near(), q, monitor)
         return Outcome(
             outer,

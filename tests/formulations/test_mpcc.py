@@ -19,6 +19,7 @@ from rmesh_nlp.problem import ContactProblem, Obstacle
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import Step
 from support.designs import LOAD, block
 from support.formulations import joint, mpcc
 from support.solved import example, solved
@@ -150,13 +151,18 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
     outer, near = Outer.of(block(LOAD), "compliance"), []
     ends = [size * np.ones(outer.n) for size in order]  # more load, more compliance
 
-    def path(_: AllAtOnce, at: Outer, *given: Any) -> Outcome:
+    def path(_: AllAtOnce, at: Outer, q: Any, monitor: Monitor, *most: Any) -> Outcome:
         near.append(at.is_near)
+        monitor.note(Step(len(near), *6 * [1.0]))
         return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
 
     monkeypatch.setattr(AllAtOnce, "_path", path)
-    assert AllAtOnce().run(outer, np.zeros(outer.n), Monitor()).q is ends[kept]
+    monitor = Monitor()
+    assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[kept]
     assert near == [False, True]
+    # the history of the path that is kept; of the first one its end after the second's iterations as well
+    steps = [(step.iteration, step.t) for step in monitor.steps]
+    assert steps == [[(1, 1.0), (2, 0.0)], [(2, 1.0)]][kept]
     plain = Outer.of(coarse("6.3"), "mean(top, -uy)")
     for formulation, problem in ((AllAtOnce(twice=False), outer), (AllAtOnce(), plain)):
         near.clear()
@@ -164,5 +170,6 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
         assert near == [False]
     # ends at no mesh, where there is no contact solution to report
     ends, monitor = 2 * [np.full(outer.n, 1e3)], Monitor()
+    near.clear()
     assert AllAtOnce().run(outer, np.zeros(outer.n), monitor).q is ends[0]
-    assert not monitor.steps
+    assert [step.iteration for step in monitor.steps] == [1]
