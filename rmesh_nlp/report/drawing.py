@@ -238,7 +238,7 @@ def side_by_side(
             draw_foundations(column[0], body, linewidth=4.0)  # a boundary may lie on it
             plotting.draw_mesh(column[1], body.moved(factor), body.triangles)
             draw_foundations(column[1], body, factor, linewidth=2.2)
-            scale = f", u and gap × {factor:g}" if factor > 1 else ", true scale"
+            scale = f", $u$ and gap × {factor:g}" if factor > 1 else ", true scale"
             column[1].set_title(f"deformed{scale}")
     if label:
         limits = np.array([one.get_clim() for one in painted])
@@ -252,7 +252,7 @@ def side_by_side(
 
 def displacement_figure(bodies: Sequence[Body], page: Page, units: Units, *, deformed: bool) -> Figure:
     """The displacement of each body, if asked for over the deformed meshes."""
-    label = f"|u|{bracketed(units.length)}" if bodies[0].elastic else "u"
+    label = f"$|u|${bracketed(units.length)}" if bodies[0].elastic else "$u$"
     paint = coloured(plotting.draw_nodal, lambda body: body.displacement)
     return side_by_side(bodies, paint, page, units.length, deformed=deformed, label=label)
 

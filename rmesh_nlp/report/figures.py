@@ -112,7 +112,7 @@ def figure_of_designs(results: Sequence[Result], page: Page) -> Figure | None:
         result
         for result in results
         if result.record["formulation"] != RELOCATING_NOTHING
-        if result.record.get("design_bounds") and result.record.get("design")
+        if result.record.get("design_bounds")
     ]
     if not moved:
         return None

@@ -56,7 +56,7 @@ def plot(
         _bar(axes, painted, X, "|flux|" if scalar else "von Mises stress")
     elif what == "displacement":
         painted = draw_nodal(axes, nodes, cells, u, **style)
-        _bar(axes, painted, X, "u" if scalar else "|u|")
+        _bar(axes, painted, X, "$u$" if scalar else "$|u|$")
     else:
         title = "contact pressure"
         if all(part.obstacle.boundary is not Place.INTERIOR for part in space.contact_sets):

@@ -113,7 +113,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(results, figures) -> None:
     titles = [axis.get_title() for axis in grids]
     assert titles[:2] == ["given grid", "relocated by joint"]
     assert titles[2] == titles[3]
-    magnification = float(titles[2].removeprefix("deformed, u and gap × "))
+    magnification = float(titles[2].removeprefix("deformed, $u$ and gap × "))
     fields = read_vtu(results[-1].vtu)
     drawn = np.array(grids[3].lines[0].get_xydata())
     moved = fields.nodes + magnification * fields.displacement
@@ -287,7 +287,7 @@ def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int, ord
     assert np.any(solution.pressure > 0)
     for axis in drawings(solution):
         assert axis.get_title() == (
-            f"deformed, u and gap × {factor}" if factor > 1 else "deformed, true scale"
+            f"deformed, $u$ and gap × {factor}" if factor > 1 else "deformed, true scale"
         )
         ground = np.vstack([path.vertices for c in axis.collections for path in c.get_paths()])
         body = np.asarray(axis.lines[0].get_xydata())
