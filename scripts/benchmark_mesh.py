@@ -103,7 +103,7 @@ def times(rows: Sequence[Row]) -> pd.DataFrame:
 
 def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
     """Error against nodes and against time."""
-    sheet = Figure(figsize=(11, 4.8), layout="constrained")
+    sheet = Figure(figsize=(8, 4.2), layout="constrained")
     left, right = sheet.subplots(1, 2, sharey=True)
     for axis, x in ((left, "nodes"), (right, "seconds")):
         for method in (UNIFORM, ADAPTIVE, LOOP, RELOCATED, REMESHED):
@@ -129,7 +129,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             measure(store, case.name, *task)
     text = f"{markdown(factors(store.rows))}\n{markdown(times(store.rows))}"
     (options.out / "table.md").write_text(text)
-    picture(store.rows).savefig(options.out / "best_mesh.png", dpi=110)
+    picture(store.rows).savefig(options.out / "best_mesh.png", dpi=150)
     print(text)
     return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
 

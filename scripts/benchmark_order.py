@@ -204,7 +204,7 @@ def polygons(rows: Sequence[Row]) -> pd.DataFrame:
 
 def picture(rows: Sequence[Row]) -> Figure:
     """Error against unknowns and against time: orders 1 (open, dashed) and 2 of all methods."""
-    sheet = Figure(figsize=(12, 8.2), layout="constrained")
+    sheet = Figure(figsize=(8, 6.4), layout="constrained")
     axes = sheet.subplots(2, len(SHOWN), sharey="col")
     for column, (case, title) in enumerate(SHOWN.items()):
         for row, x in enumerate(("nodes", "seconds")):
@@ -233,7 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             measured(store, {**CASES, **MORE}[name], options.levels)
     text = "\n".join(markdown(table(store.rows)) for table in (factors, orders, times, polygons))
     (options.out / "table.md").write_text(text)
-    picture(store.rows).savefig(options.out / "order.png", dpi=110)
+    picture(store.rows).savefig(options.out / "order.png", dpi=150)
     print(text)
     return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
 

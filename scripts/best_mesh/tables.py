@@ -70,5 +70,5 @@ def finished(sheet: Figure, axes: Mapping[str, Sequence[Axes]], first: Axes) -> 
         for axis in group:
             axis.set(xlabel=name)
             axis.grid(alpha=0.3)
-    sheet.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=9)
+    sheet.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
     return sheet

@@ -156,12 +156,12 @@ def draw(result: Relocated, path: Path) -> None:
     axes[2].plot(at, -exact[:, 1, 1], color="0.3", label="pressure, exact")
     axes[2].plot(at, exact[:, 0, 1], "--", color="0.3", label="friction, exact")
     nodes = np.unique(best.mesh.facets[:, best.mesh.boundaries["bottom"]])
-    axes[2].plot(
-        best.mesh.p[0, nodes], best.pressure[nodes], "o", color="#0072B2", markersize=4, label="relocated"
-    )
-    axes[2].plot(
-        best.mesh.p[0, nodes], np.abs(best.tangential_stress[nodes]), "o", color="#009E73", markersize=4
-    )
+    for name, values, color in (
+        ("pressure", best.pressure, "#0072B2"),
+        ("friction", np.abs(best.tangential_stress), "#009E73"),
+    ):
+        look = {"color": color, "markersize": 4, "label": f"{name}, relocated"}
+        axes[2].plot(best.mesh.p[0, nodes], values[nodes], "o", **look)
     for place, name in ((STICK, "slips"), (OPEN, "open")):
         axes[2].axvline(place, color="0.7", linewidth=0.8, linestyle=":")
         axes[2].text(place + 0.02, 15, name, color="0.4")
