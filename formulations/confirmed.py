@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import corrections
+from rmesh_nlp.assessment.measures import corrections
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Wrapper
@@ -61,8 +61,9 @@ def agrees(outcome: Outcome) -> bool:
     outer, q = outcome.outer, outcome.q
     if not outer.is_valid(q) or not np.any(q):
         return True
-    exact, assessor = outer.energy(q).equilibrium, outer.assessor
-    continuous = assessor.solve(outer.nodes(q), exact.active)
-    wrong = corrections(outer.contact, outer.nodes(q), exact, continuous)["quadrature"]
-    wrong -= assessor.initial_corrections["quadrature"]
-    return bool(abs(wrong) <= AGREEMENT * abs(assessor.initial.energy - continuous.energy))
+    ends = (outer.contact.given, outer.initial), (outer.energy(q).equilibrium, outer.continuous(q))
+    before, after = (
+        corrections(outer.contact, nodes, solved, continuous)["quadrature"]
+        for nodes, (solved, continuous) in zip((outer.problem.mesh.p, outer.nodes(q)), ends, strict=True)
+    )
+    return bool(abs(after - before) <= AGREEMENT * abs(outer.initial.energy - outer.continuous(q).energy))

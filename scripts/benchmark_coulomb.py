@@ -19,7 +19,7 @@ from skfem import MeshTri
 
 import rmesh_nlp as rm
 from gallery import coulomb_kink
-from rmesh_nlp.assessment.assessor import equilibrium_residual, law_residual
+from rmesh_nlp.assessment.measures import equilibrium_residual, law_residual
 from rmesh_nlp.contact.active_set import at_rest, solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium

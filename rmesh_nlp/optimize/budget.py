@@ -125,11 +125,6 @@ class Budget:
         most = self.limits.iterations
         return None if most is None else max(most - self.iterations, 0)
 
-    @property
-    def is_limited(self) -> bool:
-        """Whether there is any limit."""
-        return math.isfinite(self.remaining) or self.limits.iterations is not None
-
     def is_over(self) -> bool:
         """Whether it was stopped, or a limit is reached."""
         if self.stopped is None and self._whole is not None and self._whole.is_over():

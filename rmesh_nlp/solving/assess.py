@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.assessor import residuals
 from rmesh_nlp.assessment.coulomb import growth
+from rmesh_nlp.assessment.measures import residuals
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.models.kkt_model import ContactPoint

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from rmesh_nlp.assessment.assessor import ContactResiduals
+from rmesh_nlp.assessment.measures import ContactResiduals
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status

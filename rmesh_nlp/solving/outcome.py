@@ -60,5 +60,5 @@ def continuous_energy(outcome: Outcome) -> float:
     if not outer.is_valid(q):
         return float("nan")
     outer, q = outer.at_design(q)
-    continuous = outer.assessor.solve(outer.nodes(q), outer.energy(q).equilibrium.active)
+    continuous = outer.continuous(q)
     return continuous.energy if continuous.status is Status.CONVERGED else float("nan")

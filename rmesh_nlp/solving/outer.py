@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import Assessor
+from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
 from rmesh_nlp.evaluation import Array
@@ -145,9 +145,23 @@ class Outer:
         return Branches(self.conditions, self.residual.unit, self.tolerance)
 
     @cached_property
-    def assessor(self) -> Assessor:
-        """Measures meshes against the continuous problem."""
-        return Assessor(self.contact)
+    def initial(self) -> Admissible:
+        """The displacement that is admissible for the continuous problem, on the mesh as given."""
+        return admissible(self.discretisation, start=self.contact.given.active)
+
+    def continuous(self, q: Array) -> Admissible:
+        """The same at outer variables ``q``, without design variables; the last one is remembered."""
+        if not np.any(q):
+            return self.initial
+        if q.tobytes() not in self._continuous:
+            start = self.energy(q).equilibrium.active
+            self._continuous.clear()
+            self._continuous[q.tobytes()] = admissible(self.discretisation, self.nodes(q), start)
+        return self._continuous[q.tobytes()]
+
+    @cached_property
+    def _continuous(self) -> dict[bytes, Admissible]:
+        return {}
 
     @property
     def n(self) -> int:

@@ -9,13 +9,13 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.assessor import (
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
+from rmesh_nlp.assessment.coulomb import coulomb_residual
+from rmesh_nlp.assessment.measures import (
     ContactResiduals,
     corrections,
     residuals,
 )
-from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
-from rmesh_nlp.assessment.coulomb import coulomb_residual
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
@@ -165,7 +165,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
     exact = at.energy.start if is_given else at.energy(position)
     point = outer.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
-    continuous = at.assessor.solve(nodes, solved.active)
+    continuous = at.continuous(position)
     displacement = at.contact.displacement.values(solved.u)
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
-from rmesh_nlp.assessment.assessor import equilibrium_residual
+from rmesh_nlp.assessment.measures import equilibrium_residual
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver

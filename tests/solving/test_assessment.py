@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.assessor import (
+from rmesh_nlp.assessment.measures import (
     EXPLOITS,
     TOLERANCE,
     ContactResiduals,
@@ -149,13 +149,13 @@ def test_no_conclusion_contradicts_itself(said: Status, measured: dict[str, Any]
 def test_a_contact_solve_of_the_assessment_that_failed_is_a_fault(given_is_sick, monkeypatch) -> None:
     """Of either mesh: a gain is a difference of four of them."""
     outer = Outer.of(EXAMPLES["6.2"]((4, 2)))
-    found, q = outer.assessor.initial, np.full(outer.n, 0.01)
+    found, q = outer.initial, np.full(outer.n, 0.01)
     sick = replace(found, state=replace(found.state, status=Status.CYCLED))
 
-    def solve(nodes: Array, *_: Any) -> Admissible:
-        return sick if np.array_equal(nodes, outer.problem.mesh.p) is given_is_sick else found
+    def continuous(_: Outer, q: Array) -> Admissible:
+        return found if bool(np.any(q)) is given_is_sick else sick
 
-    monkeypatch.setattr(outer.assessor, "solve", solve)
+    monkeypatch.setattr(Outer, "continuous", continuous)
     judged = ended(outer, q)
     assert (judged.status, judged.valid, judged.success) == (Status.CYCLED, False, False)
 

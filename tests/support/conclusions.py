@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.assessor import EXPLOITS, ContactResiduals
+from rmesh_nlp.assessment.measures import EXPLOITS, ContactResiduals
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.status import Status

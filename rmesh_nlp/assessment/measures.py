@@ -1,19 +1,14 @@
-"""Measures a mesh and a displacement against the continuous problem; no number comes from an optimiser.
-
-Beside the energy users read the largest pressure, the resultant and the length of contact.
-"""
+"""How far a contact solution is from equilibrium, the laws of contact, and the continuous problem."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium, OwnState
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium, OwnState
 from rmesh_nlp.evaluation import Array
 
 TOLERANCE = 1e-6
@@ -34,32 +29,6 @@ class ContactResiduals:
     def hold(self) -> bool:
         """Whether both are at most ``TOLERANCE``; not if one is no number."""
         return self.equilibrium <= TOLERANCE and self.complementarity <= TOLERANCE
-
-
-class Assessor:
-    """Assesses meshes of one problem by the contact solver of its formulations."""
-
-    def __init__(self, model: ContactSolver) -> None:
-        self.problem, self.model = model.problem, model
-        self._last: tuple[Array, Admissible] | None = None
-
-    @cached_property
-    def initial(self) -> Admissible:
-        """The admissible displacement on the mesh as given."""
-        return admissible(self.model.discretisation, start=self.model.given.active)
-
-    @cached_property
-    def initial_corrections(self) -> Mapping[str, float]:
-        """See :func:`corrections`, on the mesh as given."""
-        return corrections(self.model, np.asarray(self.problem.mesh.p), self.model.given, self.initial)
-
-    def solve(self, nodes: Array, start: ActiveSet) -> Admissible:
-        """The admissible displacement at node positions (2, nodes); the last one is remembered."""
-        if np.array_equal(nodes, self.problem.mesh.p):
-            return self.initial
-        if self._last is None or not np.array_equal(nodes, self._last[0]):
-            self._last = np.array(nodes), admissible(self.model.discretisation, nodes, start)
-        return self._last[1]
 
 
 def corrections(
