@@ -7,29 +7,40 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, solve
+from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
+from rmesh_nlp.mpcc.finish import labelled
 from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import linearise
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import run_of
 
 z = ca.SX.sym("z", 4)
 SADDLE = z[0] * z[1] + z[0] ** 4 + z[1] ** 4
 """Stationary at 0, where its curvature is 1 and -1; its minimum is -1/8 at (1/2, -1/2)."""
 
 
-@pytest.mark.parametrize(
-    ("G", "H"),
-    [
-        (z[2], z[3]),  # the pair knows nothing of the saddle
-        (ca.vertcat(z[2], z[3]), ca.vertcat(z[0] + z[2], z[3] - z[1])),  # both pairs are biactive at 0
-    ],
-)
-def test_a_saddle_is_left_for_the_minimum(G, H):
-    result = solve(MPCC(z, SADDLE + z[2] + z[3], None, G, H), 0.0)
+def test_a_saddle_is_left_for_the_minimum():
+    result = solve(MPCC(z, SADDLE + z[2] + z[3], None, z[2], z[3]), 0.0)
     assert (result.status, result.curvature) == (Status.CONVERGED, "not negative")
     assert result.f == pytest.approx(-1 / 8, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("f", "direction"),
+    [
+        (z[1] ** 2 - z[0] ** 2, [1, 0]),
+        (z[0] ** 2 - z[1] ** 2, [0, 1]),
+        (z[1] ** 2 - z[0] ** 2 + z[0], None),
+    ],
+)
+def test_members_of_a_biactive_pair_may_rise_unless_they_have_multipliers(f, direction):
+    run = run_of(MPCC(z[:2], f, None, z[0], z[1]))
+    said, critical = descent_of_curvature(run, labelled(run, np.zeros(2), 0.0, Status.CONVERGED))
+    assert said == ("not negative" if direction is None else "negative")
+    assert direction is None or critical == pytest.approx(np.array(direction), abs=1e-12)
 
 
 def test_curvature_that_only_an_infeasible_direction_has_is_none():
