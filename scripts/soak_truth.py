@@ -82,7 +82,7 @@ def certificate(solution: Any) -> Row:
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"remark": str(error)[:200]}
     record = {"energy_lower_bound": bounds.lower, "energy_upper_bound": bounds.upper}
-    record |= {"error_bound": bounds.error_bound, "why": bounds.why}
+    record |= {"error_bound": bounds.error_bound, "why": bounds.why, "forces": list(bounds.forces.values())}
     record |= {name: getattr(bounds, name) for name in ("guaranteed_lower", "guaranteed_upper")}
     return {**record, "percent": "%" in bounds.sentence}
 
@@ -179,10 +179,16 @@ def found_faults(row: Row) -> list[str]:
         lower, upper = bounds["energy_lower_bound"], bounds["energy_upper_bound"]
         unsure = math.sqrt(2 * (max(row["fine_error"], 0) + bar))  # of the reference in the energy norm
         both = bounds["guaranteed_lower"] and bounds["guaranteed_upper"]
+        force = row["resultant"][-1]
         wrong |= {
             "lower bound": bounds["guaranteed_lower"] and lower > J + slack,
             "upper bound": bounds["guaranteed_upper"] and upper < J - slack,
             "error bound": both and bounds["error_bound"] < row["own"][-1]["norm"] - unsure,
+            "force bounds": both
+            and any(
+                not low <= (1 + MARGIN) * force or not (1 - MARGIN) * force <= high
+                for low, high in bounds["forces"]
+            ),
             "crossed bounds": bounds["percent"] and upper < lower,
         }
     return [fault for fault, bad in wrong.items() if bad]

@@ -8,6 +8,7 @@ curves, its energy is never below the least one. By Theorem 4.1 it falls if and 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +29,7 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined
+from rmesh_nlp.problem.data import ContactSet
 
 REPEATS = 12
 """Contact solves with larger stand-offs, where normals vary along an edge, and meshes on which triangles are
@@ -118,17 +120,44 @@ class Continuous:
 
     def system(self, standoff: Array) -> ContactSystem:
         """The quadratic program with gaps shortened by a stand-off (gaps,)."""
-        return replace(self._bare, offset=self._bare.offset - standoff)
+        return self._bare.with_offset(self._bare.offset - standoff)
 
-    def solve(self, start: ActiveSet | None = None) -> Admissible:
-        """The admissible displacement of least energy, friction bounded from above."""
+    def shifted(self, contact: ContactSet, by: float) -> Continuous:
+        """The same with the foundation of a contact set raised along its normal, everywhere by a length."""
+        other, offset = copy(self), self._bare.offset.copy()
+        offset[contact.rows] -= by
+        vars(other)["_bare"] = self._bare.with_offset(offset)
+        other.cells = [
+            replace(cells, distance=cells.distance - by, low=cells.low - by, at_nodes=cells.at_nodes - by)
+            if cells.contact.number == contact.number
+            else cells
+            for cells in self.cells
+        ]
+        return other
+
+    def room(self, contact: ContactSet) -> float:
+        """How far that foundation can be raised before it meets nodes or cells that are held."""
+        room = np.inf
+        for cells in self.cells:
+            if cells.contact.number == contact.number:
+                held = cells.rows < 0
+                gaps = cells.at_nodes + self.given_along(cells)[cells.nodes]
+                between = cells.gaps(self.given)[np.all(held, axis=0)]
+                room = min(room, np.min(gaps[held], initial=np.inf), np.min(between, initial=np.inf))
+        return float(room)
+
+    def solve(self, start: ActiveSet | None = None, *, tighten: bool = True) -> Admissible:
+        """The admissible displacement of least energy, friction bounded from above.
+
+        Without ``tighten`` nodes keep off as far as they must by themselves, at a tenth of the cost.
+        """
         standoff, violation = self.first_standoff(), 0.0
         system = self.system(standoff)
         state = _solved(system, start)
         curved = any(part.obstacle.level is not None for part in self.space.contact_sets)
         if np.any(standoff) or curved:
             state, standoff, violation = self._safe(system, state, standoff)
-            tighten = violation == 0 and not self.problem.has_coulomb
+            tighten &= violation == 0 and not self.problem.has_coulomb
             closer = tightened(system, state, self.cells, self.field) if tighten else None
             if closer is not None and closer.energy < state.energy:
                 gap = self._bare.normals @ closer.u + self._bare.offset
@@ -157,7 +186,7 @@ class Continuous:
             if violation <= ROUNDING * size:
                 return state, standoff, 0.0
             standoff = standoff + 1.1 * raised
-            system = replace(system, offset=system.offset - 1.1 * raised)
+            system = system.with_offset(system.offset - 1.1 * raised)
             state = _solved(system, state.active)
         return state, standoff, violation
 

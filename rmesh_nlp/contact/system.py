@@ -8,7 +8,7 @@ lambda_i, lambda the contact force: no longer a program, but the conditions of o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -70,6 +70,12 @@ class ContactSystem:
         """J(u), friction of Tresca included."""
         friction = self.slip_bound @ np.abs(self.tangents @ u) if self.slip_bound.size else 0.0
         return float(0.5 * u @ (self.stiffness @ u) - self.load @ u + self.constant + friction)
+
+    def with_offset(self, offset: Array) -> ContactSystem:
+        """With gaps (gaps,) at zero displacement; the last factors are kept, which do not depend on these."""
+        other = replace(self, offset=offset)
+        vars(other)["rotated"] = self.rotated
+        return other
 
     @cached_property
     def rotated(self) -> RotatedSystem:

@@ -10,6 +10,7 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
+from rmesh_nlp.certificate.forces import force_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
@@ -60,10 +61,11 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
         raise NotCertifiableError(POLYGON)
     nodes = np.asarray(final.mesh.p)
     is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
-    after = _bracket(final, final.continuous, refinements)
+    exact = _on_polygon(final, final.continuous)
+    after = _bracket(final, exact, refinements)
     if not is_new and np.array_equal(nodes, given.mesh.p):
-        return _certificate(after, after, after.why)
-    before = _bracket(given, given.continuous, refinements)
+        return _certificate(exact, after, after, after.why)
+    before = _bracket(given, _on_polygon(given, given.continuous), refinements)
     is_same = not final.design  # else the bounds are those of two problems
     if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
         best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
@@ -72,17 +74,25 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
         )
     if is_new:  # the elements of a file are those of the last mesh
         before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
-    return _certificate(before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why)))
+    return _certificate(
+        exact, before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why))
+    )
+
+
+def _on_polygon(state: State, continuous: Admissible) -> Admissible:
+    """The admissible displacement; a body with curves is certified as the polygon of its mesh."""
+    if not state.problem.motion.curves:
+        return continuous
+    return admissible(replace(state.problem, mesh=state.mesh, motion=Motion(None)))
 
 
 def _bracket(state: State, continuous: Admissible, refinements: int | None) -> Bracket:
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
     u = DisplacementSpace(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
-    bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
-    if state.problem.motion.curves:  # certified as the polygon of its mesh
-        continuous = admissible(replace(state.problem, mesh=state.mesh, motion=Motion(None)))
-    return with_upper(bracket, continuous)
+    return with_upper(
+        refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements), continuous
+    )
 
 
 def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
@@ -93,7 +103,7 @@ def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     return replace(bracket, upper=continuous.energy + continuous.doubt, upper_faults=faults)
 
 
-def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
+def _certificate(exact: Admissible, before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
     # half the square of the error in the energy norm is at most the gap between the bounds
     gaps = [max(bracket.upper - bracket.lower, 0.0) for bracket in (before, after)]
     errors = [float(np.sqrt(2 * gap)) for gap in gaps]
@@ -112,6 +122,7 @@ def _certificate(before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certi
         local_initial=before.local,
         field=after.field,
         residual=max(after.residual, before.residual),
+        forces=force_bounds(exact, after.lower),
     )
 
 

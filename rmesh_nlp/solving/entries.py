@@ -34,6 +34,7 @@ from rmesh_nlp.solving.entry import (
     of_energies,
     of_seconds,
 )
+from rmesh_nlp.solving.parts import plain
 
 Solution = Any
 """A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
@@ -78,6 +79,20 @@ def _objective_initial(solution: Solution) -> float | None:
 
 def _remark(solution: Solution) -> str | None:
     return solution.certificate_remark if solution.certificate is None else solution.certificate.why
+
+
+def _force_bounds(solution: Solution) -> dict[str, dict[str, float | bool | None]] | None:
+    if (certificate := solution.certificate) is None:
+        return None
+    return {
+        name: {
+            "lower": lower,
+            "value": solution.contact[name]["normal_force"]["relocated"],
+            "upper": plain(upper),
+            "guaranteed": certificate.guaranteed_forces,
+        }
+        for name, (lower, upper) in certificate.forces.items()
+    } or None
 
 
 # fmt: off
@@ -292,6 +307,10 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("guaranteed_initial", bool | None, "The same of the error on the given mesh.",
               "certificate.guaranteed_initial"),
         Entry("certificate_remark", Text, "Why they are not.", _remark),
+        Entry("force_bounds", dict[str, dict[str, Number | bool]],
+              "By contact boundary: the normal force of the exact solution is at least `lower` and at most "
+              "`upper` (null: no bound), `value` is that of the solution; `guaranteed` whether these are "
+              "bounds, not estimates ([how](certificate.md#bounds-of-contact-forces)).", _force_bounds),
     ),
     "What formulations add": (
         Entry("relaxation", Text, "Of the complementarity in `mpcc`."),

@@ -166,6 +166,9 @@ class Certificate:
         The flux or the stress xx, yy, xy in equilibrium, mean of each element, on the relocated mesh.
     residual : float
         Largest violation of static admissibility, relative to the largest force.
+    forces : mapping of str to (lower, upper)
+        Bounds of the normal force of the exact solution, by contact boundary; infinite where there is none.
+        Bounds if both of the energy are, see ``guaranteed_forces``.
     """
 
     lower: float
@@ -182,6 +185,7 @@ class Certificate:
     local_initial: Array = field(repr=False)
     field: Array = field(repr=False)
     residual: float
+    forces: Mapping[str, tuple[float, float]]
 
     @property
     def is_disproved(self) -> bool:
@@ -193,6 +197,11 @@ class Certificate:
         """Whether all bounds are."""
         return self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
 
+    @property
+    def guaranteed_forces(self) -> bool:
+        """Whether the bounds of normal forces are bounds."""
+        return self.guaranteed_lower and self.guaranteed_upper
+
     def of_reduction(self, estimated: ErrorReduction) -> ErrorReduction:
         """An error reduction with these bounds, where they are guaranteed."""
         before, after = (bound**2 / 2 for bound in (self.error_bound_initial, self.error_bound))
@@ -200,7 +209,7 @@ class Certificate:
 
     @property
     def sentence(self) -> str:
-        """The result in words."""
+        """What it says of the error in words."""
         if self.is_disproved:
             return (
                 f"no error bound: the energy {figure(self.upper)} lies below the proven bound "
@@ -209,3 +218,12 @@ class Certificate:
         word = "at most" if self.is_guaranteed else "estimated at"
         before, after = (f"{100 * part:.3g} %" for part in (self.relative_initial, self.relative))
         return f"error in the energy norm {word} {before} before, {after} after"
+
+    @property
+    def force_sentences(self) -> list[str]:
+        """What it says of the normal force on each contact boundary in words."""
+        word = "guaranteed" if self.guaranteed_forces else "estimated"
+        return [
+            f"normal force of {name!r} {bounds_in_words(*bounds)}, {word}"
+            for name, bounds in self.forces.items()
+        ]

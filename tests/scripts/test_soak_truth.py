@@ -1,6 +1,7 @@
 """The solver of ``scripts/soak_truth.py`` against closed forms, and that it notices what is wrong."""
 
 import ast
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -149,14 +150,17 @@ def test_displacements_and_certificates_are_checked() -> None:
     """Against J* = -1 of a mesh with the error 0.02 and a solution with an energy norm error of 0.3."""
     row = {"J": -1.0, "bar": 1e-4, "errors": [0.02, 0.02], "success": True, "claimed": None, "audited": []}
     row |= {"own": [{"J": -0.98, "norm": 0.3}] * 2, "energies": [-0.98] * 2, "fine_error": 1e-4}
+    row["resultant"] = [4.0, 4.0, 5.0]
     sound = {"energy_lower_bound": -1.05, "energy_upper_bound": -0.98, "error_bound": 0.4, "percent": True}
-    sound |= {"guaranteed_lower": True, "guaranteed_upper": True}
+    sound |= {"guaranteed_lower": True, "guaranteed_upper": True, "forces": [(4.5, 5.5)]}
     assert soak.found_faults({**row, "certificate": sound}) == []
     assert soak.found_faults({**row, "own": [{"J": -0.98}, {"J": -0.9}]}) == ["worse displacement"]
     for change, fault in (
         ({"energy_lower_bound": -0.99}, "lower bound"),
         ({"energy_upper_bound": -1.01}, "upper bound"),
         ({"error_bound": 0.2}, "error bound"),
+        ({"forces": [(5.2, math.inf)]}, "force bounds"),
+        ({"forces": [(0.0, 4.8)]}, "force bounds"),
         ({"energy_lower_bound": -1.01, "energy_upper_bound": -1.02}, "crossed bounds"),
     ):
         assert fault in soak.found_faults({**row, "certificate": {**sound, **change}})

@@ -1,0 +1,106 @@
+"""Bounds of normal forces hold known ones, and are infinite where the foundation cannot be raised."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
+from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving.certify import certify
+from support.certificates import distorted
+from support.formulations import fixed
+from support.orders import ORDERS
+
+BOTH = pytest.mark.parametrize("order", ORDERS)
+
+
+def bounds_of(problem: ContactProblem) -> tuple[float, float]:
+    found = certify(fixed.solve(problem))
+    assert found.guaranteed_forces
+    (bounds,) = found.forces.values()
+    return bounds
+
+
+def force_of(problem: ContactProblem) -> float:
+    return float(np.sum(ContactSolver(problem).given.normal_force))
+
+
+@BOTH
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(sign: float, order: int) -> None:
+    """-2 w'' = 3 from 0.1 to the obstacle at 0.3, whose force is 3 / 2 - 2 (0.3 - 0.1)."""
+    held, obstacle = (Dirichlet("left", (0.1 * sign,)),), Obstacle("right", (-sign,), 0.3)
+    mesh = distorted(rectangle(3, 3), 0.2, 1)
+    lower, upper = bounds_of(ContactProblem(mesh, Laplace(3.0 * sign, 2.0), held, obstacle, order=order))
+    assert lower < 1.1 < upper
+    assert upper - lower < {1: 1.0, 2: 1e-3}[order]
+
+
+@BOTH
+@pytest.mark.parametrize("slip", [0.03, 0.0])
+def test_force_of_a_block_that_slides_or_sticks_on_an_oblique_foundation(slip: float, order: int) -> None:
+    """Of a linear displacement with pressure 2.8, shear the friction bound 0.5, or 0.3 where it sticks."""
+    lam, mu, gap, turn = 3.0, 2.0, 0.1, 0.6
+    Q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    slope = np.array([[0.0, (0.5 if slip else 0.3) / mu], [0.0, -0.4]])
+    stress = lam * np.trace(slope) * np.eye(2) + mu * (slope + slope.T)
+    flat = distorted(rectangle(3, 3), 0.2, 3)
+    mesh, shift, slope = replace(flat, doflocs=Q @ flat.p), Q @ np.array([slip, -gap]), Q @ slope @ Q.T
+    given = tuple(lambda x, y, i=i: slope[i, 0] * x + slope[i, 1] * y + shift[i] for i in range(2))
+    sides = tuple(Traction(side, tuple(Q @ stress[0] * way)) for side, way in (("left", -1), ("right", 1)))
+    obstacle = Obstacle("bottom", tuple(Q[:, 1]), gap, friction=0.5)
+    law, top = PlaneStrain(lam, mu), (Dirichlet("top", given),)
+    lower, upper = bounds_of(ContactProblem(mesh, law, top, obstacle, tractions=sides, order=order))
+    assert 2.79 < lower < 2.8 < upper < 2.81
+
+
+@BOTH
+def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
+    """-u'' = -2, u >= -1/20: contact but for sqrt(1/20) from either end."""
+    problem = ContactProblem(
+        rectangle(8, 2), Laplace(-2.0), ("left", "right"), Obstacle.interior(-0.05), order=order
+    )
+    lower, upper = bounds_of(problem)
+    assert lower < 2 * (1 - 2 * np.sqrt(0.05)) < upper
+    assert upper - lower < {1: 1.2, 2: 0.3}[order]
+
+
+def body(n: int, order: int, friction: float) -> ContactProblem:
+    return ContactProblem(
+        rectangle(2 * n, n, x=(0, 2)),
+        PlaneStrain.from_young(1000.0, 0.3),
+        ("left",),
+        Obstacle.graph("bottom", lambda x, y: -0.002 - 0.004 * (x - 1.2) ** 2, friction=friction),
+        tractions=(Traction("top", (0.0, lambda x, y: -4.0 * x)),),
+        order=order,
+    )
+
+
+@BOTH
+@pytest.mark.parametrize("friction", [0.0, 1.0])
+def test_bounds_hold_the_force_on_a_finer_mesh_and_close_under_refinement(
+    order: int, friction: float
+) -> None:
+    force = force_of(refined(refined(body(8, order, friction))))
+    bounds = [bounds_of(body(n, order, friction)) for n in (2, 4, 8)]
+    assert all(lower < force < upper for lower, upper in bounds)
+    widths = [upper - lower for lower, upper in bounds]
+    assert all(last < 0.8 * first for first, last in pairwise(widths))
+
+
+def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
+    problem = replace(body(4, 2, 0.0), obstacle=Obstacle("bottom"))
+    lower, upper = bounds_of(problem)
+    assert 0 < lower < force_of(problem)
+    assert upper == np.inf
+
+
+def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
+    lower, upper = bounds_of(replace(body(4, 2, 0.0), obstacle=Obstacle("bottom", offset=1.0)))
+    assert 0 == lower < upper < 1e-2 * force_of(body(4, 2, 0.0))
