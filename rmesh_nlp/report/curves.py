@@ -154,7 +154,7 @@ def profile_figure(chart: Chart, page: Page) -> Figure:
     for position, (name, profile) in enumerate(chart.profiles.items(), 1):
         at = np.concatenate([[low], np.maximum(profile.at, low), [high]])
         axis.step(at, profile(at), where="post", label=name, **{**pen_of(position), "marker": ""})
-    axis.set(ylim=(None, 1.02), xlabel=chart.axis, ylabel="share of problems", xscale="log")
+    axis.set(ylim=(None, 1.01), xlabel=chart.axis, ylabel="share of problems", xscale="log")
     axis.minorticks_off()
     _label_in_numbers(axis)
     axis.grid(visible=True)
