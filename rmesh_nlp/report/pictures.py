@@ -38,6 +38,7 @@ from rmesh_nlp.report.style import CONTACT, IN_CONTACT, NEUTRAL, Page
 from rmesh_nlp.solving import plotting
 from rmesh_nlp.solving.parts import DESIGN, Step
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.state import nodal_stress
 
 Drawable = Solution | KeptSolution
 GIVEN = "given mesh"
@@ -67,11 +68,10 @@ def body_at(title: str, problem: ContactProblem, X: Array, u: Array, pressure: A
 def before(problem: ContactProblem, pressure: Array | None = None, title: str = GIVEN) -> Body:
     """The contact solution before relocation; ``pressure`` (nodes,) of a similar mesh says who touches."""
     model, X = ContactSolver(problem), np.asarray(problem.mesh.p)
-    system, space = model.system(X), DisplacementSpace(problem)
+    system, space = model.system(X), model.discretisation.space
     start = None if pressure is None else touching_set(system, pressure[model.contact_nodes] > 0)
     state = solve(system, start)
-    pressure = np.zeros(space.n_nodes)
-    np.add.at(pressure, model.contact_nodes, state.normal_force / space.weights(X))
+    pressure = nodal_stress(model, X, state.normal_force)
     return body_at(title, problem, X, space.values(model.displacement.values(state.u)), pressure)
 
 

@@ -178,8 +178,8 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
         min_area_ratio=ratio,
         equilibrium=solved,
         displacement=space.values(displacement),
-        pressure=_nodal_stress(at.contact, nodes, solved.normal_force),
-        tangential_stress=_nodal_stress(at.contact, nodes, solved.tangential_force),
+        pressure=nodal_stress(at.contact, nodes, solved.normal_force),
+        tangential_stress=nodal_stress(at.contact, nodes, solved.tangential_force),
         residuals=residuals(system, solved),
         penetration=penetration(space, nodes, displacement),
         coulomb_residual=coulomb_residual(
@@ -251,7 +251,7 @@ def _constrained(outer: Outer, point: ReducedPoint) -> dict[str, Constrained]:
     return constrained
 
 
-def _nodal_stress(model: ContactSolver, nodes: Array, force: Array) -> Array:
+def nodal_stress(model: ContactSolver, nodes: Array, force: Array) -> Array:
     """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set.
 
     At order 2 these are the values at the nodes' points of a pressure that is quadratic on each edge. Its
