@@ -12,7 +12,9 @@ import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import load
-from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.contact.penetration import penetrations
+from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure, rich_table
 from rmesh_nlp.errors import BadInputError, located, one_line
@@ -65,7 +67,11 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     rows += [("unknowns of the displacement", str(parts.n_u))]
     with located(path):
         parts.check_unknowns()
-        messages = [warning.message for warning in setup_warnings(problem.at_design())]
+        model = ContactSolver(problem.at_design())
+        space, u = model.discretisation.space, model.displacement.values(model.given.u)
+        passing = penetrations(space, model.problem.mesh.p, u)
+        signs = *setup_warnings(model), *penetration_warnings(passing)
+        messages = [warning.message for warning in signs]
     doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
     said = f"states a problem, with {doubts}" if messages else "is in order"
     Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))

@@ -5,20 +5,19 @@ What is looked at costs one contact solve on the given mesh, and one assembly of
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from rmesh_nlp.contact.penetration import Penetration
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.standoff import cells_of
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import ContactProblem, Place
-from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import LOCKING
 from rmesh_nlp.problem.units import after
@@ -54,46 +53,32 @@ class SetupWarning(NamedTuple):
     message: str
 
 
-def setup_warnings(
-    problem: ContactProblem, model: ContactSolver | None = None, accurate: Array | None = None
-) -> tuple[SetupWarning, ...]:
-    """All signs of a wrong set-up, from the contact solution on the given mesh.
+def setup_warnings(model: ContactSolver, accurate: Array | None = None) -> tuple[SetupWarning, ...]:
+    """All signs of a wrong set-up but penetration, from the contact solution on the given mesh.
 
     Parameters
     ----------
-    model : ContactSolver, optional
-        That of the problem, where it is at hand.
+    model : ContactSolver
+        Of the problem.
     accurate : (n_u,) array, optional
         Nodal loads by an accurate rule; without them the rule is not looked at.
     """
-    model = model or ContactSolver(problem)
-    system, space = model.system(problem.mesh.p), model.discretisation.space
-    coefficients = model.displacement.values(model.given.u)
-    u = space.values(coefficients)
+    problem, space = model.problem, model.discretisation.space
+    system, u = model.system(problem.mesh.p), space.values(model.displacement.values(model.given.u))
     return (
         *_problem(problem),
         *_loads(problem, system, accurate),
         *_sizes(problem, u),
         *(sign for part in space.contact_sets for sign in _contact(space, part, system, model.given, u)),
-        *penetration_warnings(space, problem.mesh.p, coefficients),
     )
 
 
-def penetration_warnings(
-    space: DisplacementSpace, nodes: Array, displacement: Array
-) -> Iterator[SetupWarning]:
-    """Where foundations pass into the body between contact nodes, at any vertex positions (2, vertices)."""
-    body = Body(space.problem, nodes)
-    for part in space.contact_sets:
-        if space.problem.components == 1:
-            continue  # a displacement of its own unit: there is no edge to compare with
-        ratio = 0.0
-        for cells in cells_of(body, space, part):
-            length = np.linalg.norm(cells.points[:, :, -1] - cells.points[:, :, 0], axis=0)
-            ratio = max(ratio, float(np.max(cells.depths(displacement) / length, initial=0.0)))
-        if ratio > NEGLECTED:
-            text = f"between its nodes {_name(part)} passes into the foundation by {ratio:.0%} of an edge "
-            text += f"(more than {NEGLECTED:.0%}): refine it where the foundation is curved"
+def penetration_warnings(penetrations: Sequence[Penetration]) -> Iterator[SetupWarning]:
+    """Where foundations pass into the body between contact nodes."""
+    for part in penetrations:
+        if part.ratio > NEGLECTED:
+            text = f"between its nodes {_name(part.contact)} passes into the foundation by {part.ratio:.0%} "
+            text += f"of an edge (more than {NEGLECTED:.0%}): refine it where the foundation is curved"
             yield SetupWarning("penetration", text)
 
 

@@ -70,11 +70,6 @@ class Relocation:
         return Assembled((*self.groups, valid), self.x, ca.MX(0, 1), self.n_rows)
 
     @cached_property
-    def lagrangian(self) -> Assembled:
-        """The same without validity rows."""
-        return Assembled(self.groups, self.x, ca.MX(0, 1), self.n_contact + 2 * self.n_s)
-
-    @cached_property
     def nlp(self) -> NLP:
         """The NLP with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
         free, rest = self.mesh_map, np.full(self.n_u + self.n_s, np.inf)

@@ -62,7 +62,7 @@ class ReducedEnergy:
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
         rel = self.relocation
-        self._rows = Block(rel.lagrangian.first.pattern, slice(None), slice(0, rel.n_q))
+        self._rows = Block(rel.assembled.first.pattern, slice(None), slice(0, rel.n_q))
         self._position_terms = element_values(rel.position_groups)
 
     @property
@@ -124,9 +124,9 @@ class ReducedEnergy:
         ``friction`` (n_s,) has the tangential forces where friction may act.
         """
         rel = self.relocation
-        forces = np.zeros(rel.n_contact + 2 * rel.n_s)
+        forces = np.zeros(rel.n_rows)
         forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
-        _, gradient, _, rows = rel.lagrangian.first(x, None)
+        _, gradient, _, rows = rel.assembled.first(x, None)
         return np.asarray(gradient[: rel.n_q] - self._rows(rows).T @ forces)
 
     def unknowns(self, q: Array, u: Array) -> Array:

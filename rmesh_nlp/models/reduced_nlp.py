@@ -186,13 +186,13 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     component, node = np.nonzero(index >= 0)
     places = index[component, node], node
     of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.n_u, index.shape[1]))
-    turned, first = of_node @ of_node.T, sp.csr_array(rel.lagrangian.first.pattern, dtype=float)
+    turned, first = of_node @ of_node.T, sp.csr_array(rel.assembled.first.pattern, dtype=float)
     gaps, slips = first[rel.gap_rows], first[rel.slip_rows]
     follows = turned @ (gaps[:, u].T @ gaps[:, q] + slips[:, u].T @ slips[:, q])
     unknowns = sp.block_array(
         [[sp.eye_array(rel.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]
     )
-    upper = rel.lagrangian.second.pattern
+    upper = rel.assembled.second.pattern
     whole = unknowns.T @ (upper + upper.T) @ unknowns + sp.eye_array(rel.n_q + rel.n_u)
     pattern = sp.csc_array(sp.triu(whole))
     pattern.sort_indices()

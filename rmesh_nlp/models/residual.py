@@ -25,32 +25,29 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.fields import NONE
-from rmesh_nlp.mapping import Mobility
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
-from rmesh_nlp.optimize.activity import is_inside
+from rmesh_nlp.optimize.activity import ZERO, is_inside
 from rmesh_nlp.optimize.constraints import stacked
-
-FLOOR = 1e-6
-"""Least unit, in units of the objective: below it the gradient on the given mesh is small already, and
-a millionth of it would be rounding (near 1e-13 on the examples with up to 128 squares a side)."""
 
 
 class OuterResidual:
     """The first-order residual of one objective.
 
     The energy is that of the problem, for its move limits and elements; ``given`` is the objective on the
-    mesh as given, and ``unit`` what gradients are measured in.
+    mesh as given, and ``unit`` what gradients are measured in: at least ``ZERO`` in units of the objective.
+    Below it the gradient on the given mesh is small already, and a millionth of it would be rounding (near
+    1e-13 on the examples with up to 128 squares a side).
     """
 
     def __init__(
         self, energy: ReducedEnergy, given: ReducedPoint, constraints: ReducedConstraints | None = None
     ) -> None:
         self._energy, self._constraints = energy, constraints
-        released, _, _ = _released(energy, given.q, given.gradient)
-        largest = float(np.max(np.abs(released), initial=0.0))
-        self.unit = max(largest, FLOOR * size_of(given)) or 1.0
+        largest = float(np.max(np.abs(released(energy, given.q, given.gradient).rest), initial=0.0))
+        self.unit = max(largest, ZERO * size_of(given)) or 1.0
 
     def __call__(self, point: ReducedPoint) -> float:
         """The residual at a point of the objective; infinite if its gradient is not finite."""
@@ -66,34 +63,62 @@ class OuterResidual:
 
     def at(self, q: Array, gradient: Array) -> float:
         """The residual at ``q`` with a gradient; infinite if that is not finite."""
-        if not np.all(np.isfinite(gradient)):
-            return float("inf")
-        free = self._energy.relocation.mesh_map
-        released, slack, fitted = _released(self._energy, q, gradient, self._constraints)
-        natural = np.abs(q - free.clipped(q - released / self.unit))
-        pairs = np.abs(np.minimum(slack, fitted / self.unit))
-        return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
+        return released(self._energy, q, gradient, self._constraints).residual(self.unit)
 
 
-def _released(
-    energy: ReducedEnergy, q: Array, gradient: Array, constraints: ReducedConstraints | None = None
-) -> tuple[Array, Array, Array]:
-    """The gradient less the pull of the constraints, their slacks and their multipliers.
+@dataclass(frozen=True)
+class Released:
+    """The gradient at ``q`` less the pull of the constraints, ``rest``, and their slacks and multipliers.
 
     Elements, whose slack is at least zero, come first; a slack of other constraints may be negative.
     """
-    relocation = energy.relocation
-    rows = []
+
+    relocation: Relocation
+    q: Array
+    rest: Array
+    slack: Array
+    fitted: Array
+
+    def residual(self, unit: float) -> float:
+        """The residual in a unit of gradients; infinite if the gradient is not finite."""
+        if not np.all(np.isfinite(self.rest)):
+            return float("inf")
+        natural = np.abs(self.q - self.relocation.mesh_map.clipped(self.q - self.rest / unit))
+        pairs = np.abs(np.minimum(self.slack, self.fitted / unit))
+        return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
+
+    @property
+    def multipliers(self) -> Multipliers:
+        """Of the elements those that were fitted; what then remains at the move limits is theirs."""
+        validity, free = self.relocation.validity, self.relocation.mesh_map
+        by_element = self.fitted[: validity.size].reshape(-1, validity.rows_per_element)
+        area, angle = np.zeros((2, self.relocation.problem.mesh.t.shape[1]))
+        area[validity.elements] = by_element[:, 0]
+        angle[validity.elements] = by_element[:, 1:].sum(axis=1)
+        stopped = ~is_inside(self.q, free.lower, free.upper)
+        return Multipliers(_by_node(free, self.q, self.rest, stopped), area, angle)
+
+
+def released(
+    energy: ReducedEnergy, q: Array, gradient: Array, constraints: ReducedConstraints | None = None
+) -> Released:
+    """The gradient of the outer objective at ``q`` less the pull of elements and constraints.
+
+    Their multipliers are non-negative least squares over the outer variables inside their limits.
+    """
+    relocation, rows = energy.relocation, []
     if relocation.n_valid:  # a barrier may stand in the place of the rows
         areas = energy.validity.at(q)
         rows.append(replace(areas, slack=np.maximum(areas.slack, 0.0)))
     if constraints is not None:
         rows.append(constraints.linearised(energy(q)))
     if not rows:
-        return gradient, np.zeros(0), np.zeros(0)
+        return Released(relocation, q, gradient, np.zeros(0), np.zeros(0))
     free, every = relocation.mesh_map, stacked(rows)
-    fitted = every.fitted(gradient, is_inside(q, free.lower, free.upper))
-    return gradient - every.jacobian.T @ fitted, every.slack, fitted
+    fitted = np.zeros(every.slack.size)
+    if np.all(np.isfinite(gradient)):
+        fitted = every.fitted(gradient, is_inside(q, free.lower, free.upper))
+    return Released(relocation, q, gradient - every.jacobian.T @ fitted, every.slack, fitted)
 
 
 def size_of(point: ReducedPoint) -> float:
@@ -117,28 +142,9 @@ class Multipliers:
     angle: Array
 
 
-def multipliers(
-    energy: ReducedEnergy, q: Array, gradient: Array, constraints: ReducedConstraints | None = None
-) -> Multipliers:
-    """Fit the multipliers at ``q`` to the gradient of the outer objective there.
-
-    Those of the elements are the ones of the first-order residual, non-negative least squares over the outer
-    variables inside their limits; what then remains at the limits is theirs.
-    """
-    relocation, validity = energy.relocation, energy.relocation.validity
-    rest, _, values = _released(energy, q, gradient, constraints)
-    free = relocation.mesh_map
-    by_element = values[: validity.size].reshape(-1, validity.rows_per_element)
-    area, angle = np.zeros((2, relocation.problem.mesh.t.shape[1]))
-    area[validity.elements] = by_element[:, 0]
-    angle[validity.elements] = by_element[:, 1:].sum(axis=1)
-    return Multipliers(_by_node(relocation, q, rest, ~is_inside(q, free.lower, free.upper)), area, angle)
-
-
-def _by_node(relocation: Relocation, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
+def _by_node(free: MeshMap, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
     """Multipliers of move limits, as energy per length, at the nodes that own the outer variables."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
-    free = relocation.mesh_map
     index, scale = free.positions.index, free.positions.slopes(q)
     moving = (index != NONE) & (free.mobility != Mobility.TIED)
     rate = np.zeros(index.shape)

@@ -52,19 +52,19 @@ class Curvature:
     def __init__(self, energy: ReducedEnergy) -> None:
         self._energy, rel = energy, energy.relocation
         q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
-        upper, first = rel.lagrangian.second.pattern, rel.lagrangian.first.pattern
+        upper, first = rel.assembled.second.pattern, rel.assembled.first.pattern
         self._second = Symmetric(upper, rel.n_q), Block(upper, q, u), Block(upper, q, s)
         self._first = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def at(self, point: ReducedPoint) -> Hessian:
         """L'' at a point, ready for products."""
         rel, solved = self._energy.relocation, point.equilibrium
-        x, rows = self._energy.unknowns(point.q, solved.u), np.zeros(rel.n_contact + 2 * rel.n_s)
+        x, rows = self._energy.unknowns(point.q, solved.u), np.zeros(rel.n_rows)
         rows[rel.gap_rows] = -solved.normal_force
         if rel.n_s:
             rows[rel.slip_rows] = -solved.tangential_force[rel.friction_rows]
-        (second,) = rel.lagrangian.second(x, None, np.ones(1), rows)
-        *_, first = rel.lagrangian.first(x, None)
+        (second,) = rel.assembled.second(x, None, np.ones(1), rows)
+        *_, first = rel.assembled.first(x, None)
         blocks = [block(second) for block in self._second] + [block(first) for block in self._first]
         return Hessian(point, Blocks(*blocks), rel.friction_rows)
 

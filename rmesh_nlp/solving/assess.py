@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.coulomb import growth
 from rmesh_nlp.assessment.measures import residuals
-from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
-from rmesh_nlp.contact.uniqueness import contraction
-from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solving.assessment import Assessment
@@ -39,8 +35,8 @@ def assess(
     is_same_mesh = _have_same_mesh(first, last)
     begin = last if is_same_mesh else first
     # the final mesh before the given one: the models remember their last point
-    final = measured(last, outcome.q, mesh_warnings)
-    given = measured(begin, np.zeros(begin.n), problem_warnings)
+    final = measured(last, outcome.q)
+    given = measured(begin, np.zeros(begin.n)) if np.any(outcome.q) or begin is not last else final
     conditions, own = FirstOrder(), final.residuals
     if final.point is not None:
         conditions = first_order(last, final.point, outcome.label, said, relocates)
@@ -58,7 +54,7 @@ def assess(
         tolerance=last.tolerance,
         designed=last.problem if final.design else None,
         domain_area_change=_domain_area_change(first, final),
-        warnings=(*given.warnings, *final.warnings, *(() if grown is None else (grown,))),
+        warnings=(*given.doubts, *final.warnings, *(() if grown is None else (grown,))),
     )
 
 
@@ -74,24 +70,3 @@ def _domain_area_change(first: Outer, final: State) -> float | None:
         return None
     before = signed_areas(first.problem.mesh.p, first.problem.triangles).sum()
     return float(signed_areas(final.mesh.p, final.problem.triangles).sum() / before - 1)
-
-
-def problem_warnings(outer: Outer, point: ContactPoint, continuous: Admissible) -> tuple[str, ...]:
-    """Signs of a wrong set-up on the mesh as given."""
-    # the load by an accurate rule, where it is on the same mesh
-    load = continuous.system.load if continuous.problem is outer.problem else None
-    warnings = setup_warnings(outer.problem, outer.contact, load)
-    return tuple(warning.message for warning in warnings if warning.kind != "penetration")
-
-
-def mesh_warnings(outer: Outer, point: ContactPoint, _: Admissible) -> tuple[str, ...]:
-    """Foundations that pass into the relocated mesh, and a contact solution that may be one of several."""
-    displacement = outer.contact.displacement.values(point.equilibrium.u)
-    passing = penetration_warnings(outer.discretisation.space, outer.nodes(point.q), displacement)
-    messages = [warning.message for warning in passing]
-    if (ratio := contraction(point.system, point.equilibrium)) >= 1:
-        messages.append(
-            f"Coulomb friction is strong: a change of its bounds grows {ratio:.2g} times in a fixed-point "
-            "step, and it is not known whether this solution is the only one"
-        )
-    return tuple(messages)

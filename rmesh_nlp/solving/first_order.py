@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
-from rmesh_nlp.models.residual import Multipliers, multipliers
+from rmesh_nlp.models.residual import Multipliers, released
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
@@ -62,8 +62,8 @@ def first_order(
     relocates : bool
         Whether nodes move at all; if not, there is nothing to be stationary in.
     """
-    residual = outer.residual(point)
-    pulls = multipliers(outer.energy, point.q, point.gradient, outer.constraints)
+    rates = released(outer.energy, point.q, point.gradient, outer.constraints)
+    residual, pulls = rates.residual(outer.residual.unit), rates.multipliers
     holds = residual <= outer.tolerance
     if relocates and isinstance(outer.function, ReducedObjective):
         stationarity, label = _over_branches(outer, point, holds, said in MET)

@@ -12,7 +12,6 @@ from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
@@ -107,10 +106,9 @@ def _of_displacement(objective: Objective) -> Objective | None:
 def _value(problem: ContactProblem, objective: Objective, *, refine: bool = False) -> float:
     """The objective on a mesh or its refinement; NaN where the contact problem has no solution there."""
     try:
-        energy = ReducedEnergy(ContactSolver(refined(problem) if refine else problem))
+        solver = ContactSolver(refined(problem) if refine else problem)
     except ProblemError:  # refined edges on a curve may fold a thin element
         return float("nan")
-    state = energy.model.given
-    if state.status is not Status.CONVERGED:
+    if solver.given.status is not Status.CONVERGED:
         return float("nan")
-    return objective_value(energy, objective, np.zeros(energy.relocation.n_q), state)
+    return objective_value(solver, objective, np.zeros(solver.discretisation.n_q), solver.given)

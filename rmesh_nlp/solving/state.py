@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,15 +16,17 @@ from rmesh_nlp.assessment.measures import (
     corrections,
     residuals,
 )
-from rmesh_nlp.contact.penetration import penetration
+from rmesh_nlp.contact.penetration import deepest, penetrations
+from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
+from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import ContactPoint, kkt_unknowns
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedPoint
+from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.residual import size_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, signed_areas
@@ -97,7 +99,9 @@ class State:
     constraints : mapping of str to Constrained
         Quantities that the problem constrains, by their texts.
     warnings : tuple of str
-        What is suspicious about the mesh or the problem.
+        Foundations that pass into the body, and a contact solution that may be one of several.
+    doubts : tuple of str
+        Of the mesh as given, signs of a wrong set-up.
     """
 
     problem: ContactProblem
@@ -123,6 +127,7 @@ class State:
     violation: float = NAN
     constraints: Mapping[str, Constrained] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
 
     @property
     def energy(self) -> float:
@@ -146,12 +151,7 @@ class State:
         return self.continuous.status if own is Status.CONVERGED and self.continuous is not None else own
 
 
-Warn = Callable[[Outer, ContactPoint, Admissible], tuple[str, ...]]
-"""Warnings of a mesh, from its outer problem without design variables, its contact solution and the
-continuous one."""
-
-
-def measured(outer: Outer, q: Array, warn: Warn) -> State:
+def measured(outer: Outer, q: Array) -> State:
     """Measure the mesh at outer variables ``q`` and its equilibrium."""
     is_given = not np.any(q)
     before, triangles = np.array(outer.problem.mesh.p), outer.problem.triangles
@@ -169,7 +169,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
     displacement = at.contact.displacement.values(solved.u)
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
-    audited = _audited(at, position, solved, continuous)
+    audited, passing = _audited(at, position, solved, continuous), penetrations(space, nodes, displacement)
     return State(
         problem=at.problem,
         design=outer.figures(q),
@@ -181,7 +181,7 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
         pressure=nodal_stress(at.contact, nodes, solved.normal_force),
         tangential_stress=nodal_stress(at.contact, nodes, solved.tangential_force),
         residuals=residuals(system, solved),
-        penetration=penetration(space, nodes, displacement),
+        penetration=deepest(passing),
         coulomb_residual=coulomb_residual(
             space, nodes, displacement, solved.normal_force, solved.tangential_force
         ),
@@ -195,8 +195,23 @@ def measured(outer: Outer, q: Array, warn: Warn) -> State:
         size=max(abs(audited), size_of(point)),
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
-        warnings=warn(at, exact, continuous),
+        warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),
+        doubts=_doubts(at, continuous) if is_given else (),
     )
+
+
+def _ambiguous(point: ContactPoint) -> Iterator[str]:
+    if (ratio := contraction(point.system, point.equilibrium)) >= 1:
+        yield (
+            f"Coulomb friction is strong: a change of its bounds grows {ratio:.2g} times in a fixed-point "
+            "step, and it is not known whether this solution is the only one"
+        )
+
+
+def _doubts(outer: Outer, continuous: Admissible) -> tuple[str, ...]:
+    # the load by an accurate rule, where it is on the same mesh
+    load = continuous.system.load if continuous.problem is outer.problem else None
+    return tuple(warning.message for warning in setup_warnings(outer.contact, load))
 
 
 def _unsolvable(outer: Outer, q: Array, before: Array, ratio: float) -> State:
@@ -218,12 +233,12 @@ def _unsolvable(outer: Outer, q: Array, before: Array, ratio: float) -> State:
     )
 
 
-def objective_value(energy: ReducedEnergy, objective: Objective, q: Array, state: Equilibrium) -> float:
+def objective_value(solver: ContactSolver, objective: Objective, q: Array, state: Equilibrium) -> float:
     """An objective at outer variables (n,) and a contact solution, by the assessment's rule."""
-    rel = energy.relocation
-    fields, accurate = rel.discretisation.fields(), DisplacementSpace(rel.problem.with_rule(ACCURATE))
+    parts, accurate = solver.discretisation, DisplacementSpace(solver.problem.with_rule(ACCURATE))
+    fields = parts.fields()
     fields = fields._replace(space=accurate, positions=fields.positions.at_rest(q))
-    x = kkt_unknowns(ContactPoint(q, energy.model.system_at(q), state), rel.friction_rows)
+    x = kkt_unknowns(ContactPoint(q, solver.system_at(q), state), parts.friction_rows)
     return objective.on(fields).evaluate()(x)
 
 
@@ -235,7 +250,7 @@ def _audited(outer: Outer, q: Array, solved: Equilibrium, continuous: Admissible
     if outer.objective.collapses:
         return continuous.energy + outer.energy.of_positions(q)
     state = continuous.state if continuous.problem is outer.problem else solved
-    return objective_value(outer.energy, outer.objective, q, state)
+    return objective_value(outer.contact, outer.objective, q, state)
 
 
 def _constrained(outer: Outer, point: ReducedPoint) -> dict[str, Constrained]:

@@ -12,7 +12,6 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.state import ACCURATE, objective_value
@@ -104,9 +103,8 @@ def verify_gradient(
     ValueError
         If the objective is unknown or does not suit the problem, or no node may move.
     """
-    outer, asked = Outer.of(problem), parse_objective(objective)
-    function: Reduced = outer.energy if asked.is_energy else ReducedObjective(outer.energy, asked)
-    n = outer.n
+    outer = Outer.of(problem, objective)
+    function, n = outer.function, outer.n
     if n == 0:
         raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
     rng = np.random.default_rng(seed)
@@ -122,7 +120,7 @@ def verify_gradient(
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])
     orders[~(is_resolved[:-1] & is_resolved[1:])] = np.nan
-    return TaylorTest(str(asked), point.value, slope, steps, remainders, orders)
+    return TaylorTest(str(outer.objective), point.value, slope, steps, remainders, orders)
 
 
 def error_terms(problem: ContactProblem, nodes: Array) -> dict[str, float]:
@@ -135,12 +133,12 @@ def error_terms(problem: ContactProblem, nodes: Array) -> dict[str, float]:
     if exact is None or not np.isfinite(exact.energy):
         return {}
     moved = replace(problem, mesh=relocated_mesh(problem.mesh, nodes), quadrature=ACCURATE)
-    energy = ReducedEnergy(ContactSolver(moved))
-    state, q = energy.model.given, np.zeros(energy.relocation.n_q)
+    solver = ContactSolver(moved)
+    q = np.zeros(solver.discretisation.n_q)
 
     def term(name: str) -> float:
-        return objective_value(energy, parse_objective(name), q, state)
+        return objective_value(solver, parse_objective(name), q, solver.given)
 
     friction = term("friction") if problem.frictional else 0.0
     terms = {"I1": term("error-energy"), "I2": term("contact"), "I3": friction}
-    return {**terms, "energy_above_exact": state.energy - exact.energy}
+    return {**terms, "energy_above_exact": solver.given.energy - exact.energy}

@@ -12,7 +12,6 @@ import pytest
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.measures import equilibrium_residual
 from rmesh_nlp.contact.active_set import solve
-from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
@@ -27,6 +26,7 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import refined
 from support.orders import ORDERS
+from support.penetration import penetration
 from support.rings import ring_on_a_shaft
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from skfem import MeshTri
 
-from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.contact.penetration import penetrations
+from rmesh_nlp.contact.setup_warnings import SetupWarning, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes import named
@@ -44,6 +45,13 @@ def sound(**changes: Any) -> ContactProblem:
     return replace(problem, **changes)
 
 
+def signs(problem: ContactProblem) -> tuple[SetupWarning, ...]:
+    """All of a problem, as ``rmesh check`` prints them."""
+    model = ContactSolver(problem)
+    u, space = model.displacement.values(model.given.u), model.discretisation.space
+    return *setup_warnings(model), *penetration_warnings(penetrations(space, problem.mesh.p, u))
+
+
 WRONG = {
     "overlap": {"obstacle": Obstacle.graph("bottom", lambda x, y: 0.005 * x)},  # zero where it is held
     "away": {"tractions": (Traction("load", (0.0, 57.5)),)},
@@ -62,7 +70,7 @@ WRONG = {
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
     problem = sound(**WRONG[kind], order=order)
-    found = {warning.kind: warning.message for warning in setup_warnings(problem)}
+    found = {warning.kind: warning.message for warning in signs(problem)}
     if order == 2 and kind in ("locking", "unresolved"):  # three nodes of one edge touch; and nothing locks
         assert kind not in found
         return
@@ -77,7 +85,7 @@ def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
 @pytest.mark.parametrize("name", ["", "6.1", "6.2", "6.3"])
 def test_a_sound_problem_is_not_warned_of(name: str, order: int) -> None:
     problem = replace(EXAMPLES[name]() if name else sound(), order=order)
-    assert setup_warnings(problem) == ()
+    assert signs(problem) == ()
     assert name or fixed.solve(problem).record()["warnings"] == []
 
 
@@ -90,8 +98,8 @@ def test_a_load_that_the_rule_does_not_see_is_warned_of() -> None:
         quadrature="midpoint",
     )
     accurate = ContactSolver(replace(problem, quadrature=20)).system(problem.mesh.p).load
-    assert [warning.kind for warning in setup_warnings(problem, accurate=accurate)] == ["load"]
-    assert setup_warnings(replace(problem, quadrature=12), accurate=accurate) == ()
+    assert [warning.kind for warning in setup_warnings(ContactSolver(problem), accurate)] == ["load"]
+    assert setup_warnings(ContactSolver(replace(problem, quadrature=12)), accurate) == ()
 
 
 def bent_at_its_end() -> MeshTri:
@@ -115,12 +123,12 @@ TOE = named(sound().mesh, {"toe": lambda x: (x[1] == 0) & (x[0] > 3.8)})
     ],
 )
 def test_what_resembles_a_sign_is_none(changes: dict[str, Any], kind: str) -> None:
-    assert kind not in {warning.kind for warning in setup_warnings(sound(**changes))}
+    assert kind not in {warning.kind for warning in signs(sound(**changes))}
 
 
 def test_the_gap_of_a_membrane_is_not_compared_with_its_extent() -> None:
     problem = ContactProblem(rectangle(4, 4), Laplace(-1.0), "left", Obstacle("bottom", (1.0,), 50.0))
-    (only,) = setup_warnings(problem)
+    (only,) = signs(problem)
     assert only.kind == "open"
     assert only.message.endswith("check units")
 
@@ -128,11 +136,11 @@ def test_the_gap_of_a_membrane_is_not_compared_with_its_extent() -> None:
 def test_a_round_contact_boundary_without_a_curve_is_told() -> None:
     arc, quarter = Circle((0.0, 1.0), 1.0), disc()
     rough = replace(quarter, obstacle=Obstacle.graph("arc", -1.0), motion=Motion(None))
-    (said,) = [one.message for one in setup_warnings(rough) if one.kind == "round"]
+    (said,) = [one.message for one in signs(rough) if one.kind == "round"]
     assert "'arc' bends at 8 of its 8 inner nodes" in said
     assert "[curves] arc = 'circle'" in said
     for right in (
         replace(rough, motion=Motion(None, curves={"arc": arc})),
         quarter,
     ):  # that has a straight contact
-        assert "round" not in {warning.kind for warning in setup_warnings(right)}
+        assert "round" not in {warning.kind for warning in signs(right)}

@@ -8,7 +8,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -19,6 +18,7 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from support.contact_geometry import LAW, block_between_two_foundations
 from support.curved import disc
 from support.orders import ORDERS
+from support.penetration import penetration
 
 CURVATURE = 0.8
 PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)

@@ -7,7 +7,7 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import Mobility
-from rmesh_nlp.models.residual import OuterResidual, multipliers, size_of
+from rmesh_nlp.models.residual import OuterResidual, Released, released, size_of
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_sliding_on_a_circle
@@ -79,7 +79,7 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     pull = residual.unit * rows.jacobian.T @ np.ones(rows.slack.size)
     assert residual.at(q, np.asarray(pull)) == pytest.approx(room)
     assert residual.at(q, np.zeros(q.size)) == 0
-    found = multipliers(outer.energy, q, np.asarray(pull))
+    found = released(outer.energy, q, np.asarray(pull)).multipliers
     assert found.area.shape == (given.mesh.t.shape[1],)
     areas = found.area[outer.relocation.validity.elements]
     np.testing.assert_allclose(rows.jacobian.T @ areas, pull, atol=1e-9)
@@ -90,7 +90,8 @@ def test_multipliers_of_angles_are_sums_over_the_vertices() -> None:
     outer = Outer.of(replace(EXAMPLES["6.1"](3), motion=Motion(0.05, min_angle=45.0 - 1e-9)))
     rows = outer.energy.validity.at(np.zeros(outer.n))
     weights = np.arange(rows.slack.size) % 4 == 1  # one angle of each element
-    found = multipliers(outer.energy, np.zeros(outer.n), np.asarray(rows.jacobian.T @ (2.0 * weights)))
+    pull = np.asarray(rows.jacobian.T @ (2.0 * weights))
+    found = released(outer.energy, np.zeros(outer.n), pull).multipliers
     assert np.min(found.angle) >= 0
     assert np.any(found.angle > 0)
 
@@ -106,11 +107,11 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
     q[index[0, slanted]], gradient[index[0, slanted]] = sign, -3.0 * sign
     q[index[1, inner]], gradient[index[1, inner]] = sign, -2.0 * sign
     gradient[index[0, inner]] = 7.0  # inside its limits
-    found = multipliers(outer.energy, q, gradient).limit
+    found = released(outer.energy, q, gradient).multipliers.limit
     assert found[slanted] == pytest.approx(3.0 / 0.1)
     assert found[inner] == pytest.approx(2.0 / 0.05)
     assert np.count_nonzero(found) == 2
-    assert not np.any(multipliers(outer.energy, q, np.abs(gradient) * sign).limit)  # pushed inwards
+    assert not np.any(released(outer.energy, q, np.abs(gradient) * sign).multipliers.limit)  # pushed inwards
 
 
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
@@ -119,11 +120,11 @@ def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
     node = outer.problem.boundary_nodes(("hole",))[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
     q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0
-    found = multipliers(outer.energy, q, gradient).limit
+    found = released(outer.energy, q, gradient).multipliers.limit
     assert found[node] == pytest.approx(2.0 / 0.4, rel=1e-6)
 
 
-def test_rows_of_an_element_are_its_area_and_then_its_angles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rows_of_an_element_are_its_area_and_then_its_angles() -> None:
     problem = EXAMPLES["6.1"](3)
     outer = Outer.of(replace(problem, motion=Motion(None, min_angle=20.0)))
     validity = outer.relocation.validity
@@ -131,7 +132,14 @@ def test_rows_of_an_element_are_its_area_and_then_its_angles(monkeypatch: pytest
     assert per_element == 4
     values = np.arange(validity.elements.size * per_element) + 1.0
     none = np.zeros(outer.n)
-    monkeypatch.setattr("rmesh_nlp.models.residual._released", lambda *_: (none, none, values))
-    found = multipliers(outer.energy, none, none)
+    found = Released(outer.relocation, none, none, none, values).multipliers
     np.testing.assert_array_equal(found.area[validity.elements], values[::4])
     np.testing.assert_array_equal(found.angle[validity.elements], values.reshape(-1, 4)[:, 1:].sum(axis=1))
+
+
+def test_a_gradient_that_is_no_number_has_no_multipliers_of_elements() -> None:
+    given = EXAMPLES["6.2"]((4, 2), 0.6)
+    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    rates = released(outer.energy, np.zeros(outer.n), np.full(outer.n, np.nan))
+    assert rates.residual(1.0) == np.inf
+    assert not np.any(rates.multipliers.area)

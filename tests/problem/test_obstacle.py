@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.contact.penetration import penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
@@ -24,6 +23,7 @@ from rmesh_nlp.problem import (
 )
 from support.contact_geometry import LAW, block_in_a_corner, punch_held_by_symmetry
 from support.formulations import fixed
+from support.penetration import penetration
 
 POINTS = np.array([[4.0, 1.0], [6.0, 0.0]])
 
