@@ -50,37 +50,12 @@ class PaperValues:
     u_max_initial: float | None = None
     u_min_final: float | None = None
     u_max_final: float | None = None
-    remark: str = ""
-    misprint: str = ""
 
-
-MISPRINT_61 = "the printed source (6.1) is misprinted; here it is derived from the exact solution (6.2)."
-
-REMARK = (
-    "No descent from the given mesh or from 40 random starts reaches it under the printed move limits, and "
-    "none if they are {}: docs/reproduction.md, by rmesh reproduce."
-)
 
 PAPER = {
-    "6.1": PaperValues(
-        (8, 8), (0.0275, 0.0275), -1.1246, -1.4445, -0.4549, 0.4753, -0.5178, 0.5263, misprint=MISPRINT_61
-    ),
-    "6.2": PaperValues(
-        (12, 6),
-        (0.15667, 0.07333),
-        -4.8541,
-        -4.9188,
-        remark=REMARK.format("1.5 times as large; if they are twice as large it is passed"),
-    ),
-    "6.3": PaperValues(
-        (12, 6),
-        (0.08333, 0.04166),
-        -0.6099,
-        -0.6211,
-        remark=REMARK.format(
-            "4 times as large; it is reached if the friction weights omega_i are wrongly held fixed"
-        ),
-    ),
+    "6.1": PaperValues((8, 8), (0.0275, 0.0275), -1.1246, -1.4445, -0.4549, 0.4753, -0.5178, 0.5263),
+    "6.2": PaperValues((12, 6), (0.15667, 0.07333), -4.8541, -4.9188),
+    "6.3": PaperValues((12, 6), (0.08333, 0.04166), -0.6099, -0.6211),
 }
 
 PRINTED_DIGITS = 4

@@ -257,7 +257,7 @@ KINDS = (
         ENERGIES,
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
-        "on the given mesh. The paper truncates its digits.",
+        "on the given mesh. The paper truncates its digits; rmesh reproduce examines each of its values.",
         _of_energy,
     ),
     Kind(

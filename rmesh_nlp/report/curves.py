@@ -14,7 +14,7 @@ from matplotlib.ticker import LogFormatter, LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
 from rmesh_nlp.report.histories import Curve, is_feasible
@@ -43,7 +43,7 @@ def convergence_figure(
     force. ``best`` has the lowest objective, for curves without a feasible end; ``positions`` are those of
     the names in other figures.
     """
-    of_energy = best["objective"] == "energy"
+    of_energy = objective_of(best) == "energy"
     unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
     symbol = "J" if of_energy else "F"
     ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]

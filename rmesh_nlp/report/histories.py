@@ -14,15 +14,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, ends_of, objective_of
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks_of,
     contact_units,
+    end_of,
     grouped,
     label,
     seconds_of_work,
@@ -53,11 +54,15 @@ def curve(result: Result, name: str = "") -> Curve | None:
     value = steps["energy" if _is_energy(record) else "objective"]
     if not value.notna().any():
         return None
-    unit = record.get("contact_time_s") or np.nan  # a clock too coarse for it: no cost is known
+    # a clock too coarse for the unit: no cost is known
+    pace = 1.0 / (record.get("contact_time_s") or math.nan)
+    if (first := record.get("first_cost_s")) is not None:
+        # the history is of the first run, the times are medians over all
+        pace *= (seconds_of_work(record) or math.nan) / first
     return Curve(
         name or label(record),
         steps["iteration"].to_numpy(),
-        np.maximum(steps["seconds"].to_numpy() / unit, 1.0),
+        np.maximum(pace * steps["seconds"].to_numpy(), 1.0),
         value.to_numpy(),
         is_feasible(steps).to_numpy(),
         steps["stationarity"].to_numpy(),
@@ -69,13 +74,17 @@ def is_feasible(steps: pd.DataFrame) -> pd.Series:
     return ~(steps["primal_residual"] > TOLERANCE)
 
 
-def cost_of_gain(energy: ArrayLike, cost: ArrayLike, initial: float, best: float, level: float) -> float:
-    """First cost at which ``initial - energy >= level * (initial - best)``; infinite if it never is.
+def cost_to(result: Result, level: float) -> float:
+    """First cost at which the audited energy, or another objective, was at most a level; infinite if never.
 
-    Energies (steps,) are NaN where an iterate is not feasible.
+    It is looked up in the history and, where that has no feasible iterate so low, at the end.
     """
-    reached = initial - np.asarray(energy, dtype=float) >= level * (initial - best)
-    return _first(np.asarray(cost, dtype=float), reached, math.inf)
+    record, way = result.record, curve(result)
+    cost = (contact_units(record) or math.inf) if end_of(record) <= level else math.inf
+    if way is None:
+        return cost
+    # the history is of the problem's own rule, the level of the assessment's
+    return _first(way.cost, way.feasible & (way.energy + _to_audited(record) <= level), cost)
 
 
 def with_common_costs(results: Sequence[Result]) -> list[Record]:
@@ -97,45 +106,32 @@ def with_common_costs(results: Sequence[Result]) -> list[Record]:
 def _costs(results: Sequence[Result]) -> list[Record]:
     """The levels of one group, and what each result needs to reach them."""
     records = [result.record for result in results]
-    ends = pd.DataFrame(map(_ends, records), columns=["start", "end"], dtype=float).dropna()
+    ends = pd.DataFrame(map(ends_of, records), columns=["start", "end"], dtype=float).dropna()
     level = ends["end"].max()
     level += SLACK * max(0.0, (ends["start"] - level).min())
     residuals = pd.Series([record.get("stationarity_residual") for record in records], dtype=float)
     common = residuals.clip(lower=TOLERANCE).max()  # less is not told apart
     rows = []
     for result, record in zip(results, records, strict=True):
-        total = seconds_of_work(record) or math.nan
         # a history may miss the last digits that the end has: all reach the levels at their ends
-        costs = [contact_units(record) or math.nan] * 2
-        if (way := curve(result)) is not None:
-            # the history is of the first run, the times are medians over all
-            pace = way.cost * total / (record.get("first_cost_s") or total)
-            low = way.feasible & (way.energy + shift_to_audited(record) <= level)
-            reached = (low, way.stationarity <= common)
-            costs = [_first(pace, where, end) for where, end in zip(reached, costs, strict=True)]
-        cost, other = (None if math.isnan(value) else value for value in costs)
-        levels = {"common_objective": level, "common_stationarity": common}
-        rows.append({**levels, "cost_to_objective": cost, "cost_to_stationarity": other})
+        settled, way = contact_units(record) or math.inf, curve(result)
+        if way is not None:
+            settled = _first(way.cost, way.stationarity <= common, settled)
+        costs = {"cost_to_objective": cost_to(result, level), "cost_to_stationarity": settled}
+        costs = {name: cost if math.isfinite(cost) else None for name, cost in costs.items()}
+        rows.append({"common_objective": level, "common_stationarity": common, **costs})
     return rows
 
 
-def shift_to_audited(record: Record) -> float:
+def _to_audited(record: Record) -> float:
     """From an energy of the problem's own rule, which histories have, to the audited one."""
     own, audited = record.get("energy"), record.get("energy_audited")
     return 0.0 if not _is_energy(record) or own is None or audited is None else audited - own
 
 
-def _ends(record: Record) -> tuple[float | None, ...]:
-    """Initial and final audited energy, or objective."""
-    names = ("objective_initial", "objective_value")
-    if _is_energy(record):
-        names = ("energy_initial_audited", "energy_audited")
-    return tuple(record.get(name) for name in names)
-
-
 def _is_energy(record: Record) -> bool:
-    """Whether the energy alone was minimised."""
-    return bool(record["objective"] == "energy")
+    """Whether the energy was asked for, alone or with a distortion."""
+    return objective_of(record) == "energy"
 
 
 def _first(values: Array, where: NDArray[np.bool_], otherwise: float) -> float:

@@ -22,7 +22,6 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp import __version__
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples.paper import MISPRINT_61
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
 from rmesh_nlp.io.records import Record, has_energy, objective_of, parse_json, to_json
 from rmesh_nlp.io.results import ROWS, Result, Results
@@ -226,12 +225,9 @@ def write_reproduction(folder: Path, statements: Sequence[Statement], quick: boo
     """Write ``reproduction.md`` and ``reproduction.html``; returns their paths."""
     Manifest(folder).claim(*REPRODUCTION)
     rows = [[value or MISSING for value in astuple(statement)] for statement in statements]
-    words = {
-        "statements": Table(HEAD, [("", rows)], texts=len(HEAD)),
-        "quick": quick,
-        "misprint": MISPRINT_61,
-    }
+    table, place = Table(HEAD, [("", rows)], texts=len(HEAD)), environment()
     paths = [folder / name for name in REPRODUCTION]
     for path in paths:
-        write_text(path, _render(path.name, **words, machine=platform.machine(), place=environment()))
+        text = _render(path.name, statements=table, quick=quick, machine=platform.machine(), place=place)
+        write_text(path, text)
     return paths

@@ -1,17 +1,15 @@
-"""What stands below the tables: the meaning of columns, how solves ended, which printed values are met."""
+"""What stands below the tables: units, how solves ended, impossible energies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 from rmesh_nlp.evaluation import ROUNDING
-from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import Units, units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks, grouped, label
+from rmesh_nlp.report.blocks import Block, blocks, grouped, label
 from rmesh_nlp.report.joined import refinement_notes
-from rmesh_nlp.study.reproduction import MET, NOT_MET, PASSED, given_statements, reached
 
 
 def main_notes(records: Sequence[Record]) -> list[str]:
@@ -28,8 +26,8 @@ def main_notes(records: Sequence[Record]) -> list[str]:
 
 
 def block_notes(records: Sequence[Record]) -> list[str]:
-    """What the records show: impossible energies, printed values that are met, stick zones."""
-    kinds = (below_infimum, paper_notes, stick_zone)
+    """What the records show: impossible energies, stick zones."""
+    kinds = (below_infimum, stick_zone)
     return [note for block in blocks(records) for kind in kinds for note in kind(block)]
 
 
@@ -92,50 +90,3 @@ def below_infimum(block: Block) -> Iterator[str]:
                     f"{block.name}, {label(record)}: the {words} {value:.6f} lies BELOW the "
                     f"infimum {lower:.6f}: its quadrature was exploited."
                 )
-
-
-def paper_notes(block: Block) -> Iterator[str]:
-    """What of the paper's printed values these records meet."""
-    paper = block.paper
-    if paper is not None:
-        notes = [
-            *([paper.misprint] if paper.misprint else []),
-            *_initial(block),
-            *_final(block, paper),
-        ]
-        yield from (f"{block.name}: {note}" for note in notes)
-    elif block.example in PAPER:
-        yield f"{block.title}: not the paper's settings, so not compared with its values."
-
-
-def _initial(block: Block) -> Iterator[str]:
-    given = next((r["energy_initial"] for r in block.records if r["energy_initial"] is not None), None)
-    fixed = next((r for r in block.succeeded if r["formulation"] == RELOCATING_NOTHING), {})
-    for one in given_statements(block.example, (given, fixed.get("u_min"), fixed.get("u_max"))):
-        outcome = "met" if one.outcome == MET else "NOT met"
-        yield f"printed {one.what} {one.printed}: {outcome}, here {one.ours}."
-
-
-def _final(block: Block, paper: PaperValues) -> Iterator[str]:
-    moved = [
-        record
-        for record in block.succeeded
-        if record["formulation"] != RELOCATING_NOTHING and objective_of(record) == "energy"
-    ]
-    if not moved:
-        yield "no formulation relocated the grid here, so the printed final energy is not compared."
-        return
-    best = min(moved, key=lambda record: float(record["energy"]))
-    ours = f"the lowest here is {best['energy']:.6f} ({label(best)})"
-    printed = f"printed final energy {paper.energy_final:.4f}"
-    outcome = reached(best["energy"], paper.energy_final)
-    if outcome == NOT_MET:
-        yield f"{printed} is NOT reached: {ours}. {paper.remark}".rstrip()
-        return
-    yield f"{printed} is {outcome}: {ours}."
-    if outcome == PASSED and paper.u_min_final is not None and paper.u_max_final is not None:
-        yield (
-            f"printed extremes {paper.u_min_final:.4f}, {paper.u_max_final:.4f} on the relocated grid "
-            f"belong to that higher energy and so to another grid; here {best['u_min']:.4f}, "
-            f"{best['u_max']:.4f} ({label(best)})."
-        )

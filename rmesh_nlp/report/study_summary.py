@@ -24,13 +24,12 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     contact_units,
-    end_of,
     seconds_of_work,
     variant,
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.histories import cost_of_gain, curve, shift_to_audited
+from rmesh_nlp.report.histories import cost_to
 from rmesh_nlp.report.notes import shared_notes
 from rmesh_nlp.report.table import MISSING, Table
 
@@ -51,15 +50,14 @@ MEDIANS = (
     "Medians over successful solves. Gain: fall of the audited energy, or of another objective, in per cent "
     "of its size on the given mesh."
 )
-LEVELS = (0.9, 0.99, 0.999)  # parts of the best gain for data profiles
+PARTS = (0.9, 0.99, 0.999)  # of the best gain, in data profiles
 INF = float("inf")
 
 # costs of performance profiles by the names of their figures: words, and the cost of a success
 COSTS: dict[str, tuple[str, Callable[[Record], float | None]]] = {
     "iterations": ("iterations", lambda record: record["iterations"]),
     "contact_solves": ("contact solves (all at once: 1)", lambda record: record["contact_solves"]),
-    "time_contact_solves": ("build and solve, in contact solves", contact_units),
-    "build_and_solve": ("build and solve, in seconds", seconds_of_work),
+    "build_and_solve": ("time of build and solve", seconds_of_work),
 }
 
 
@@ -184,27 +182,19 @@ def charts(results: Sequence[Result]) -> list[Chart]:
     profiles = quality_profiles(energies, starts.fillna(INF))
     made.append(Chart("quality", "Quality: final audited energy", "part of the best gain missed", profiles))
     lowest = energies.min(axis=1)
-    for level in LEVELS:
-        profiles = data_profiles(typical(partial(_cost_of_level, lowest=lowest, level=level)))
-        title = f"Data profile: {100 * level:g} % of the best gain"
-        made.append(Chart(f"data-{100 * level:g}", title, "cost [contact solves]", profiles))
+    for part in PARTS:
+        profiles = data_profiles(typical(partial(_cost_of_part, lowest=lowest, part=part)))
+        title = f"Data profile: {100 * part:g} % of the best gain"
+        made.append(Chart(f"data-{100 * part:g}", title, "cost [contact solves]", profiles))
     return made
 
 
-def _cost_of_level(one: Result, lowest: Mapping[str, float], level: float) -> float:
-    """Cost at which a part of the best gain was reached, by the history or, without one, at the end."""
-    record = one.record
-    start, best = ends_of(record)[0], lowest[instance(record)]
+def _cost_of_part(result: Result, lowest: Mapping[str, float], part: float) -> float:
+    """Cost at which a part of the best gain was reached."""
+    start, best = ends_of(result.record)[0], lowest[instance(result.record)]
     if start is None or not np.isfinite(best):
         return INF
-    drawn = curve(one)
-    if drawn is not None:
-        # the history is of the problem's own rule, the best of the assessment's
-        energy = np.where(drawn.feasible, drawn.energy + shift_to_audited(record), np.nan)
-        cost = cost_of_gain(energy, drawn.cost, start, best, level)
-        if np.isfinite(cost):
-            return cost
-    return cost_of_gain([end_of(record)], [contact_units(record) or INF], start, best, level)
+    return cost_to(result, start - part * (start - best))
 
 
 def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:

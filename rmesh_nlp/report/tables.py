@@ -75,8 +75,8 @@ def markdown(records: Sequence[Record], *, short: bool = False) -> str:
         parts.append(_items(notes) if records else "No solve has ended yet.\n")
     if not short:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
-    if not short and not study:
-        parts.append(f"## Notes\n\n{_items(block_notes(records))}")
+    if not short and not study and (remarks := block_notes(records)):
+        parts.append(f"## Notes\n\n{_items(remarks)}")
     return for_markdown("\n".join(parts))
 
 

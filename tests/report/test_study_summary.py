@@ -6,13 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import HISTORY_FIELDS, Result, Results, write_history
 from rmesh_nlp.report.blocks import in_common_units
-from rmesh_nlp.report.histories import cost_of_gain, curve, with_common_costs
+from rmesh_nlp.report.histories import cost_to, curve, with_common_costs
 from rmesh_nlp.report.study_summary import (
     charts,
     data_profiles,
@@ -73,7 +72,7 @@ def test_failure_is_a_failure_in_table_and_profiles() -> None:
         ["1"] * 5,
         ["1", "1", "1", "0", "1"],
     ]
-    costs = {"iterations", "contact_solves", "time_contact_solves", "build_and_solve"}
+    costs = {"iterations", "contact_solves", "build_and_solve"}
     assert set(drawn(rows)) == {*costs, "quality", "data-90", "data-99", "data-99.9"}
     for name, profiles in drawn(rows).items():
         assert (profiles["a"](1e9), profiles["b"](1e9)) == (0.5, 1.0), name
@@ -190,8 +189,9 @@ def test_curve_has_costs_of_at_least_one_contact_solve(tmp_path: Path) -> None:
     assert found.feasible.tolist() == [True, True, False, True, True]
 
 
-def test_cost_of_a_part_of_the_gain() -> None:
-    energy, cost = [0.0, -5.0, np.nan, -9.0, -10.0], [1, 2, 3, 4, 5]
-    assert cost_of_gain(energy, cost, 0.0, -10.0, 0.5) == 2
-    assert cost_of_gain(energy, cost, 0.0, -10.0, 0.9) == 4
-    assert cost_of_gain(energy, cost, 0.0, -11.0, 0.99) == float("inf")
+def test_first_cost_of_a_level_is_in_the_history_or_at_the_end(tmp_path: Path) -> None:
+    one = result(tmp_path, "joint", -1.6, GOOD)
+    costs = [cost_to(one, level) for level in (-1.2, -1.41, -1.5, -1.55, -1.6, -1.61)]
+    # the second iterate is not feasible; below the last one only the end, after 0.5 s, is so low
+    assert costs == pytest.approx([10, 30, 50, 50, 50, float("inf")])
+    assert cost_to(Result(one.record, tmp_path, tmp_path / "no"), -1.6) == pytest.approx(50)

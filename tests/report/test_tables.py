@@ -46,7 +46,7 @@ Relocation by each formulation. J is the total potential energy of the contact s
 | joint             |         -4.854190 |             -4.910330 | -0.05358 | 0.009488 |        132.2 |         171.5 |            0.132 |
 | mpcc              |                 - |                     - |        - |        - |            - |             - |                - |
 
-Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the contact are those on the relocated mesh. Least area ratio: the smallest element area over its value on the given mesh. The paper truncates its digits.
+Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the contact are those on the relocated mesh. Least area ratio: the smallest element area over its value on the given mesh. The paper truncates its digits; rmesh reproduce examines each of its values.
 
 ## Costs
 
@@ -363,31 +363,14 @@ def test_files(tmp_path: Path) -> None:
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
-FINAL = "Example 6.2: printed final energy -4.9188 is"
-INITIAL = "Example 6.2: printed initial energy -4.8541:"
-STICKING, BELOW, FOREIGN = "there is no stick zone", "lies BELOW the infimum", "not the paper's settings"
-EXTREMES = "printed least initial displacement -0.4549:"
+STICKING, BELOW = "there is no stick zone", "lies BELOW the infimum"
 EARLY = joint_62(status="iteration_limit")
 METRES = {"units": {"length": "m", "force": "N"}}
-GIVEN_61 = joint_61(formulation="fixed", energy=-1.124602, u_min=-0.454855, u_max=0.475281)
-MOVED_61 = joint_61(energy=-1.475161, u_min=-0.5228, u_max=0.5266)
 
 
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ([joint_62()], f"{FINAL} NOT reached: the lowest here is -4.910330 (joint). "),
-        # truncated, not rounded, it would be printed as -4.9187
-        ([joint_62(energy=-4.91879)], f"{FINAL} NOT reached"),
-        ([joint_62(energy=-4.9189)], f"{FINAL} passed: the lowest here"),
-        ([joint_62(formulation="fixed")], "no formulation relocated the grid here, so the printed final"),
-        ([joint_62(energy_initial=-4.854190196)], f"{INITIAL} met, here -4.854190."),
-        ([joint_62(energy_initial=-4.85409)], f"{INITIAL} NOT met, here -4.854090."),
-        ([joint_62(quadrature=6)], FOREIGN),
-        ([GIVEN_61, MOVED_61], f"{EXTREMES} met, here -0.454855."),
-        ([{**GIVEN_61, "u_min": -0.4551}, MOVED_61], f"{EXTREMES} NOT met"),
-        ([GIVEN_61, MOVED_61], "final energy -1.4445 is passed: the lowest here is -1.475161 (joint)."),
-        ([GIVEN_61, MOVED_61], "here -0.5228, 0.5266 (joint)"),
         ([joint_62(), EARLY], "iteration_limit: a success that is valid and not worse than the given mesh, "
          "but not stationary to the tolerance."),
         ([joint_62(**METRES), joint_62(example="6.3", **METRES), joint_61(units={})],
