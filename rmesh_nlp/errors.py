@@ -5,12 +5,19 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from enum import IntEnum
 
 Place = tuple[str | int, ...]
 """Names of nested tables of a file and numbers in lists, from 0, down to a value."""
 
-INTERRUPTED = 130
-"""Exit code after Ctrl-C."""
+
+class Exit(IntEnum):
+    """Exit codes of commands."""
+
+    SUCCESS = 0
+    NO_SUCCESS = 1
+    BAD_INPUT = 2
+    INTERRUPTED = 130
 
 
 class BadInputError(ValueError):

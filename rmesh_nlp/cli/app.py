@@ -9,9 +9,7 @@ import typer
 from typer.main import get_command
 
 from rmesh_nlp.cli.commands import app
-from rmesh_nlp.errors import INTERRUPTED, BadInputError, InterruptedSolveError, one_line
-
-BAD_INPUT = 2
+from rmesh_nlp.errors import BadInputError, Exit, InterruptedSolveError, one_line
 
 # typer brings its own click, or uses the installed one: its exceptions are found either way
 ClickException: Any = typer.BadParameter.__mro__[2]
@@ -22,7 +20,7 @@ def run(arguments: list[str]) -> int:
     command: Any = get_command(app)
     try:
         code = int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
-        if code == INTERRUPTED:  # Ctrl-C, of which some versions of typer say nothing
+        if code == Exit.INTERRUPTED:  # Ctrl-C, of which some versions of typer say nothing
             raise KeyboardInterrupt
         return code
     except ClickException as error:
@@ -33,10 +31,10 @@ def run(arguments: list[str]) -> int:
         return _complain(str(error))
     except InterruptedSolveError as error:
         print(f"rmesh: interrupted: {error}", file=sys.stderr)
-        return INTERRUPTED
+        return Exit.INTERRUPTED
     except (KeyboardInterrupt, typer.Abort):
         print("rmesh: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return Exit.INTERRUPTED
 
 
 def _got(cause: Any) -> str:
@@ -47,4 +45,4 @@ def _got(cause: Any) -> str:
 def _complain(message: str) -> int:
     for line in message.splitlines() or [""]:
         print(f"rmesh: error: {line}", file=sys.stderr)
-    return BAD_INPUT
+    return Exit.BAD_INPUT

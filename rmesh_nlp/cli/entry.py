@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 
-from rmesh_nlp.errors import INTERRUPTED
+from rmesh_nlp.errors import Exit
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of the threads of linear algebra, which are read when numpy is imported."""
@@ -34,4 +34,4 @@ def _run(words: list[str]) -> int:
         return run(words)
     except KeyboardInterrupt:
         print("rmesh: interrupted", file=sys.stderr)
-        return INTERRUPTED
+        return Exit.INTERRUPTED

@@ -14,8 +14,6 @@ from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.report.blocks import in_common_units
 
-SUCCESS, NO_SUCCESS = 0, 1  # exit codes
-
 
 @contextmanager
 def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:

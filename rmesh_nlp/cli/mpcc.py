@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS
-from rmesh_nlp.errors import BadInputError, one_line
+from rmesh_nlp.errors import BadInputError, Exit, one_line
 from rmesh_nlp.mpcc import ampl
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.reading import read
@@ -65,4 +64,4 @@ def _solved(path: Path, options: Options, log: bool, as_json: bool) -> int:
         if reached:
             print(f"  starts           {'; '.join(map(str, reached))}")
         print(f"  cost             {iterations} iterations in {solves} steps, {seconds:.2f} s")
-    return SUCCESS if result.success else NO_SUCCESS
+    return Exit.SUCCESS if result.success else Exit.NO_SUCCESS

@@ -10,9 +10,9 @@ import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import load
-from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, notes, writable
+from rmesh_nlp.cli.folders import notes, writable
 from rmesh_nlp.cli.preparing import load_problem, solve_options
-from rmesh_nlp.errors import BadInputError, InterruptedSolveError
+from rmesh_nlp.errors import BadInputError, Exit, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io import kept_problem
@@ -85,7 +85,7 @@ def solve(
         print(f"wrote {folder}: {', '.join(names)}")
     if done.row["status"] == INTERRUPTED:
         raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
-    return SUCCESS if done.row["success"] else NO_SUCCESS
+    return Exit.SUCCESS if done.row["success"] else Exit.NO_SUCCESS
 
 
 def _of_file(
@@ -200,7 +200,8 @@ def compare(
     if voice == "json":
         print(f"[{', '.join(to_json(row) for row in rows)}]")
     asked = [row for row in rows if not does_not_apply(row)]
-    return SUCCESS if asked and all(row["success"] for row in asked) else NO_SUCCESS
+    good = asked and all(row["success"] for row in asked)
+    return Exit.SUCCESS if good else Exit.NO_SUCCESS
 
 
 def does_not_apply(row: Record) -> bool:

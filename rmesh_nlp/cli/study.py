@@ -7,8 +7,8 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from rmesh_nlp.cli.folders import NO_SUCCESS, SUCCESS, writable
-from rmesh_nlp.errors import InterruptedSolveError
+from rmesh_nlp.cli.folders import writable
+from rmesh_nlp.errors import Exit, InterruptedSolveError
 from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.study import engine
@@ -50,7 +50,7 @@ def study(
         print(json.dumps({"folder": str(out), **counts, "failed": len(ours) - good - refused}))
     elif voice == "text":
         print(f"{len(ours)} solves in {out}: {good} succeeded, {refused} refused, next: rmesh table {out}")
-    return SUCCESS if good + refused == len(ours) and good else NO_SUCCESS
+    return Exit.SUCCESS if good + refused == len(ours) and good else Exit.NO_SUCCESS
 
 
 def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> None:

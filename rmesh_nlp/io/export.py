@@ -23,7 +23,7 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
-from rmesh_nlp.solving.parts import Certificate, Step
+from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.solution import Solution
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
     return data
 
 
-def cell_data(solution: Solution, certificate: Certificate | None = None) -> dict[str, Array]:
+def cell_data(solution: Solution) -> dict[str, Array]:
     """Fields of the elements, by name.
 
     ``stress`` is (elements, 4), sigma_xx, sigma_yy, sigma_xy, sigma_zz at the centre, the mean of a stress
@@ -91,7 +91,7 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
     error, on the relocated and on the given mesh, and ``equilibrated_flux`` or ``equilibrated_stress`` (xx,
     yy, xy) is the mean of the field that proves it.
     """
-    problem, nodes = solution.problem, np.asarray(solution.mesh.p)
+    problem, nodes, certificate = solution.problem, np.asarray(solution.mesh.p), solution.certificate
     stress = stresses(problem, nodes, solution.displacement)
     triangles = problem.triangles
     areas = signed_areas(nodes, triangles)
@@ -117,12 +117,7 @@ def cell_data(solution: Solution, certificate: Certificate | None = None) -> dic
     return data
 
 
-def write_solution(
-    solution: Solution,
-    path: str | Path,
-    file_format: str | None = None,
-    certificate: Certificate | None = None,
-) -> None:
+def write_solution(solution: Solution, path: str | Path, file_format: str | None = None) -> None:
     """Write a solution with all its fields, in the format of the suffix; ``.vtu`` for ParaView.
 
     Formats without quadratic triangles get the vertices alone, with the values there.
@@ -135,7 +130,7 @@ def write_solution(
     else:
         vertices = slice(space.n_vertices)
         points, of_nodes = points[:, vertices], {name: values[vertices] for name, values in of_nodes.items()}
-    file_mesh(points, cells, of_nodes, cell_data(solution, certificate)).write(path, file_format)
+    file_mesh(points, cells, of_nodes, cell_data(solution)).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:

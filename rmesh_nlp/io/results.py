@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import Manifest, append_whole, folder_lock, read_text, safe_name, write_text
 from rmesh_nlp.io.records import (
@@ -24,7 +22,6 @@ from rmesh_nlp.io.records import (
     to_json,
     warn_of,
 )
-from rmesh_nlp.io.vtu import read_vtu
 
 RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
 DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
@@ -43,6 +40,11 @@ class Result:
     record: Record
     vtu: Path
     history: Path
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether both files are there: each was put in place whole."""
+        return self.vtu.is_file() and self.history.is_file()
 
     def steps(self) -> list[dict[str, float]]:
         """The history, none if there is no file; values that are not known are NaN."""
@@ -121,18 +123,6 @@ class Results:
     def read(self) -> list[Record]:
         """The records, oldest first; none if the file is empty or missing; see :func:`read_lines`."""
         return read_lines(self.folder / RECORDS)
-
-    def is_intact(self, record: Record) -> bool:
-        """Whether fields and history of a record are there, whole, and of its mesh."""
-        places = self.result(record)
-        if not places.vtu.is_file() or not places.history.is_file():
-            return False
-        try:
-            fields, _ = read_vtu(places.vtu), places.steps()
-        except BadInputError:
-            return False
-        count = fields.n_vertices
-        return bool(count == record.get("nodes", count) and np.all(np.isfinite(fields.displacement)))
 
     def repaired(self) -> list[Record]:
         """The records, a damaged last line moved away and one row per key; needs the lock.

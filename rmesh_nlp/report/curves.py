@@ -20,16 +20,13 @@ from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
 from rmesh_nlp.report.histories import Curve, is_feasible
 from rmesh_nlp.report.study_summary import Chart
 from rmesh_nlp.report.style import LETTERS, MARKERS, Page, add_legend, new_figure, pen_of
-from rmesh_nlp.solving.parts import DESIGN
+from rmesh_nlp.solving.parts import DESIGN, FEW
 
 FLOOR = 1e-8  # part of the best objective down to which distances are drawn: the solvers' tolerance
 UNMET = "open markers: constraints not yet met"
 
 History = Sequence[Mapping[str, Any]]
 """Steps as ``history.csv`` has them."""
-
-PANELS = 8
-"""Design variables that have a panel each; more share one, as parts of the ranges of their bounds."""
 
 SPREAD = 10.0  # objectives, and lengths of solves, that differ by more have a logarithmic axis
 
@@ -105,7 +102,7 @@ def design_figure(
     if not solves:
         return None
     panels: list[tuple[str, list[str], Sequence[float]]] = [("objective", ["objective"], ())]
-    if len(bounds) <= PANELS:
+    if len(bounds) <= FEW:
         panels += [(name, [DESIGN + name], ends) for name, ends in bounds.items()]
     else:
         names, (low, high) = [DESIGN + name for name in bounds], np.transpose([*bounds.values()])

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import along, edges_of
+from rmesh_nlp.fem.sampling import ALONG, along, edges_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.io.vtu import Fields
 from rmesh_nlp.problem.units import Units, bracketed
@@ -26,8 +26,6 @@ from rmesh_nlp.solving import plotting
 Index = NDArray[np.int64]
 Painter = Callable[[Axes, "Body"], Any]
 """Draws a body; returns what a colour bar is made of, or None."""
-
-PARTS = 8  # of a foundation below one contact edge
 
 # parts of the extent of the body
 REACH = 0.3  # foundations are drawn up to this far outside the body, and not at all where they are farther
@@ -112,7 +110,7 @@ def foundations(space: DisplacementSpace, nodes: Array) -> tuple[Foundation, ...
     parts = []
     for part in space.contact_sets if space.problem.components == 2 else ():
         edges, here = space.nodes_of(contact_edges(space.problem, part.obstacle)), nodes[:, part.nodes]
-        starts = along(edges, nodes, PARTS)
+        starts = along(edges, nodes, ALONG[3])
         lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
         gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
         name, far = str(part.obstacle.boundary), _is_far(gaps, nodes)

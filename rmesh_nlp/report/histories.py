@@ -118,8 +118,8 @@ def _costs(results: Sequence[Result]) -> list[Record]:
         if way is not None:
             settled = _first(way.cost, way.stationarity <= common, settled)
         costs = {"cost_to_objective": cost_to(result, level), "cost_to_stationarity": settled}
-        costs = {name: cost if math.isfinite(cost) else None for name, cost in costs.items()}
-        rows.append({"common_objective": level, "common_stationarity": common, **costs})
+        finite = {name: cost for name, cost in costs.items() if math.isfinite(cost)}
+        rows.append({"common_objective": level, "common_stationarity": common, **finite})
     return rows
 
 

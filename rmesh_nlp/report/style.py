@@ -11,7 +11,7 @@ from textwrap import fill
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rc_params_from_file
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -30,21 +30,7 @@ TALLEST = 2.0  # height of a panel over its width, at most
 LETTERS, KEY = 13.0, 8  # letters of a legend to the inch, and those that the line before a name takes
 MARKERS = 15  # about as many markers on a curve
 FORMATS = ("png", "pdf", "svg")
-SETTINGS: Any = {
-    "font.size": 8.5,
-    "axes.titlesize": "medium",
-    "lines.linewidth": 1.2,
-    "lines.markerfacecolor": "none",
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "legend.frameon": False,
-    "figure.dpi": 150,  # of PNG; vectors are for papers
-    "pdf.fonttype": 42,  # text stays text: publishers ask for it
-    "svg.fonttype": "none",  # the same in pages
-}
+SETTINGS = rc_params_from_file(Path(__file__).with_name("figures.mplstyle"), use_default_template=False)
 
 # Okabe and Ito's palette; markers differ in size, so that curves on top of each other show
 PENS: Sequence[dict[str, Any]] = [

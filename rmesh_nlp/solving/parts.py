@@ -64,7 +64,9 @@ DESIGN = "design."
 
 
 FEW = 6
-"""Design variables that lines and tables name beside each other; of more, tables have a row for each."""
+"""Design variables that lines and tables name beside each other, and that have a panel each in figures.
+
+Of more, tables have a row for each, and figures one panel."""
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -26,12 +27,7 @@ from rmesh_nlp.settings import from_texts
 from rmesh_nlp.solving.formulation import check_taken, checked, taken
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.study import engine
-from rmesh_nlp.study.plan import (
-    UNLIMITED,
-    PlannedSolve,
-    build_example,
-    planned,
-)
+from rmesh_nlp.study.plan import PlannedSolve, build_example, planned
 from rmesh_nlp.study.runner import INTERRUPTED, perform
 
 SUFFIX = ".toml"  # end of the name of a problem file
@@ -89,7 +85,7 @@ def plan_comparison(
     solves = []
     for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
         asked = checked(name, {**taken(name, {**default, **common}), **own_options})
-        limit = asked.get("limits", {}).get("seconds", UNLIMITED["time_s"])
+        limit = asked.get("limits", {}).get("seconds", math.inf)
         about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
         solves.append(planned(problem, name, asked, **about))
     if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
@@ -152,7 +148,7 @@ def run(
 
     What an earlier run left in the folder is set aside when the first solve has ended, not
     before. With ``resume`` it stays, and what succeeded there is not solved again, unless
-    its fields or history are missing or damaged.
+    its fields or history are missing.
 
     The lock of the folder is taken unless the caller holds it (``locked``). One job solves in this process,
     with ``on_start`` called before each solve and ``on_step`` after each of its iterations; several are
@@ -231,6 +227,6 @@ def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Res
                     f"cannot resume {solve.key}: it was solved with {name} {asked.get(name)}, not {value}"
                 )
         often = row.get("repeats", 1) >= solve.repeats
-        if results.is_intact(row) and often and (not solve.certify or "certificate_remark" in row):
+        if results.result(row).is_whole and often and (not solve.certify or "certificate_remark" in row):
             done[solve.key] = row
     return done

@@ -19,18 +19,17 @@ from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.study.contained import PATIENCE_S
 from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.rows import Keys, RowsFile, set_failures_aside, wait_for_workers
+from rmesh_nlp.study.rows import RowsFile, keys_of, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.worker import Worker, task
 
-BATCH = 1000  # solves that are handed to the scheduler in one message
 NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
 """What dask.distributed raises if a cluster cannot be reached."""
 
 
 def missing(plan: Sequence[PlannedSolve], folder: Path) -> list[PlannedSolve]:
     """Planned solves without a row."""
-    keys = Keys(folder).now()
+    keys = keys_of(folder)
     return [solve for solve in plan if solve.key not in keys]
 
 
@@ -126,7 +125,6 @@ def _distributed_rows(
             folder=str(folder.resolve()),
             key=[f"rmesh-{solve.key}" for solve in plan],
             pure=False,
-            batch_size=BATCH,
         )
         solve_of = dict(zip(futures, plan, strict=True))
         del futures  # what has ended is released

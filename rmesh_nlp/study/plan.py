@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -26,7 +27,6 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, taken
 from rmesh_nlp.study.study_file import StudyTable
 
-UNLIMITED = {"time_s": 7 * 86400.0, "memory_mb": 1e9}  # limits of a solve for which none is asked
 RULE_S = {"fixed": 0.1, "joint": 0.5, "nested": 1.5, "mpcc": 2.5}
 """Seconds of a solve with 128 triangles on a processor of 2020, audit included (Example 6.1, n = 8)."""
 
@@ -49,8 +49,8 @@ class PlannedSolve:
     formulation: str  # name of an installed one, or what rows call made
     options: Mapping[str, Any] = field(default_factory=dict)  # of a solve: objective, seed, ...
     repeat: int = 0  # number of the repetition in a study
-    time_s: float = 60.0  # limits, above which a process of its own is killed
-    memory_mb: float = 4000.0
+    time_s: float = math.inf  # limits, above which a process of its own is killed
+    memory_mb: float = math.inf
     fields: bool = True  # meshes and fields are kept
     certify: bool = False
     repeats: int = 1  # solves for one row, whose times are then medians
@@ -119,7 +119,7 @@ def planned(
 ) -> PlannedSolve:
     """A solve of a problem that is at hand, with other attributes by name."""
     about: dict[str, Any] = {"name": built.name, "family": built.name, "size": built.size, "built": built}
-    about |= {"formulation": formulation, "options": options or {}, **UNLIMITED}
+    about |= {"formulation": formulation, "options": options or {}}
     return PlannedSolve(**{"problem": {}, "variant": "", **about, **others})
 
 

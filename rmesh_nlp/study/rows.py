@@ -53,28 +53,10 @@ class RowsFile:
         write_text(self.path.with_name(f"environment-{self.name}.json"), text)
 
 
-class Keys:
-    """Keys of all rows in a folder; only what came since the last look is read."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._read: dict[Path, int] = {}
-        self._keys: set[str] = set()
-
-    def now(self) -> set[str]:
-        """The keys as of now."""
-        files = row_files(self._folder)
-        if any(path not in files or path.stat().st_size < end for path, end in self._read.items()):
-            self._read, self._keys = {}, set()  # failures were set aside
-        for path in files:
-            with path.open("rb") as file:
-                file.seek(self._read.get(path, 0))
-                text = file.read()
-            end = text.rfind(b"\n") + 1  # what follows is being written, or was cut by a kill
-            self._read[path] = self._read.get(path, 0) + end
-            keys = (_row(line).get("key") for line in text[:end].split(b"\n"))
-            self._keys.update(key for key in keys if isinstance(key, str))
-        return self._keys
+def keys_of(folder: Path) -> set[str]:
+    """Keys of all rows in a folder; a line that is being written, or was cut by a kill, is none."""
+    lines = (line for path in row_files(folder) for line in path.read_bytes().split(b"\n")[:-1])
+    return {str(_row(line).get("key")) for line in lines}
 
 
 def _row(line: bytes) -> Record:

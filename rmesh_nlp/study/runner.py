@@ -42,7 +42,7 @@ class Done:
             places.vtu.unlink(missing_ok=True)
             places.history.unlink(missing_ok=True)
             return
-        write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu", solution.certificate))
+        write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
         steps = [
             # of an all-at-once solver the residual is that at its own displacement and forces
             replace(step, stationarity=step.dual_residual) if np.isnan(step.stationarity) else step

@@ -15,7 +15,7 @@ from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.plan import PlannedSolve
-from rmesh_nlp.study.rows import Keys, RowsFile
+from rmesh_nlp.study.rows import RowsFile, keys_of
 
 ALONE = 0.9  # a solve that got less of its time from the processor shared it with something
 
@@ -31,7 +31,7 @@ class Worker:
         self._folder = folder
         self._core = _own_core()
         self._contained = Contained(None if self._core is None else {self._core[0]}, session)
-        self._rows, self._keys = RowsFile(folder), Keys(folder)
+        self._rows = RowsFile(folder)
         self._noted = False
 
     def __enter__(self) -> Worker:
@@ -45,10 +45,8 @@ class Worker:
             self._core = None
 
     def perform(self, solve: PlannedSolve) -> Record:
-        """Solve, write the row and return it; a solve that has a row already is not done again."""
+        """Solve, write the row and return it."""
         with self._rows.working():
-            if solve.key in self._keys.now():
-                return {"key": solve.key, "found": True}
             if not self._noted:
                 self._noted = True
                 self._rows.write_environment(json.dumps(environment(), indent=2) + "\n")
@@ -71,8 +69,11 @@ def worker_of(folder: str) -> Worker:
 
 
 def task(content: dict[str, Any], folder: str) -> Record:
-    """A task of a cluster: :meth:`Worker.perform`."""
-    return worker_of(folder).perform(PlannedSolve(**content))
+    """A task of a cluster: :meth:`Worker.perform`, unless a lost worker has written the row before."""
+    solve = PlannedSolve(**content)
+    if solve.key in keys_of(Path(folder)):
+        return {"key": solve.key, "found": True}
+    return worker_of(folder).perform(solve)
 
 
 def _own_core() -> tuple[int, socket.socket] | None:

@@ -14,10 +14,11 @@ from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative, Units
-from rmesh_nlp.report.curves import PANELS, design_figure
+from rmesh_nlp.report.curves import design_figure
 from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.pictures import Limit, after, before, limits, pictures
 from rmesh_nlp.report.style import Page, write
+from rmesh_nlp.solving.parts import FEW
 from support.contact_geometry import block_between_two_foundations
 from support.designs import BOW, H0, E, block
 from support.formulations import fixed, joint, nested
@@ -142,7 +143,7 @@ def test_objective_and_each_variable_have_a_panel_with_their_bounds() -> None:
 
 
 def test_many_variables_share_a_panel_as_parts_of_their_bounds() -> None:
-    names = tuple(f"v{k}" for k in range(PANELS + 1))
+    names = tuple(f"v{k}" for k in range(FEW + 1))
     figure = design_figure({"": history(names=names)}, dict.fromkeys(names, (1.0, 2.0)), "area", Page())
     assert figure is not None
     assert len(figure.axes) == 2

@@ -1,17 +1,14 @@
 """Comparisons: what is planned, which rows of an earlier run are used again, and what a run leaves of it."""
 
 import json
-import os
 import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
@@ -20,7 +17,6 @@ from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.runner import failure, perform
 from support.planted import plant, raising
 from support.problem_files import VALID
-from support.solved import with_final
 
 
 @pytest.fixture
@@ -208,25 +204,9 @@ def test_a_failure_or_an_interrupted_solve_is_solved_again_and_its_row_replaced(
     assert all(row["success"] and row["status"] == "converged" for row in Results(ran).read())
 
 
-def write_nans(good, other):
-    solution = perform(plan_comparison(["6.2"], ["fixed"], n=(4, 2))[0]).solution
-    write_solution(with_final(solution, displacement=np.nan * solution.displacement), good.vtu, "vtu")
-
-
-SPOILED = {
-    "missing": lambda good, other: good.vtu.unlink(),
-    "half": lambda good, other: os.truncate(good.vtu, good.vtu.stat().st_size // 2),
-    "other mesh": lambda good, other: shutil.copy(other.vtu, good.vtu),
-    "history": lambda good, other: good.history.write_text("garbage"),
-    "no history": lambda good, other: good.history.unlink(),
-    "nodes": lambda good, other: changed(good.vtu.parents[1], good.record["key"], nodes=3),
-    "nan": write_nans,
-}
-
-
-@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
-def test_a_success_without_its_files_is_solved_again(plan, ran, spoil):
-    spoil(*read_results(ran))
+@pytest.mark.parametrize("file", ["vtu", "history"])
+def test_a_success_without_its_files_is_solved_again(plan, ran, file):
+    getattr(read_results(ran)[0], file).unlink()
     assert resumed(plan, ran) == [plan[0].key]
     assert resumed(plan, ran) == []
 

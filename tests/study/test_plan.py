@@ -84,7 +84,8 @@ def test_order_is_an_axis_of_all_problems_and_order_1_has_the_keys_of_old(path):
 
 def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(monkeypatch):
     monkeypatch.setattr("rmesh_nlp.study.plan.__version__", "0.1")
-    one = PlannedSolve({"kind": "random", "seed": 1, "of": "rough"}, "random-1", "random", "", "a", "joint")
+    problem, limits = {"kind": "random", "seed": 1, "of": "rough"}, {"time_s": 60.0, "memory_mb": 4000.0}
+    one = PlannedSolve(problem, "random-1", "random", "", "a", "joint", **limits)
     others = [
         replace(one, problem={**one.problem, "seed": 2}),
         replace(one, variant="b"),
