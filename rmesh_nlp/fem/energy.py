@@ -11,18 +11,17 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.bernstein import functions, of_part
 from rmesh_nlp.fem.cells import Blended, Cell, Straight
 from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
-from rmesh_nlp.fem.pieces import piecewise
+from rmesh_nlp.fem.pieces import cuts, pieces_of, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
 from rmesh_nlp.problem.laws import Law, energy_density
 from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
-from rmesh_nlp.problem.switches import affine_switches
 
 
 def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
@@ -37,14 +36,21 @@ def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
 def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Function, PointSums]:
     """``(X_e, u_e, sums) -> (-work of the load, empty)`` of one triangle, and the sums.
 
-    They are means of the load times shape functions.
+    They are means of the load times shape functions, between its affine jumps where these cut a triangle.
     """
     shares, weights = triangle_rule(quadrature)
     x, y, means = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("f", *cell.u.T.shape)
     work = cell.at(shares[:, 0]).det / 2 * ca.dot(means.T, cell.u)
     function = ca.Function("load_energy", [*cell.columns, ca.vec(means)], [-work, NO_ROWS])
     load = ca.Function("load", [x, y], [ca.densify(ca.SX(vector(law.load, x, y)))], OPEN)
-    return function, PointSums(load, shares, functions(cell.order, shares) * weights)
+    switches, pieces = cuts(cell, law.load, quadrature), None
+    if switches:
+        each = pieces_of(cell, switches)
+        places = ca.horzcat(*(ca.vec(cell.X @ corners) for corners, _ in each))
+        shapes = ca.horzcat(*(ca.vec(share * of_part(cell.order, corners)) for corners, share in each))
+        signs = [ca.vertcat(*(s(*ca.vertsplit(x)) for x in ca.horzsplit(cell.X))) for s in switches]
+        pieces = ca.Function("pieces", cell.columns[:1], [places, shapes, ca.horzcat(*signs)], OPEN)
+    return function, PointSums(load, shares, functions(cell.order, shares) * weights, pieces)
 
 
 def force_energy(force: tuple[Coefficient, ...], cell: Cell, degree: str | int) -> ca.Function:
@@ -71,7 +77,7 @@ def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
     for law, cell, local in _cells(on):
         if not any(is_nonzero(component) for component in law.load):
             continue
-        if isinstance(cell, Straight) and not affine_switches(law.load):
+        if isinstance(cell, Straight):
             function, at_points = load_energy(law, cell, rule)
             groups.append(on.group(function, local, at_points=at_points))
         else:

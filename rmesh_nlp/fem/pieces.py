@@ -20,24 +20,35 @@ Piece = tuple[list[Expression], Expression]
 """Corners, each a value of a switch and barycentric coordinates in the cell, and a share of its measure."""
 
 
-def piecewise(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str) -> Rule:
-    """The cell's rule on each of its pieces between the zeros of the coefficients' affine switches.
+def cuts(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str) -> list[ca.Function]:
+    """The affine switches of coefficients at which cells are cut.
 
-    Where a switch has no zero in the cell it makes pieces without measure. The midpoint rule is taken as it
-    is: its points would be where a coefficient jumps.
+    The midpoint rule is taken as it is: its points would be where a coefficient jumps.
     """
-    switches, corners = affine_switches(coefficients), ca.horzsplit(ca.SX.eye(cell.X.shape[1]))
+    is_cut = degree != MIDPOINT and is_split(coefficients, degree, cell.X.shape[1])
+    return affine_switches(coefficients) if is_cut else []
+
+
+def piecewise(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str) -> Rule:
+    """The cell's rule on each of its pieces between the affine switches of coefficients."""
     rule = list(cell.rule(degree))
-    if not switches or degree == MIDPOINT or not is_split(coefficients, degree, len(corners)):
-        return rule
+    return [
+        (corners @ points, share * weight)
+        for corners, share in pieces_of(cell, cuts(cell, coefficients, degree))
+        for points, weight in rule
+    ]
+
+
+def pieces_of(cell: Straight, switches: Sequence[ca.Function]) -> list[tuple[Expression, Expression]]:
+    """Barycentric coordinates (corners, corners) of the corners of pieces, one column each, and their shares.
+
+    Where a switch has no zero in the cell it makes pieces without measure.
+    """
+    corners = ca.horzsplit(ca.SX.eye(cell.X.shape[1]))
     pieces: list[Piece] = [([ca.vertcat(0, corner) for corner in corners], ca.SX(1))]
     for switch in switches:
         pieces = [part for piece in pieces for part in _cut(_valued(piece, cell, switch))]
-    return [
-        (ca.horzcat(*corners)[1:, :] @ shares, share * weight)
-        for corners, share in pieces
-        for shares, weight in rule
-    ]
+    return [(ca.horzcat(*corners)[1:, :], share) for corners, share in pieces]
 
 
 def _valued(piece: Piece, cell: Straight, switch: ca.Function) -> Piece:

@@ -11,6 +11,8 @@ import pytest
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.cells import Straight
+from rmesh_nlp.fem.energy import load_energy
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import where
@@ -65,3 +67,26 @@ def test_the_energy_has_no_gain_by_quadrature_and_a_gradient(order: int) -> None
     ends = [outer.energy(q + sign * step * d) for sign in (1, -1)]
     slope = (ends[0].value - ends[1].value) / (2 * step)
     assert outer.energy(q).gradient @ d == pytest.approx(slope, rel=1e-5)
+
+
+@pytest.mark.parametrize(("sources", "order"), [(SOURCES, 1), (SOURCES[1:] * 2, 2)])
+def test_sums_of_triangles_that_a_jump_cuts_have_the_derivatives_of_their_function(
+    sources, order: int
+) -> None:
+    sums = load_energy(rm.PlaneStrain(1.3, 0.7, sources), Straight(3, 2, order), 5)[1]
+    X = np.array([[0.0, 0.1, 1.9, 0.2, 0.6, 1.4], [2.0, 1.3, 3.0, 1.3, 2.5, 2.0]]).T  # cut, and on one side
+
+    def matrices(X: np.ndarray, k: int) -> np.ndarray:
+        numbers = sums.evaluated(X, 3)[k]
+        column = ca.SX.sym("numbers", len(numbers))
+        return np.asarray(ca.Function("matrix", [column], [sums.in_matrix(column, k)]).map(2)(numbers))
+
+    X_symbols = ca.SX.sym("X", 6)
+    whole = ca.Function("whole", [X_symbols], [sums(X_symbols)]).map(2)
+    np.testing.assert_allclose(matrices(X, 0), whole(X), rtol=1e-11)
+    for k in range(2):
+        d = np.random.default_rng(k).uniform(-1, 1, 6)
+        ends = [matrices(X + sign * 1e-5 * d[:, None], k) for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / 2e-5
+        derivatives = matrices(X, k + 1).reshape(len(slope), 2, 6**k, 6) @ d
+        np.testing.assert_allclose(derivatives.reshape(slope.shape), slope, rtol=0, atol=1e-7)
