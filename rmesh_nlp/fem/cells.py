@@ -50,13 +50,23 @@ class Point(NamedTuple):
 class Cell(ABC):
     """A triangle or an edge by symbols for its place, and for u (components, nodes) there.
 
-    ``columns`` are the arguments of functions of it: u is the last one.
+    ``columns`` are the arguments of functions of it: u is the last one. Cells are equal if functions of them
+    are, whatever their symbols.
     """
 
-    def __init__(self, columns: list[Expression], corners: int, components: int, order: int) -> None:
+    def __init__(
+        self, columns: list[Expression], corners: int, components: int, order: int, curve: Curve | None = None
+    ) -> None:
         self.kind, self.order = type(columns[0]), order
+        self._key = type(self), self.kind, corners, components, order, curve
         u = self.kind.sym("u", components * size(order, corners))
         self.columns, self.u = [*columns, u], ca.reshape(u, components, -1)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Cell) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
 
     @abstractmethod
     def rule(self, degree: int | str) -> Rule:
@@ -117,7 +127,7 @@ class Arc(Cell):
 
     def __init__(self, curve: Curve, components: int, order: int) -> None:
         self._arc = ArcPoints(curve)
-        super().__init__([self._arc.t], 2, components, order)
+        super().__init__([self._arc.t], 2, components, order, curve)
 
     def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
@@ -136,7 +146,7 @@ class Blended(Cell):
     def __init__(self, curve: Curve, components: int, order: int) -> None:
         self._arc = ArcPoints(curve)
         self._apex = self._arc.kind.sym("X", 2)
-        super().__init__([self._arc.t, self._apex], 3, components, order)
+        super().__init__([self._arc.t, self._apex], 3, components, order, curve)
 
     def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""

@@ -19,11 +19,12 @@ from rmesh_nlp.fem.pieces import cuts, pieces_of, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero, once
 from rmesh_nlp.problem.laws import Law, energy_density
 from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
 
 
+@once
 def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
     """``(*place, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15)."""
     energy = cell.kind(0)
@@ -33,6 +34,7 @@ def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
     return cell.function("strain_energy", energy)
 
 
+@once
 def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Function, PointSums]:
     """``(X_e, u_e, sums) -> (-work of the load, empty)`` of one triangle, and the sums.
 
@@ -53,6 +55,7 @@ def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Fun
     return function, PointSums(load, shares, functions(cell.order, shares) * weights, pieces)
 
 
+@once
 def force_energy(force: tuple[Coefficient, ...], cell: Cell, degree: str | int) -> ca.Function:
     """``(*place, u_e) -> (-integral of force . u, empty)``: a load on a triangle, a traction on an edge."""
     rule = piecewise(cell, force, degree) if isinstance(cell, Straight) else cell.rule(degree)

@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, wraps
-from typing import TypeAlias, TypeGuard, TypeVar
+from typing import ParamSpec, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -27,19 +27,20 @@ OPEN = {"allow_free": True}
 """Option of CasADi Functions whose expressions may contain the symbols of design variables."""
 
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def once(make: Callable[[Coefficient], T]) -> Callable[[Coefficient], T]:
-    """Kept per coefficient: functions of position are pure, and the meshes of a problem share them."""
+def once(make: Callable[P, T]) -> Callable[P, T]:
+    """Kept per arguments: functions of position are pure, and the meshes of a problem share them."""
     kept = lru_cache(make)
 
     @wraps(make)
-    def made(coefficient: Coefficient) -> T:
+    def made(*given: P.args, **named: P.kwargs) -> T:
         try:
-            return kept(coefficient)
-        except TypeError:  # it cannot be hashed
-            return make(coefficient)
+            return kept(*given, **named)  # type: ignore[arg-type]
+        except TypeError:  # one of them cannot be hashed
+            return make(*given, **named)
 
     return made
 
