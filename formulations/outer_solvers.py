@@ -15,9 +15,9 @@ from rmesh_nlp.models.descent import Watch, descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.reduced_nlp import reduced_nlp
 from rmesh_nlp.optimize.constraints import LARGEST_DENSE
+from rmesh_nlp.optimize.newton_step import NewtonSettings
 from rmesh_nlp.optimize.solver import PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.settings import Count, Positive, Settings
 from rmesh_nlp.solving.outer import Outer
 

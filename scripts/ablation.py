@@ -103,12 +103,6 @@ RULES = (
     Rule("mpcc: second path of designs", (MPCC,), ("design",), settings={"twice": False}),
     Rule("nested: warm barrier", (NESTED,), ALL, WARM),
     Rule(
-        "Newton: last round worthwhile",
-        (NESTED, AUTO),
-        ENERGY,
-        {"rmesh_nlp.optimize.newton_step:WORTHWHILE": 0.0},
-    ),
-    Rule(
         "Newton: all products at once up to 200 variables",
         (NESTED, AUTO),
         ENERGY,

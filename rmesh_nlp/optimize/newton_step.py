@@ -13,16 +13,53 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
 
-WORTHWHILE = 0.06
-"""Least part of a step's decrease that the last round of conjugate gradients must give."""
 
-OVERSHOOT = 2.0
-"""How far beyond the trust region, in its widths, a direction is followed before it is projected."""
+@dataclass(frozen=True)
+class NewtonSettings(Settings):
+    """Settings of the descents.
 
-DECREASE = 0.01
-"""Least part of the slope that a projected search gives: mu_0 of Lin and Moré."""
+    For the ratios see A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1;
+    docs/notes/speed.md and docs/notes/large_moves.md have the benchmarks that chose the method.
+
+    Attributes
+    ----------
+    sufficient : float
+        Least ratio of actual to predicted decrease of an accepted step, and least part of the slope that a
+        projected search gives.
+    poor, good : float
+        Ratios below and above which the trust region shrinks and grows.
+    shrink, grow : float
+        Its factors then. A direction is followed as far beyond the trust region as that may grow.
+    forcing : float
+        Conjugate gradients stop at this part of the residual they began with, and a step after the round of
+        them that gives less than this part of its decrease.
+    first_radius : float
+        First half-width of the trust region, as a part of the longest component of the scaled gradient step;
+        of local radii, in widths.
+    max_products : int
+        Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step.
+    """
+
+    sufficient: Positive = 1e-4
+    poor: Positive = 0.25
+    good: Part = 0.75
+    shrink: Part = 0.25
+    grow: Factor = 2.0
+    forcing: Part = 0.1
+    first_radius: Positive = 0.5
+    max_products: Count = 40
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.sufficient <= self.poor < self.good:
+            raise BadInputError(
+                "a trust region needs sufficient <= poor < good, got "
+                f"{self.sufficient!r}, {self.poor!r} and {self.good!r}"
+            )
 
 
 class Model(Protocol):
@@ -57,25 +94,25 @@ class BoxStep:
     The conjugate gradients are preconditioned by the inverse diagonal of the model.
     """
 
-    def __init__(self, model: Model, g: Array, max_products: int) -> None:
-        self._model, self._g = model, g
-        self.scale, self.products, self.max_products = model.diagonal(), 0, max_products
+    def __init__(self, model: Model, g: Array, settings: NewtonSettings) -> None:
+        self._model, self._g, self._settings = model, g, settings
+        self.scale, self.products = model.diagonal(), 0
 
-    def within(self, lower: Array, upper: Array, forcing: float) -> tuple[Array, float]:
+    def within(self, lower: Array, upper: Array) -> tuple[Array, float]:
         """A step within the box, and the decrease that the model predicts."""
-        self._lower, self._upper = lower, upper
+        self._lower, self._upper, forcing = lower, upper, self._settings.forcing
         s, Hs = self._projected_search(np.zeros_like(self._g), self._g, -self._g / self.scale)  # Cauchy point
-        while self.products < self.max_products:
+        while self.products < self._settings.max_products:
             free = (s > self._lower) & (s < self._upper)
             gradient = self._g + Hs
             residual = np.where(free, gradient, 0.0)
             if self._dual_norm(residual) <= forcing * self._dual_norm(np.where(free, self._g, 0.0)):
                 break
-            w = self._conjugate_gradients(residual, free, forcing)
+            w = self._conjugate_gradients(residual, free)
             moved, H_moved = self._projected_search(s, gradient, w)
             decrease = -float(gradient @ moved + 0.5 * moved @ H_moved)
             s, Hs = s + moved, Hs + H_moved
-            if decrease <= WORTHWHILE * self._decrease(s, Hs):
+            if decrease <= forcing * self._decrease(s, Hs):
                 break
         return s, self._decrease(s, Hs)
 
@@ -92,14 +129,14 @@ class BoxStep:
     def _clip(self, s: Array) -> Array:
         return np.clip(s, self._lower, self._upper)
 
-    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_], forcing: float) -> Array:
+    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_]) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
-        far = OVERSHOOT * float(np.max(np.maximum(self._upper, -self._lower)))
+        far = self._settings.grow * float(np.max(np.maximum(self._upper, -self._lower)))
         w, r = np.zeros_like(residual), -residual
         z = r / self.scale
         p, rz = z.copy(), float(r @ z)
-        target = forcing**2 * rz
-        while self.products < self.max_products:
+        target = self._settings.forcing**2 * rz
+        while self.products < self._settings.max_products:
             Hp = np.where(free, self._product(p), 0.0)
             curvature = float(p @ Hp)
             if curvature <= 0:
@@ -120,7 +157,7 @@ class BoxStep:
         while np.any(np.abs(moved) > least):  # not so of NaN
             H_moved = self._product(moved)
             slope = gradient @ moved
-            if slope + 0.5 * moved @ H_moved <= DECREASE * np.minimum(slope, 0.0):
+            if slope + 0.5 * moved @ H_moved <= self._settings.sufficient * np.minimum(slope, 0.0):
                 return moved, H_moved
             w = 0.5 * w
             moved = self._clip(s + w) - s

@@ -19,53 +19,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.optimize.newton_step import BoxStep, Model, Scaled
+from rmesh_nlp.optimize.newton_step import BoxStep, Model, NewtonSettings, Scaled
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
-
-
-@dataclass(frozen=True)
-class NewtonSettings(Settings):
-    """Settings of the descents.
-
-    For the ratios see A. R. Conn, N. I. M. Gould, Ph. L. Toint, Trust-region methods, SIAM 2000, section 6.1;
-    docs/notes/speed.md and docs/notes/large_moves.md have the benchmarks that chose the method.
-
-    Attributes
-    ----------
-    sufficient : float
-        Least ratio of actual to predicted decrease of an accepted step.
-    poor, good : float
-        Ratios below and above which the trust region shrinks and grows.
-    shrink, grow : float
-        Its factors then.
-    forcing : float
-        Conjugate gradients stop at this part of the residual they began with.
-    first_radius : float
-        First half-width of the trust region, as a part of the longest component of the scaled gradient step;
-        of local radii, in widths.
-    max_products : int
-        Hessian products of one step. On 6.1 with 128 squares a side they take 0.7 of the time of a step.
-    """
-
-    sufficient: Positive = 1e-4
-    poor: Positive = 0.25
-    good: Part = 0.75
-    shrink: Part = 0.25
-    grow: Factor = 2.0
-    forcing: Part = 0.1
-    first_radius: Positive = 0.5
-    max_products: Count = 40
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.sufficient <= self.poor < self.good:
-            raise BadInputError(
-                "a trust region needs sufficient <= poor < good, got "
-                f"{self.sufficient!r}, {self.poor!r} and {self.good!r}"
-            )
 
 
 @dataclass(frozen=True)
@@ -151,11 +107,11 @@ def minimise(
         width = np.ones_like(x) if local is None else local.widths(x)
         low, high = (lower - x) / width, (upper - x) / width
         while True:
-            step = BoxStep(Scaled(model, width), width * g, use.max_products)
+            step = BoxStep(Scaled(model, width), width * g, use)
             if not radius:
                 gradient_step = np.clip(-g / step.scale, low, high) if local is None else 1.0
                 radius = use.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
-            y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius), use.forcing)
+            y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius))
             enough = stationary and predicted <= gain_tolerance * (reference - current.value)
             if enough or predicted <= np.finfo(float).eps * size:
                 status = Status.CONVERGED if stationary else Status.STALLED

@@ -25,8 +25,8 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.optimize.budget import Limits
+from rmesh_nlp.optimize.newton_step import NewtonSettings
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import NewtonSettings
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.settings import Settings
 from rmesh_nlp.solving.formulation import KEYWORDS, options

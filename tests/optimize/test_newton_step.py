@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.optimize import constraints
 from rmesh_nlp.optimize.constraints import Linearised, nonnegative_fit
-from rmesh_nlp.optimize.newton_step import BoxStep
+from rmesh_nlp.optimize.newton_step import BoxStep, NewtonSettings
 from support.quadratics import Matrix, convex
 
 
@@ -14,8 +14,8 @@ from support.quadratics import Matrix, convex
 def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(seed: int) -> None:
     rng = np.random.default_rng(seed)
     A, g, upper = convex(rng, 15), rng.standard_normal(15), rng.uniform(0.01, 1, 15)
-    step = BoxStep(Matrix(A), g, max_products=400)
-    s, predicted = step.within(-upper, upper, 1e-9)
+    step = BoxStep(Matrix(A), g, NewtonSettings(forcing=1e-9, max_products=400))
+    s, predicted = step.within(-upper, upper)
     assert predicted == pytest.approx(-(g @ s + 0.5 * s @ A @ s), rel=1e-9)
     assert predicted > 0
     assert np.all(np.abs(s) <= upper)
@@ -24,9 +24,9 @@ def test_the_predicted_decrease_is_that_of_the_model_and_the_step_is_stationary(
 def test_a_limit_of_products_is_kept() -> None:
     rng = np.random.default_rng(0)
     A, g, wide = convex(rng, 30), rng.standard_normal(30), np.full(30, 1e3)
-    free, short = BoxStep(Matrix(A), g, max_products=40), BoxStep(Matrix(A), g, max_products=5)
+    free, short = (BoxStep(Matrix(A), g, NewtonSettings(forcing=1e-8, max_products=k)) for k in (40, 5))
     for step in (free, short):
-        step.within(-wide, wide, 1e-8)
+        step.within(-wide, wide)
     assert short.products <= 6 < free.products  # one more for the search that ends a round
 
 

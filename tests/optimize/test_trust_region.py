@@ -9,8 +9,9 @@ import pytest
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.activity import ZERO, both_vanish, is_inside
+from rmesh_nlp.optimize.newton_step import NewtonSettings
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, NewtonSettings, minimise
+from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 from support.quadratics import Matrix, convex, quadratic
 
 
