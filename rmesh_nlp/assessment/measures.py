@@ -10,9 +10,7 @@ from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium, OwnState
 from rmesh_nlp.evaluation import Array
-
-TOLERANCE = 1e-6
-"""Largest scaled residual of a solution that may be called a success."""
+from rmesh_nlp.optimize.activity import ZERO
 
 EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
 """Errors of a discretisation that an optimiser may live on."""
@@ -27,8 +25,8 @@ class ContactResiduals:
 
     @property
     def hold(self) -> bool:
-        """Whether both are at most ``TOLERANCE``; not if one is no number."""
-        return self.equilibrium <= TOLERANCE and self.complementarity <= TOLERANCE
+        """Whether both are zero up to the tolerance of gaps and forces; not if one is no number."""
+        return self.equilibrium <= ZERO and self.complementarity <= ZERO
 
 
 def corrections(

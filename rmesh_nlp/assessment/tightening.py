@@ -33,9 +33,6 @@ QUADRATIC = {
 }
 """Ipopt's options."""
 
-ROUNDS = 30
-"""Programs, each with the worst points of the last solution added."""
-
 
 def tightened(
     system: ContactSystem, state: Equilibrium, cells: Sequence[Cells], field: Field
@@ -48,7 +45,7 @@ def tightened(
     """
     length = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
     chosen = _worst(cells, field.values(state.u), state.normal_force)
-    for _ in range(ROUNDS):
+    while True:  # each program has points more than the last one, of which there are finitely many
         # the points keep off by a little more, so that rounding violates nothing
         rows, gap = _points(cells, chosen, field, state.u)
         result = _minimised(system, rows, gap - ROUNDING * length, state.u, length)
@@ -64,8 +61,9 @@ def tightened(
                 part.share(force, cell, point, pressing[own])
                 part.share(of_closed, cell, point, (pressing * is_closed)[own])
             return replace(state, normal_force=force, active=replace(state.active, touching=of_closed > 0))
-        chosen = np.unique(np.hstack([chosen, violated]), axis=1)  # in the order of the parts
-    return None
+        before, chosen = chosen, np.unique(np.hstack([chosen, violated]), axis=1)  # in the order of the parts
+        if chosen.shape == before.shape:
+            return None
 
 
 def _minimised(

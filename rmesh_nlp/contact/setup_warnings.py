@@ -33,9 +33,6 @@ TINY = 1e-7
 FEW = 3
 """Touching nodes below which a contact is not resolved, and nodes at which a boundary bends that is round."""
 
-BEND = 0.7
-"""Angle in radians up to which a boundary bends like a curve: more is a corner."""
-
 
 class SetupWarning(NamedTuple):
     """One sign of a wrong set-up.
@@ -137,8 +134,8 @@ def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
         name = part.obstacle.boundary
         if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
             continue
-        turns = _turns(problem, name)
-        round_ones = np.count_nonzero((turns > SEVEN_DIGITS) & (turns < BEND))
+        turns = _turns(problem, name)  # of 45 degrees and more are corners
+        round_ones = np.count_nonzero((turns > SEVEN_DIGITS) & (turns < np.pi / 4))
         if round_ones >= FEW and 2 * round_ones > turns.size:
             text = f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say "
             text += f"which curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide "

@@ -38,7 +38,7 @@ from rmesh_nlp.models.second_derivatives import Curvature, Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
-STIFF = 1e8
+STIFF = 1 / np.sqrt(np.finfo(float).eps)
 """Size of the stiffness's diagonal in the units of w, relative to the block of the outer variables: multiples
 of the identity that a solver adds to make the matrix positive definite then act on those only."""
 

@@ -35,10 +35,8 @@ ROUNDS = 3
 """Rounds: with two the estimated error is 2 to 8 % larger, with more it hardly changes."""
 
 EXACT, ROUGH = 0.02, 0.2
-"""Relative differences from the number of nodes that are aimed at, and that are an error, ..."""
-
-FEW = 2
-"""... which nobody minds more of on a tiny mesh."""
+"""Relative differences from the number of nodes that are aimed at, and above which, in whole nodes, they are
+an error."""
 
 TRIALS = 12
 """Runs of Mmg to come that near, by proportion."""
@@ -188,7 +186,7 @@ def _with_nodes(
             break
         ratio = ratio * nodes / count
     off, ratio, best = min(candidates, key=lambda candidate: candidate[0])
-    if off > max(ROUGH * nodes, FEW):
+    if off > np.ceil(ROUGH * nodes):
         nearest = best.mesh.p.shape[1]
         raise BadInputError(f"Mmg makes no mesh of {nodes} nodes of this domain: the nearest has {nearest}")
     return best, ratio

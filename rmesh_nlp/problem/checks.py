@@ -12,17 +12,12 @@ from rmesh_nlp.errors import Place, ProblemError, contradicting
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
+from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, traction_degree, triangle_rule
 from rmesh_nlp.problem.rigid import rigid_motions, seen_by_contact
-
-FOUND = 1e-5
-"""Part of the extent of the body by which an optimised design may violate it: the tolerance of a solve."""
-
-ORDERS = (1, 2)
-"""Orders of displacements that there are."""
 
 RULE_NAMES, LARGEST_DEGREE = ("auto", MIDPOINT), 50
 """What a quadrature rule may be. Of higher degrees the points are so many that an energy takes minutes."""
@@ -30,7 +25,7 @@ RULE_NAMES, LARGEST_DEGREE = ("auto", MIDPOINT), 50
 
 def check(problem: ProblemData) -> None:
     """Raise a ProblemError if a problem contradicts itself."""
-    if type(problem.order) is not int or problem.order not in ORDERS:
+    if type(problem.order) is not int or problem.order not in (1, 2):
         raise ProblemError("order", f"the order of displacements must be 1 or 2, got {problem.order!r}")
     rule = problem.quadrature
     if rule not in RULE_NAMES and not (type(rule) is int and 1 <= rule <= LARGEST_DEGREE):
@@ -208,8 +203,8 @@ def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
         return
     worst = int(np.argmin(gap))
     least = -ROUNDING * scale
-    if problem.numbers:  # of a design that an optimiser has found
-        least -= FOUND * float(np.max(np.ptp(problem.mesh.p, axis=1)))
+    if problem.numbers:  # of a design to which an interior point has brought it
+        least -= BOUND_OF_AN_NLP * float(np.max(np.ptp(problem.mesh.p, axis=1)))
     if gap[worst] < least:
         x, y = problem.mesh.p[:, nodes[worst]]
         raise ProblemError(

@@ -31,9 +31,6 @@ OFF = 1e-3
 """Distance from its curve, in units of the shortest edge of the boundary, at which a given node is not on it.
 Mesh generators write nodes with 1e-10 or better; a wrong radius is off by more."""
 
-EXACT = 1e-14
-"""Distance, in units of the extent of the mesh, that is rounding."""
-
 
 def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = False) -> MeshTri:
     """The mesh with the nodes of named boundaries exactly on their curves.
@@ -52,7 +49,7 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
             x, y = mesh.p[:, nodes[worst]]
             said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
             raise ProblemError(("curves", name), said)
-        shifted = off > EXACT * float(np.max(np.ptp(mesh.p, axis=1)))
+        shifted = off > 100 * np.finfo(float).eps * float(np.max(np.ptp(mesh.p, axis=1)))
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
 

@@ -40,9 +40,6 @@ relocation comes near b where a solution varies in one direction. Fitted to six 
 ``scripts/benchmark_mesh.py`` and the random ones with seeds 90000 to 90019; within 20 % on 18 of 20 others.
 """
 
-FASTEST = 16.0
-"""Factor by which the error at order 2 falls with a refinement where the solution is smooth."""
-
 AGREE = (0.9, 2.5)
 """Range of the least error by the refined mesh over that by the given one. On random problems of 12 to 30
 nodes (seeds 90000 to 90015) all factors that were 3 to 15 times too large are outside. Of 40 others (91000 to
@@ -207,7 +204,8 @@ class _Prospect:
         coarse, finer = Solved.of(given), Solved.of(refined(given))
         fall, order = max(coarse.state.energy - finer.state.energy, 0.0), given.order
         if order == 2:  # nearly always limited by singularities, whose rate the estimates show
-            times = np.clip(coarse.error / finer.error, SLOWEST, FASTEST) if finer.error > 0 else FASTEST
+            smooth = 4.0**order
+            times = np.clip(coarse.error / finer.error, SLOWEST, smooth) if finer.error > 0 else smooth
             error = fall * float(times / (times - 1))
         elif _has_curved_data(given):  # the energies of two meshes do not compare
             error, fall = 4 * finer.error, 3 * finer.error

@@ -165,20 +165,11 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
 
 
 def _history(monitor: Monitor, end: End) -> tuple[Step, ...]:
-    """The history, with the measured residual in its last step if that is where the solve ended.
+    """The history, with the measured residual in its last step if that is the solver's own end.
 
     Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.
     """
-    if not monitor.steps:
-        return ()
-    *steps, last = monitor.steps
-    q, at = end.outcome.q, monitor.last_q
-    size = np.max(np.abs(q), initial=0.0)
-    if (
-        np.isnan(last.dual_residual)
-        and at is not None
-        and at.size == q.size
-        and np.allclose(at, q, rtol=0.0, atol=1e-8 * size)
-    ):
-        last = replace(last, dual_residual=end.assessment.first_order.residual)
-    return (*steps, last)
+    steps = monitor.steps
+    if steps and np.isnan(steps[-1].dual_residual) and end.outcome.own is not None:
+        steps = [*steps[:-1], replace(steps[-1], dual_residual=end.assessment.first_order.residual)]
+    return tuple(steps)

@@ -7,10 +7,8 @@ it. What was reached until then is kept here, so that no formulation has to look
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import islice
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
@@ -28,9 +26,6 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step, Work
 
 NAN = float("nan")
-
-RECENT = 10
-"""Last iterates of an all-at-once solver among which a valid mesh is looked for."""
 
 OnStep = Callable[[Step], object]
 """Called after each iteration, for progress."""
@@ -64,8 +59,6 @@ class Monitor:
         The history, over all NLPs of the solve.
     work : Work
         What formulations have spent beside the contact solves of the outer problems that they track.
-    last_q : array or None
-        Of the last step.
     """
 
     def __init__(
@@ -75,7 +68,6 @@ class Monitor:
         self.on_step, self.mesh = on_step, mesh
         self.steps: list[Step] = []
         self.work = Work()
-        self.last_q: Array | None = None
         self._tracked: list[Outer] = []
         self._gains: dict[ContactSolver, float] = {}
         self._track: Track | None = None
@@ -121,7 +113,6 @@ class Monitor:
             return self.budget.is_over()  # the start of an NLP is where the last one ended
         self.steps.append(step)
         self.budget.iterations = step.iteration
-        self.last_q = None if q is None else np.array(q)
         if self.on_step is not None:
             self.on_step(replace(step, q=np.array(q)) if q is not None and shown else step)
         return self.budget.is_over()
@@ -188,7 +179,7 @@ class Track:
         self.residual: Callable[..., float] | None = None
         mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
         self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
-        self._recent: deque[Array] = deque(maxlen=RECENT)
+        self._valid: Array | None = None  # the last such outer variables of an all-at-once solver
         self._best: tuple[tuple[float, float], Array] | None = None
 
     @property
@@ -238,8 +229,9 @@ class Track:
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
-        q, value = x[: self.outer.n], f * self._unit
-        self._recent.append(np.array(q))
+        q, value = np.array(x[: self.outer.n]), f * self._unit
+        if np.all(np.isfinite(q)) and self.outer.is_valid(self.outer.clipped(q)):
+            self._valid = self.outer.clipped(q)
         energy = value if self.outer.objective.is_energy else NAN
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 
@@ -259,10 +251,9 @@ class Track:
     def best(self, start: Array) -> Array:
         """The best outer variables that give a valid mesh: at worst those it started with.
 
-        Of an all-at-once solver only the last ones are known, and looked at only here.
+        Of an all-at-once solver only the last ones are known.
         """
         if self._best is not None:
             return self._best[1]
-        recent = (self.outer.clipped(q) for q in reversed(self._recent))
-        valid = (q for q in recent if np.all(np.isfinite(q)) and self.outer.is_valid(q))
-        return min([start, *islice(valid, 1)], key=lambda q: self.outer.merit(self.outer.function(q)))
+        known = [start] if self._valid is None else [start, self._valid]
+        return min(known, key=lambda q: self.outer.merit(self.outer.function(q)))
