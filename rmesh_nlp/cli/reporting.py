@@ -5,18 +5,16 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
-
 from rmesh_nlp.cli.folders import read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.folder import Manifest, write_whole
-from rmesh_nlp.io.results import RECORD, Results
+from rmesh_nlp.io.results import RECORD
 from rmesh_nlp.report.figures import figures as drawn
 from rmesh_nlp.report.histories import with_common_costs
 from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
-from rmesh_nlp.report.pictures import Drawable, pictures
+from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import Page, write
 from rmesh_nlp.report.tables import frame, markdown, write_tables
 from rmesh_nlp.study.reproduction import reproduce as derive
@@ -37,14 +35,11 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
 def figures(folder: Path, page: Page) -> None:
     """Draw what is in a folder again; of a problem file before and after."""
     if (folder / kept_problem.PROBLEM).exists() and (folder / RECORD).exists():
-        (result,) = read_quietly(folder)
-        kept = kept_problem.read_kept(folder, result.record)
-        if kept is not None:
-            with writable(folder) as results:
-                paths = draw_solution(results, kept, page)
-            print(f"{len(paths)} files in {folder / 'figures'}")
-            return
-    draw_study(folder, page)
+        with writable(folder):
+            paths = draw_solve(folder, page)
+        print(f"{len(paths)} files in {folder / 'figures'}")
+    else:
+        draw_study(folder, page)
 
 
 def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
@@ -55,11 +50,11 @@ def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
         print(f"{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
 
 
-def draw_solution(results: Results, solution: Drawable, page: Page) -> list[Path]:
-    """Draw a solution before and after, if it is one."""
-    if not np.all(np.isfinite(solution.displacement)):
-        return []
-    return write(pictures(solution, page), results.manifest, page)
+def draw_solve(folder: Path, page: Page) -> list[Path]:
+    """Draw the one solve of a folder before and after, if it has a solution."""
+    (result,) = read_quietly(folder)
+    drawn = () if result.record["energy"] is None else pictures(result, page)
+    return write(drawn, Manifest(folder), page)
 
 
 def report(folder: Path) -> None:

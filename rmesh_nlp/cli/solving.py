@@ -72,7 +72,7 @@ def solve(
                 raise KeyboardInterrupt
             if stated and columns and done.solution is not None and done.row["status"] != INTERRUPTED:
                 reporting = load("cli.reporting")  # matplotlib and pandas: as long as a small solve
-                reporting.draw_solution(results, done.solution, reporting.Page(columns))
+                reporting.draw_solve(folder, reporting.Page(columns))
         except KeyboardInterrupt:
             raise InterruptedSolveError(
                 f"all but the figures is kept in {folder}; rmesh figures {folder} draws them"

@@ -6,7 +6,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import slopes
-from rmesh_nlp.fem.sampling import points_of
+from rmesh_nlp.fem.sampling import pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.laws import Laplace
@@ -61,3 +61,9 @@ def von_mises(stress: Array) -> Array:
     """Equivalent stress (elements, ...) of stresses (4, elements, ...)."""
     xx, yy, xy, zz = stress
     return np.asarray(np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * xy**2))
+
+
+def size_of_stress(problem: ContactProblem, X: Array, displacement: Array) -> Array:
+    """(elements, pieces) von Mises stress, or the length of the flux of a scalar problem, as it is drawn."""
+    stress = stresses(problem, X, displacement, pieces(DisplacementSpace(problem).elements).centres)
+    return np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)

@@ -47,38 +47,14 @@ QUADRATIC = {
 """Formats of meshio that have quadratic triangles."""
 
 
-def gaps(space: DisplacementSpace, nodes: Array, displacement: Array) -> Array:
-    """Gap (nodes,) along the contact normal in units of length; NaN off the contact set.
-
-    ``nodes`` (2, nodes) are the points of the space's nodes, the displacement (components, nodes) has its
-    values there. At a node that may meet two foundations the smaller gap.
-    """
-    result = np.full(space.n_nodes, np.nan)
-    for part in space.contact_sets:
-        points = nodes[:, part.nodes]
-        along = np.sum(part.obstacle.normals(points) * displacement[:, part.nodes], axis=0)
-        result[part.nodes] = np.fmin(result[part.nodes], along + part.obstacle.distances(points))
-    return result
-
-
 def point_data(solution: Solution) -> dict[str, Array]:
     """Fields of the nodes of the displacement, by name; vectors have three components for VTU files.
 
-    ``motion`` is the vector from the initial position, ``mobility`` 0 pinned, 1 sliding, 2 free,
-    3 tied, -1 in the middle of an edge, which follows its ends; ``box_multiplier`` (of move limits) as in
-    :class:`rmesh_nlp.models.residual.Multipliers`.
+    Those on the mesh before relocation begin with ``initial_``. ``motion`` is the vector from the initial
+    position, ``mobility`` 0 pinned, 1 sliding, 2 free, 3 tied, -1 in the middle of an edge, which follows its
+    ends; ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
     """
-    space, fields = DisplacementSpace(solution.problem), fields_of(solution)
-    data = fields.point_data()
-    data["gap"] = gaps(space, fields.nodes, solution.displacement)
-    data["motion"] = three(fields.nodes - fields.initial)
-    vertices = slice(space.n_vertices)
-    data["mobility"] = np.full(space.n_nodes, -1, np.int32)
-    data["mobility"][vertices] = MeshMap.of(solution.problem).mobility
-    if solution.multipliers is not None:
-        data["box_multiplier"] = np.zeros(space.n_nodes)
-        data["box_multiplier"][vertices] = solution.multipliers.limit
-    return data
+    return fields_of(solution).point_data()
 
 
 def cell_data(solution: Solution) -> dict[str, Array]:
@@ -122,15 +98,17 @@ def write_solution(solution: Solution, path: str | Path, file_format: str | None
 
     Formats without quadratic triangles get the vertices alone, with the values there.
     """
-    space, cells = DisplacementSpace(solution.problem), solution.problem.triangles
-    points, of_nodes = points_of(space, np.asarray(solution.mesh.p)), point_data(solution)
+    fields = fields_of(solution)
+    points, cells = fields.final.nodes, fields.triangles
+    of_nodes, of_cells = fields.point_data(), cell_data(solution)
     kind = file_format or meshio.extension_to_filetypes.get(Path(path).suffix, [""])[0]
-    if space.order == 1 or kind in QUADRATIC:
-        cells = space.elements
-    else:
-        vertices = slice(space.n_vertices)
-        points, of_nodes = points[:, vertices], {name: values[vertices] for name, values in of_nodes.items()}
-    file_mesh(points, cells, of_nodes, cell_data(solution)).write(path, file_format)
+    if len(cells) > 3 and kind not in QUADRATIC:
+        vertices = slice(solution.mesh.p.shape[1])
+        points, cells = points[:, vertices], cells[:3]
+        of_nodes = {name: values[vertices] for name, values in of_nodes.items()}
+    if kind == "vtu":  # what figures are made of
+        of_nodes, of_cells = of_nodes | fields.foundations(), of_cells | fields.drawn_stresses()
+    file_mesh(points, cells, of_nodes, of_cells).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:

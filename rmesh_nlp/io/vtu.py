@@ -1,69 +1,118 @@
-"""The fields of a solution that figures are made from, and reading them back from VTU files."""
+"""The fields of a solution before and after relocation, as VTU files have them and figures are made of."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import meshio
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import edges_of, points_of
-from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.fem.sampling import points_of
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
+from rmesh_nlp.fem.stress import size_of_stress
+from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.residual import Multipliers
+from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.state import State, nodal_stress
 
 CELLS = {3: "triangle", 6: "triangle6"}  # what VTU files call elements, by their number of nodes
+SCALARS = ("pressure", "tangential_stress", "friction_bound", "gap")  # at nodes, of either mesh
+GIVEN, FINAL = "initial_", ""  # heads of the names of fields on either mesh
+FOUNDATION = "foundation "  # of the fields of each contact boundary, before its name
 
 
 @dataclass(frozen=True)
-class Fields:
-    """What a VTU file holds, at the nodes of the displacement and on the elements.
+class MeshState:
+    """A mesh with its equilibrium, as values at the points of the nodes of the displacement.
 
-    Fields of nodes are values at their points. Of quadratic displacements these are the vertices and the
-    middles of edges; a triangle has the former first.
+    Of quadratic displacements these are the vertices and the middles of edges.
     """
 
-    nodes: Array  # (2, nodes) positions after the relocation
-    initial: Array  # (2, nodes) positions before
-    triangles: NDArray[np.int64]  # (nodes per element, elements), the vertices first
+    nodes: Array  # (2, nodes) positions
     displacement: Array  # (components, nodes)
     pressure: Array  # (nodes,) in N/m^2, zero off the contact nodes, as are the next two
     tangential_stress: Array
     friction_bound: Array
-    contact: NDArray[np.bool_]  # (nodes,) whether a node may come in contact
-    foundation: Array  # (2, nodes) point that a contact node would meet; elsewhere, and if scalar, the node
+    gap: Array  # (nodes,) along the contact normal after the displacement; NaN off the contact nodes
+    feet: Mapping[str, Array]  # (2, nodes) by contact boundary: what it would meet; NaN off it
+    stress: Array  # (elements, pieces) von Mises stress, or length of the flux, as it is drawn
+
+
+def state_of(
+    problem: ContactProblem, X: Array, u: Array, pressure: Array, tangential_stress: Array
+) -> MeshState:
+    """The state of a problem with its vertices at X (2, vertices), from values at the nodes."""
+    space = DisplacementSpace(problem)
+    nodes = points_of(space, X)
+    bound, gap, feet = np.zeros(space.n_nodes), np.full(space.n_nodes, np.nan), dict[str, Array]()
+    for part in space.contact_sets:
+        which, obstacle = part.nodes, part.obstacle
+        points = nodes[:, which]
+        pressing = on_points(obstacle.coulomb, points) * np.maximum(pressure[which], 0.0)
+        bound[which] = on_points(obstacle.friction, points) + pressing
+        along = np.sum(obstacle.normals(points) * u[:, which], axis=0)
+        # of two foundations that a node may meet the nearer one
+        gap[which] = np.fmin(gap[which], along + obstacle.distances(points))
+        if obstacle.boundary is Place.INTERIOR:
+            continue
+        name, own = obstacle.boundary, np.unique(space.nodes_of(contact_edges(problem, obstacle)))
+        while name in feet:  # another foundation of the same boundary
+            name += "'"
+        feet[name] = np.full_like(nodes, np.nan)
+        feet[name][:, own] = obstacle.feet(nodes[:, own]) if problem.components == 2 else nodes[:, own]
+    return MeshState(nodes, u, pressure, tangential_stress, bound, gap, feet, size_of_stress(problem, X, u))
+
+
+@dataclass(frozen=True)
+class Fields:
+    """What a VTU file holds: the states before and after relocation, and what limits the motion."""
+
+    triangles: NDArray[np.int64]  # (nodes per element, elements), the vertices first
+    given: MeshState  # of a design the first one
+    final: MeshState
+    mobility: NDArray[np.int32]  # (nodes,) of vertices, -1 at middles of edges
     error_bound: Array | None = None  # (elements,) parts of the bound of half the squared error, if certified
     error_bound_initial: Array | None = None
-    multipliers: Multipliers | None = None  # as read from a file; those of move limits are at the nodes
+    multipliers: Multipliers | None = None  # those of move limits are at the nodes
 
     @property
-    def n_vertices(self) -> int:
-        """Number of nodes that are vertices of the mesh, or belong to no element."""
-        return int(self.nodes.shape[1] - np.unique(self.triangles[3:]).size)
-
-    @property
-    def boundary(self) -> NDArray[np.int64]:
-        """(2 or 3, edges) nodes of the edges on the boundary: the ends, then the middle."""
-        return edges_of(self.triangles, outer=True)
+    def _states(self) -> tuple[tuple[str, MeshState], ...]:
+        return (GIVEN, self.given), (FINAL, self.final)
 
     def point_data(self) -> dict[str, NDArray]:
-        """The fields of the nodes as VTU files have them, by name."""
-        u = self.displacement
+        """The fields of the nodes as files have them, by name."""
+        data: dict[str, NDArray] = {}
+        for head, state in self._states:
+            u = state.displacement
+            data[f"{head}displacement"] = u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T)
+            data |= {head + name: getattr(state, name) for name in SCALARS}
+        data["initial_position"] = three(self.given.nodes)
+        data["motion"] = three(self.final.nodes - self.given.nodes)
+        data["contact"] = np.isfinite(self.final.gap).astype(np.int32)
+        data["mobility"] = self.mobility
+        if self.multipliers is not None:
+            data["box_multiplier"] = self.multipliers.limit
+        return data
+
+    def foundations(self) -> dict[str, NDArray]:
+        """Further ones of VTU files, whose names may be any."""
         return {
-            "displacement": u[0] if u.shape[0] == 1 else np.ascontiguousarray(u.T),
-            "initial_position": three(self.initial),
-            "pressure": self.pressure,
-            "tangential_stress": self.tangential_stress,
-            "friction_bound": self.friction_bound,
-            "contact": self.contact.astype(np.int32),
-            "foundation": three(self.foundation),
+            f"{head}{FOUNDATION}{name}": three(feet)
+            for head, state in self._states
+            for name, feet in state.feet.items()
         }
+
+    def drawn_stresses(self) -> dict[str, NDArray]:
+        """Those of the elements, likewise."""
+        return {f"{head}drawn_stress": state.stress for head, state in self._states}
 
 
 def three(points: Array) -> Array:
@@ -85,28 +134,29 @@ def file_mesh(
 
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
-    space = DisplacementSpace(solution.problem)
-    nodes = points_of(space, np.asarray(solution.mesh.p))
-    contact, bound, foundation = np.zeros(space.n_nodes, dtype=bool), np.zeros(space.n_nodes), nodes.copy()
-    for part in space.contact_sets:
-        points = nodes[:, part.nodes]
-        contact[part.nodes] = True
-        pressing = np.maximum(solution.pressure[part.nodes], 0.0)
-        bound[part.nodes] = on_points(part.obstacle.friction, points)
-        bound[part.nodes] += on_points(part.obstacle.coulomb, points) * pressing
-        if solution.problem.components == 2:
-            foundation[:, part.nodes] = part.obstacle.feet(points)
-    return Fields(
-        nodes=nodes,
-        initial=points_of(space, solution.initial_nodes),
-        triangles=space.elements,
-        displacement=solution.displacement,
-        pressure=solution.pressure,
-        tangential_stress=solution.tangential_stress,
-        friction_bound=bound,
-        contact=contact,
-        foundation=foundation,
-    )
+    problem, final, multipliers = solution.problem, solution.assessment.final, solution.multipliers
+    space, X = DisplacementSpace(problem), np.asarray(problem.mesh.p)
+    vertices = slice(space.n_vertices)
+    mobility = np.full(space.n_nodes, -1, np.int32)
+    mobility[vertices] = MeshMap.of(problem).mobility
+    if multipliers is not None:
+        limit = np.zeros(space.n_nodes)
+        limit[vertices] = multipliers.limit
+        multipliers = replace(multipliers, limit=limit)
+    given = solution.assessment.given
+    if solution.assessment.is_same_mesh:
+        before = _of_state(given)
+    else:  # another mesh was made for the solution
+        solver = ContactSolver(problem)
+        solved = solver.solve(X)
+        forces = (nodal_stress(solver, X, f) for f in (solved.normal_force, solved.tangential_force))
+        before = state_of(problem, X, space.values(solver.displacement.values(solved.u)), *forces)
+    return Fields(space.elements, before, _of_state(final), mobility, multipliers=multipliers)
+
+
+def _of_state(state: State) -> MeshState:
+    stresses = state.pressure, state.tangential_stress
+    return state_of(state.problem, np.asarray(state.mesh.p), state.displacement, *stresses)
 
 
 def read_vtu(path: Path) -> Fields:
@@ -124,16 +174,27 @@ def read_vtu(path: Path) -> Fields:
         if "box_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
             of_elements = of_cells["area_multiplier"], of_cells["angle_multiplier"]
             multipliers = Multipliers(data["box_multiplier"], *of_elements)
+
+        def state(head: str, points: Array) -> MeshState:
+            begin, stress = head + FOUNDATION, of_cells[f"{head}drawn_stress"]
+            feet = {
+                name.removeprefix(begin): values[:, :2].T
+                for name, values in data.items()
+                if name.startswith(begin)
+            }
+            return MeshState(
+                nodes=points[:, :2].T,
+                displacement=np.atleast_2d(data[f"{head}displacement"].T),
+                feet=feet,
+                stress=stress.reshape(len(stress), -1),
+                **{name: data[head + name] for name in SCALARS},
+            )
+
         fields = Fields(
-            nodes=mesh.points[:, :2].T,
-            initial=data["initial_position"][:, :2].T,
             triangles=next(block.data.T for block in mesh.cells if block.type in CELLS.values()),
-            displacement=np.atleast_2d(data["displacement"].T),
-            pressure=data["pressure"],
-            tangential_stress=data["tangential_stress"],
-            friction_bound=data["friction_bound"],
-            contact=data["contact"].astype(bool),
-            foundation=data["foundation"][:, :2].T,
+            given=state(GIVEN, data["initial_position"]),
+            final=state(FINAL, mesh.points),
+            mobility=data["mobility"],
             error_bound=of_cells.get("error_bound"),
             error_bound_initial=of_cells.get("error_bound_initial"),
             multipliers=multipliers,
@@ -147,10 +208,11 @@ def read_vtu(path: Path) -> Fields:
 
 def _check(fields: Fields) -> None:
     """Refuse what would only be noticed when it is drawn."""
-    count = fields.nodes.shape[1]
-    for name in ("nodes", "initial", "displacement", "pressure", "foundation"):
-        values = getattr(fields, name)
-        if values.shape[-1] != count or not np.all(np.isfinite(values)):
-            raise ValueError(f"{name} has not a finite value at each of {count} nodes")
+    count = fields.final.nodes.shape[1]
+    for state in (fields.given, fields.final):
+        for name in ("nodes", "displacement", "pressure"):
+            values = getattr(state, name)
+            if values.shape[-1] != count or not np.all(np.isfinite(values)):
+                raise ValueError(f"{name} has not a finite value at each of {count} nodes")
     if fields.triangles.size == 0 or fields.triangles.min() < 0 or fields.triangles.max() >= count:
         raise ValueError("a triangle has a node that is not there")

@@ -1,4 +1,4 @@
-"""Bodies over rigid foundations: as files and solutions have them, side by side, and what contact carries.
+"""Bodies over rigid foundations, side by side, and what contact carries.
 
 All pictures of meshes draw what a :class:`Body` holds by :func:`side_by_side` and :func:`contact_figure`.
 """
@@ -6,7 +6,8 @@ All pictures of meshes draw what a :class:`Body` holds by :func:`side_by_side` a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.sampling import ALONG, along, edges_of
-from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.io.vtu import Fields
+from rmesh_nlp.fem.sampling import along, edges_of
+from rmesh_nlp.io.vtu import MeshState
+from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
 from rmesh_nlp.solving import plotting
@@ -34,21 +35,18 @@ SEEN = 0.003  # about the width of a line
 MARGIN = 0.02  # stays free around everything
 
 
-@dataclass(frozen=True)
-class Foundation:
-    """What one contact boundary may meet.
+@dataclass(frozen=True, eq=False)
+class Contact:
+    """A contact boundary: its name, nodes that may meet a foundation, the nodes (2 or 3, edges) of its edges.
 
-    ``nodes`` (2, contact nodes) would meet ``feet`` after ``gaps``, negative where the foundation overlaps
-    the body; points ``starts`` (2, edges, points) of the contact edges would meet ``lines``.
+    Points ``starts`` (2, edges, points) of its edges would meet ``lines`` of a rigid foundation.
     """
 
     name: str
-    gaps: Array
-    nodes: Array
-    feet: Array
+    nodes: Index
+    edges: Index
     starts: Array
     lines: Array
-    is_far: bool
 
     def displaced(self, factor: float) -> Array:
         """The foundation (2, edges, points) beside a body whose displacement is drawn ``factor`` times."""
@@ -59,81 +57,57 @@ class Foundation:
         """(2, points) from the contact boundary to the foundation."""
         return (self.lines - self.starts).reshape(2, -1)
 
-
-@dataclass(frozen=True)
-class Contact:
-    """A contact boundary: its name, its nodes, and the nodes (2 or 3, edges) of its edges."""
-
-    name: str
-    nodes: Index
-    edges: Index
+    @property
+    def distance(self) -> float:
+        """The least one between them; infinite without edges."""
+        return float(np.min(np.linalg.norm(self.ways, axis=0), initial=np.inf))
 
 
 @dataclass(frozen=True)
 class Body:
-    """A body on one mesh with the title of its pictures; scalar problems have no foundations.
-
-    Nodes (2, nodes), triangles (nodes per element, elements), displacement (components, nodes); pressure,
-    tangential stress and its bound (nodes,); von Mises stress or the size of the flux (elements,). ``closed``
-    are the numbers of elements in contact with an obstacle in the interior.
-    """
+    """A body on one mesh (nodes per element, elements) with the title of its pictures."""
 
     title: str
-    nodes: Array
     triangles: Index
-    displacement: Array
-    foundations: tuple[Foundation, ...] = ()
-    contacts: tuple[Contact, ...] = ()
-    pressure: Array = field(default_factory=lambda: np.zeros(0))
-    tangential_stress: Array = field(default_factory=lambda: np.zeros(0))
-    friction_bound: Array = field(default_factory=lambda: np.zeros(0))
-    stress: Array = field(default_factory=lambda: np.zeros(0))
-    closed: Index = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    state: MeshState
+
+    @property
+    def nodes(self) -> Array:
+        """(2, nodes) positions."""
+        return self.state.nodes
 
     @property
     def elastic(self) -> bool:
         """Whether the displacement has two components."""
-        return self.displacement.shape[0] == 2
+        return self.state.displacement.shape[0] == 2
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The contact boundaries; none for an obstacle in the interior."""
+        outer, found = edges_of(self.triangles, outer=True), []
+        for name, feet in self.state.feet.items():
+            on = np.isfinite(feet[0])
+            edges = outer[:, np.all(on[outer], axis=0)]
+            lines = along(edges, self.nodes), along(edges, feet)
+            may_meet = np.flatnonzero(on & np.isfinite(self.state.gap))  # not those that are given
+            found.append(Contact(name, may_meet, edges, *lines))
+        return tuple(found)
 
     @property
-    def near(self) -> list[Foundation]:
-        """The foundations that are drawn."""
-        return [one for one in self.foundations if not one.is_far]
+    def near(self) -> list[Contact]:
+        """Those whose foundations are drawn: none for scalar problems."""
+        reach = REACH * np.max(np.ptp(self.nodes, axis=1))
+        return [one for one in self.contacts if self.elastic and one.distance <= reach]
+
+    @property
+    def closed(self) -> Index:
+        """Numbers of the elements in contact with an obstacle in the interior: all of their nodes touch."""
+        touching = self.state.gap <= ZERO * np.max(np.abs(self.state.displacement), initial=0.0)
+        return np.flatnonzero(np.all(touching[self.triangles], axis=0) & (not self.contacts))
 
     def moved(self, factor: float) -> Array:
         """The nodes (2, nodes) after ``factor`` times the displacement."""
-        return self.nodes + factor * self.displacement if self.elastic else self.nodes
-
-
-def foundations(space: DisplacementSpace, nodes: Array) -> tuple[Foundation, ...]:
-    """The foundations for nodes at (2, nodes); none for scalar problems."""
-    parts = []
-    for part in space.contact_sets if space.problem.components == 2 else ():
-        edges, here = space.nodes_of(contact_edges(space.problem, part.obstacle)), nodes[:, part.nodes]
-        starts = along(edges, nodes, ALONG[3])
-        lines = part.obstacle.feet(starts.reshape(2, -1)).reshape(starts.shape)
-        gaps, feet = part.obstacle.distances(here), part.obstacle.feet(here)
-        name, far = str(part.obstacle.boundary), _is_far(gaps, nodes)
-        parts.append(Foundation(name, gaps, here, feet, starts, lines, far))
-    return tuple(parts)
-
-
-def body_of(fields: Fields, title: str) -> Body:
-    """The body that a file holds: its contact boundaries are joined in one, foundations known at nodes."""
-    which, edges = np.flatnonzero(fields.contact), fields.boundary
-    contact = Contact("the contact boundary", which, edges[:, np.all(fields.contact[edges], axis=0)])
-    below: tuple[Foundation, ...] = ()
-    if fields.displacement.shape[0] == 2 and which.size:
-        nodes, feet = fields.nodes[:, which], fields.foundation[:, which]
-        gaps = np.linalg.norm(feet - nodes, axis=0)
-        starts, lines = (along(contact.edges, points) for points in (fields.nodes, fields.foundation))
-        below = (Foundation("", gaps, nodes, feet, starts, lines, _is_far(gaps, fields.initial)),)
-    stresses = fields.pressure, fields.tangential_stress, fields.friction_bound
-    return Body(title, fields.nodes, fields.triangles, fields.displacement, below, (contact,), *stresses)
-
-
-def _is_far(gaps: Array, nodes: Array) -> bool:
-    return bool(np.min(np.abs(gaps)) > REACH * np.max(np.ptp(nodes, axis=1)))
+        return self.nodes + factor * self.state.displacement if self.elastic else self.nodes
 
 
 def magnification(bodies: Sequence[Body]) -> float:
@@ -142,12 +116,12 @@ def magnification(bodies: Sequence[Body]) -> float:
     A foundation is drawn as the curve that it is in space. Where the displacement is drawn ``f`` times as
     large, a node that touches, ``u = w``, is drawn at ``X + f w``, beside its place ``X + w`` on the
     foundation by ``(f - 1) w``. If ``w`` is the same for the whole boundary, the foundation is drawn
-    displaced by that (:meth:`Foundation.displaced`), and touching nodes touch it. If the gap varies by more
+    displaced by that (:meth:`Contact.displaced`), and touching nodes touch it. If the gap varies by more
     than ``SEEN`` there is no such place, and displacements are drawn as they are.
     """
     extent = float(np.max(np.ptp(bodies[0].nodes, axis=1)))
-    largest = max(float(np.max(np.abs(body.displacement))) for body in bodies)
-    ways = [one.ways.T for body in bodies for one in body.near if one.lines.size]
+    largest = max(float(np.max(np.abs(body.state.displacement))) for body in bodies)
+    ways = [one.ways.T for body in bodies for one in body.near]
     varies = max((float(np.max(np.abs(way - way.mean(axis=0)))) for way in ways), default=0.0)
     wanted = (step * 10.0**decade for decade in range(12 if largest else 0) for step in (1, 2, 5))
     shown = (f for f in wanted if f * largest <= LARGEST_DEFORMATION * extent)
@@ -251,7 +225,7 @@ def side_by_side(
 def displacement_figure(bodies: Sequence[Body], page: Page, units: Units, *, deformed: bool) -> Figure:
     """The displacement of each body, if asked for over the deformed meshes."""
     label = f"$|u|${bracketed(units.length)}" if bodies[0].elastic else "$u$"
-    paint = coloured(plotting.draw_nodal, lambda body: body.displacement)
+    paint = coloured(plotting.draw_nodal, lambda body: body.state.displacement)
     return side_by_side(bodies, paint, page, units.length, deformed=deformed, label=label)
 
 
@@ -262,12 +236,12 @@ def contact_figure(bodies: Sequence[Body], page: Page, units: Units) -> Figure |
     """
     unit = bracketed(units.stress) if bodies[0].elastic else ""
     kinds = {"pressure": f"contact {'pressure' if bodies[0].elastic else 'stress'}{unit}"}
-    if any(np.any(body.friction_bound > 0) for body in bodies):
+    if any(np.any(body.state.friction_bound > 0) for body in bodies):
         kinds["tangential_stress"] = f"tangential stress{unit}"
     panels = [
         (place, name)
         for place in range(len(bodies[0].contacts))
-        if any(np.any(body.pressure[body.contacts[place].nodes]) for body in bodies)
+        if any(np.any(body.state.pressure[body.contacts[place].nodes]) for body in bodies)
         for name in kinds
     ]
     if not panels:
@@ -276,10 +250,10 @@ def contact_figure(bodies: Sequence[Body], page: Page, units: Units) -> Figure |
     axes = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
     first = bodies[0]
     for axis, (place, name) in zip(axes, panels, strict=True):
-        curves = [(body, getattr(body, name), pen_of(i), body.title) for i, body in enumerate(bodies)]
+        curves = [(body, getattr(body.state, name), pen_of(i), body.title) for i, body in enumerate(bodies)]
         if name == "tangential_stress":
             bound: Any = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}
-            ends = first.friction_bound, -first.friction_bound
+            ends = first.state.friction_bound, -first.state.friction_bound
             curves += [(first, values, bound, "friction bound ±g") for values in ends]
         coordinate = plotting.direction(first.nodes[:, first.contacts[place].nodes])
         for body, values, look, title in curves:

@@ -19,7 +19,6 @@ from rmesh_nlp.report.columns import short_label
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure, design_figure, profile_figure
 from rmesh_nlp.report.drawing import (
     Body,
-    body_of,
     coloured,
     contact_figure,
     displacement_figure,
@@ -56,23 +55,22 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
 
 
 def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
-    """Names and figures of one block: grids, stresses, convergence and designs.
-
-    Formulations are compared with the solution of ``fixed``; without it, what would show the
-    given grid is left out.
-    """
+    """Names and figures of one block: grids, stresses, convergence and designs, beside the given grid."""
     drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
     first = block.records[0]
     units, size = units_of(first.get("units")), f"{block.example}-{first['n']}"
     stem = size if order_of(first) == 1 else f"{size}-order{order_of(first)}"
     moved = [(record, fields) for record, fields in drawn if record["formulation"] != RELOCATING_NOTHING]
-    fixed = [fields for record, fields in drawn if record["formulation"] == RELOCATING_NOTHING]
     designs = any(record.get("design") for record, _ in drawn)
-    given = [body_of(fields, "first design" if designs else "given grid") for fields in fixed[:1]]
+    given = [
+        Body("first design" if designs else "given grid", fields.triangles, fields.given)
+        for record, fields in drawn
+        if not record.get("remeshed_nodes")
+    ][:1]
     grids = partial(displacement_figure, page=page, units=units)
     for record, fields in moved:
         key, made = record.get("key", stem), "design" if designs else "relocated"
-        body = body_of(fields, f"{made} by {short_label(record)}")
+        body = Body(f"{made} by {short_label(record)}", fields.triangles, fields.final)
         yield f"{key}-grid", grids([*given, body], deformed=body.elastic)
         if fields.error_bound is not None and fields.error_bound_initial is not None:
             yield f"{key}-error", error_figure(fields, record, page)
@@ -80,7 +78,11 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
         yield f"{stem}-grid", grids(given, deformed=given[0].elastic)
     for objective in block.objectives:
         name = stem if objective == "energy" else f"{stem}-{objective}"
-        bodies = [body_of(fields, short_label(r)) for r, fields in moved if r["objective"] == objective]
+        bodies = [
+            Body(short_label(record), fields.triangles, fields.final)
+            for record, fields in moved
+            if record["objective"] == objective
+        ]
         if (bodies or not moved) and (stresses := contact_figure([*given, *bodies], page, units)) is not None:
             yield f"{name}-stress", stresses
     for objective, what, figure in progress_figures(block, results, page):
@@ -126,16 +128,16 @@ def error_figure(fields: Fields, record: Record, page: Page) -> Figure:
     guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
     words = "at most" if guaranteed else "estimated at"
     bodies, densities = [], {}
-    for when, nodes, bound, entry in (
-        ("given", fields.initial, fields.error_bound_initial, "relative_error_bound_initial"),
-        ("relocated", fields.nodes, fields.error_bound, "relative_error_bound"),
+    for when, state, bound, entry in (
+        ("given", fields.given, fields.error_bound_initial, "relative_error_bound_initial"),
+        ("relocated", fields.final, fields.error_bound, "relative_error_bound"),
     ):
         assert bound is not None  # it is certified
         error = record.get(entry)
         title = f"{when}, " + ("" if error is None else f"error {words} {100 * error:.3g} %")
-        areas = np.abs(signed_areas(nodes, fields.triangles[:3]))
+        areas = np.abs(signed_areas(state.nodes, fields.triangles[:3]))
         densities[title] = np.sqrt(2 * np.maximum(bound, 0) / areas)
-        bodies.append(Body(title, nodes, fields.triangles, fields.displacement))
+        bodies.append(Body(title, fields.triangles, state))
     high = max(float(np.max(list(densities.values()))), 1e-299)
     norm = LogNorm(high / 10**DECADES, high)
     paint = coloured(

@@ -189,14 +189,15 @@ def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
 
 
 def _mesh(fields: Fields) -> dict[str, Any]:
-    u = fields.displacement
+    given, final = fields.given, fields.final
+    u = final.displacement
     values = {"u": u[0]} if u.shape[0] == 1 else {"|u|": np.hypot(*u), "u1": u[0], "u2": u[1]}
-    values["contact stress"] = fields.pressure
-    if np.any(fields.friction_bound > 0):
-        values["tangential stress"] = fields.tangential_stress
-    values["motion"] = np.hypot(*(fields.nodes - fields.initial))
-    places = zip(("x", "y", "x0", "y0"), (*fields.nodes, *fields.initial), strict=True)
-    size = float(np.abs(fields.nodes).max())
+    values["contact stress"] = final.pressure
+    if np.any(final.friction_bound > 0):
+        values["tangential stress"] = final.tangential_stress
+    values["motion"] = np.hypot(*(final.nodes - given.nodes))
+    places = zip(("x", "y", "x0", "y0"), (*final.nodes, *given.nodes), strict=True)
+    size = float(np.abs(final.nodes).max())
     return {
         **{name: _rounded(place, size) for name, place in places},
         "t": fields.triangles.T.tolist(),

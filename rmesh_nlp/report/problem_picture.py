@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,13 @@ from matplotlib.axes import Axes
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.fem.sampling import along, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.io.vtu import state_of
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report import style
-from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, draw_nodes, foundations
+from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, draw_nodes
 from rmesh_nlp.solving import plotting
 
 MARKERS = {
@@ -35,8 +37,12 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     """
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
     nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
-    body = Body("", nodes, cells, np.zeros((problem.components, 0)), foundations(space, nodes))
-    extent = np.ptp(np.hstack([mesh.p, *(one.feet for one in body.near)]), axis=1)
+    # with middles of edges foundations are seen to be curved
+    finer = replace(problem, order=2)
+    fine = DisplacementSpace(finer)
+    rest = np.zeros((problem.components, fine.n_nodes))
+    body = Body("", fine.elements, state_of(finer, np.asarray(mesh.p), rest, rest[0], rest[0]))
+    extent = np.ptp(np.hstack([mesh.p, *(one.lines.reshape(2, -1) for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
         width = style.TWO_COLUMNS
         figure = style.new_figure(width, 1.5 + width * min(extent[1] / extent[0], 1.0))
@@ -53,13 +59,13 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
         _draw_mobility(axis, problem, free)
         # so wide that they are seen on both sides of a boundary that lies on them
         draw_foundations(axis, body, linewidth=8, capstyle="butt", zorder=0.5)
-        _draw_gaps(axis, body)
+        _draw_gaps(axis, body, space.n_nodes)
         axis.autoscale_view()
         unit = bracketed(problem.units.length)
         axis.set(aspect="equal", xlabel=f"$x_1${unit}", ylabel=f"$x_2${unit}")
         heading = f"{problem.name}: {mesh.p.shape[1]} nodes, {free.n} outer variables"
-        for one in (one for one in body.foundations if one.is_far):
-            heading += f"\nthe foundation of {one.name} is {one.gaps.min():.3g} away, not drawn"
+        for one in (one for one in body.contacts if body.elastic and one not in body.near):
+            heading += f"\nthe foundation of {one.name} is {one.distance:.3g} away, not drawn"
         axis.set_title(heading)
         style.add_legend(figure, [axis], "outside lower center")
         style.lay_out(figure)
@@ -80,18 +86,20 @@ def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
         draw_lines(axis, ends, color="black", linewidth=1.5, label="slides along")
 
 
-def _draw_gaps(axis: Axes, body: Body) -> None:
-    """The initial gap of every contact node; overlaps are red."""
+def _draw_gaps(axis: Axes, body: Body, count: int) -> None:
+    """The initial gap of every contact node among the first ``count`` nodes; overlaps are red."""
     for one in body.near:
-        ends = np.stack([one.nodes, one.feet], axis=2)
-        overlaps = one.gaps < -ROUNDING * np.ptp(body.nodes)
+        which = one.nodes[one.nodes < count]
+        feet, gap = body.state.feet[one.name][:, which], body.state.gap[which]
+        ends = np.stack([body.nodes[:, which], feet], axis=2)
+        overlaps = gap < -ROUNDING * np.ptp(body.nodes)
         for chosen, colour, width, label in (
-            (one.gaps > 0, "0.5", 0.8, "initial gap"),
+            (gap > 0, "0.5", 0.8, "initial gap"),
             (overlaps, "red", 2.0, "initial overlap"),
         ):
             if np.any(chosen):
                 draw_lines(axis, ends[:, chosen], color=colour, linewidth=width, label=label)
-        axis.update_datalim(one.feet.T)
+        axis.update_datalim(feet.T)
 
 
 def _roles(problem: ContactProblem) -> list[tuple[str, str]]:

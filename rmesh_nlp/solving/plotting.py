@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.problem import ContactProblem, Place
 
 MAP, GRID_LINE = "viridis", "0.25"
@@ -92,12 +92,6 @@ def _bar(axes: Axes, painted: Any, X: Array, label: str) -> None:
 def size_of(u: Array) -> Array:
     """(nodes,) a scalar displacement itself, or the length of one with two components."""
     return u[0] if u.shape[0] == 1 else np.linalg.norm(u, axis=0)
-
-
-def size_of_stress(problem: ContactProblem, X: Array, u: Array) -> Array:
-    """(elements, pieces) von Mises stress, or the length of the flux of a scalar problem, as it is drawn."""
-    stress = stresses(problem, X, u, pieces(DisplacementSpace(problem).elements).centres)
-    return np.linalg.norm(stress, axis=0) if problem.components == 1 else von_mises(stress)
 
 
 def is_fine(triangles: NDArray[Any]) -> bool:

@@ -15,10 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
-from rmesh_nlp.io.vtu import Fields, fields_of, read_vtu
+from rmesh_nlp.io.vtu import Fields, MeshState, read_vtu, state_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
@@ -26,11 +25,9 @@ from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure
 from rmesh_nlp.report.drawing import (
     Body,
-    Foundation,
-    body_of,
+    Contact,
     contact_figure,
     displacement_figure,
-    foundations,
     magnification,
     window,
 )
@@ -44,7 +41,7 @@ from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.formulations import fixed
 from support.orders import ORDERS
-from support.reporting import joint_61
+from support.reporting import joint_61, saved
 
 PAGE = Page()
 
@@ -116,7 +113,7 @@ def test_grids_have_equal_axes_and_show_both_meshes(results, figures) -> None:
     magnification = float(titles[2].removeprefix("deformed, $u$ and gap × "))
     fields = read_vtu(results[-1].vtu)
     drawn = np.array(grids[3].lines[0].get_xydata())
-    moved = fields.nodes + magnification * fields.displacement
+    moved = fields.final.nodes + magnification * fields.final.displacement
     for corner in (moved[:, 0], moved[:, -1]):
         assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
 
@@ -162,39 +159,43 @@ def test_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
     assert legend.get_window_extent().width <= figure.get_window_extent().width
 
 
-def fields(friction: float, components: int = 2, upright: bool = False) -> Fields:
+def state(friction: float, components: int = 2, upright: bool = False) -> MeshState:
     """Three contact nodes out of order, and one that is none."""
     nodes = np.array([[2.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.1, 3.0]])
     nodes = nodes[::-1] if upright else nodes
-    return Fields(
-        nodes=nodes, initial=nodes, triangles=np.array([[0], [1], [2]]),
-        displacement=np.zeros((components, 4)), pressure=np.array([20.0, 0.0, 10.0, 99.0]),
+    contact = np.array([True, True, True, False])
+    return MeshState(
+        nodes=nodes, displacement=np.zeros((components, 4)), pressure=np.array([20.0, 0.0, 10.0, 99.0]),
         tangential_stress=np.array([2.0, 0.0, -1.0, 99.0]),
         friction_bound=np.array([friction, friction, 2 * friction, 0.0]),
-        contact=np.array([True, True, True, False]), foundation=nodes,
+        gap=np.where(contact, 0.0, np.nan), feet={"low": np.where(contact, nodes, np.nan)},
+        stress=np.zeros((1, 1)),
     )  # fmt: skip
 
 
-def stress_figure(curves: dict[str, Fields], units: Units = Units()) -> Figure:  # noqa: B008
-    """Contact stresses of fields by name."""
-    figure = contact_figure([body_of(field, name) for name, field in curves.items()], PAGE, units)
+TRIANGLE = np.array([[0], [1], [2]])
+
+
+def stress_figure(curves: dict[str, MeshState], units: Units = Units()) -> Figure:  # noqa: B008
+    """Contact stresses of states by name."""
+    figure = contact_figure([Body(name, TRIANGLE, one) for name, one in curves.items()], PAGE, units)
     assert figure is not None
     return figure
 
 
 def test_contact_stress_is_drawn_along_the_boundary() -> None:
-    (axis,) = stress_figure({"given grid": fields(0.0), "joint": fields(0.0)}).axes
+    (axis,) = stress_figure({"given grid": state(0.0), "joint": state(0.0)}).axes
     assert [line.get_label() for line in axis.lines] == ["given grid", "joint"]
     for line in axis.lines:
         np.testing.assert_array_equal(line.get_xydata(), [[0, 0], [1, 10], [2, 20]])
-    assert axis.get_xlabel().startswith("$x_1$")
-    (axis,) = stress_figure({"a": fields(0.0, upright=True)}).axes
+    assert axis.get_xlabel() == "$x_1$ on low"
+    (axis,) = stress_figure({"a": state(0.0, upright=True)}).axes
     np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [0, 1, 2])
     assert axis.get_xlabel().startswith("$x_2$")
 
 
 def test_with_friction_a_second_panel_has_the_bounds() -> None:
-    figure = stress_figure({"given grid": fields(3.0)})
+    figure = stress_figure({"given grid": state(3.0)})
     contact, tangential = figure.axes
     assert len(contact.lines) == 1
     drawn = [line.get_xydata().tolist() for line in tangential.lines]
@@ -202,15 +203,16 @@ def test_with_friction_a_second_panel_has_the_bounds() -> None:
     (legend,) = figure.legends
     assert [text.get_text() for text in legend.get_texts()] == ["given grid", "friction bound ±g"]
     # friction of a single node, or of a later curve, is enough
-    rough = fields(0.0)
+    rough = state(0.0)
     rough.friction_bound[2] = 1.0
-    assert len(stress_figure({"a": fields(0.0), "b": rough}).axes) == 2
+    assert len(stress_figure({"a": state(0.0), "b": rough}).axes) == 2
 
 
 def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
     record = {"relative_error_bound": 0.25, "guaranteed_lower": True}
     bounds = {"error_bound_initial": np.array([0.2]), "error_bound": np.array([0.05])}
-    figure = error_figure(replace(fields(0.0), **bounds), record, PAGE)  # of area 0.1
+    fields = Fields(TRIANGLE, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
+    figure = error_figure(fields, record, PAGE)  # of area 0.1
     before, after = figure.axes[:2]
     assert [axis.collections[0].get_array() for axis in (before, after)] == [
         pytest.approx(2),
@@ -236,7 +238,7 @@ def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
 
 @pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact pressure [N/m²]")])
 def test_stress_has_its_unit_unless_the_problem_is_scalar(components: int, label: str) -> None:
-    (axis,) = stress_figure({"a": fields(0.0, components)}, Units("m", "N")).axes
+    (axis,) = stress_figure({"a": state(0.0, components)}, Units("m", "N")).axes
     assert axis.get_ylabel() == label
 
 
@@ -273,19 +275,24 @@ def pressed(rise: float, order: int = 1) -> Solution:
     return fixed.solve(problem)
 
 
-def drawings(solution: Solution) -> Sequence[Axes]:
+def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
     """Both pictures that show the deformed body."""
-    meshes = next(figure for name, figure in pictures(solution, PAGE) if name == "mesh")
-    grids = displacement_figure([body_of(fields_of(solution), "it")], PAGE, Units(), deformed=True)
+    result = saved(solution, folder)
+    meshes = next(figure for name, figure in pictures(result, PAGE) if name == "mesh")
+    fields = read_vtu(result.vtu)
+    bodies = [Body("it", fields.triangles, fields.final)]
+    grids = displacement_figure(bodies, PAGE, Units(), deformed=True)
     return [meshes.axes[1], grids.axes[1]]
 
 
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("rise", "factor"), [(0.0, 10), (0.3, 1)])
-def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int, order: int) -> None:
+def test_flat_foundation_stays_flat_and_is_touched(
+    rise: float, factor: int, order: int, tmp_path: Path
+) -> None:
     solution = pressed(rise, order)
     assert np.any(solution.pressure > 0)
-    for axis in drawings(solution):
+    for axis in drawings(solution, tmp_path):
         assert axis.get_title() == (
             f"deformed, $u$ and gap × {factor}" if factor > 1 else "deformed, true scale"
         )
@@ -298,21 +305,24 @@ def test_flat_foundation_stays_flat_and_is_touched(rise: float, factor: int, ord
 
 def body(displacement: np.ndarray, *ways: np.ndarray) -> Body:
     """A body of extent 1, with foundations at the given ways (2, points) from its contact boundaries."""
-    nodes, none = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros((2, 0))
-    starts = [np.zeros((2, 1, way.shape[1])) for way in ways]
-    known = [
-        Foundation("", none[0], none, none, start, way[:, None], False)
-        for start, way in zip(starts, ways, strict=True)
-    ]
-    return Body("", nodes, np.array([[0], [1], [2]]), displacement, tuple(known))
+    nodes, none = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
+    still = MeshState(nodes, displacement, none, none, none, none, {}, np.zeros((1, 1)))
+    made, empty = Body("", TRIANGLE, still), np.zeros(0, np.int64)
+    vars(made)["contacts"] = tuple(
+        Contact("", empty, empty, np.zeros((2, 1, way.shape[1])), way[:, None]) for way in ways
+    )
+    return made
 
 
 @pytest.mark.parametrize(("below", "is_far"), [(0.55, False), (0.65, True)])
 def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
-    (one,) = foundations(DisplacementSpace(problem), problem.mesh.p)
-    assert (one.name, one.is_far) == ("bottom", is_far)
-    np.testing.assert_allclose(one.gaps, below)
+    none = np.zeros(problem.mesh.p.shape[1])
+    block = Body("", problem.mesh.t, state_of(problem, problem.mesh.p, np.stack([none, none]), none, none))
+    (one,) = block.contacts
+    assert (one.name, block.near) == ("bottom", [] if is_far else [one])
+    assert one.distance == pytest.approx(below)
+    np.testing.assert_allclose(block.state.gap[one.nodes], below)
 
 
 def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
@@ -327,7 +337,7 @@ def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
 
 
 def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation() -> None:
-    still = body(np.zeros((2, 3)), np.tile([[0.0], [-5.0]], 4))  # said to be near
+    still = body(np.zeros((2, 3)), np.array([[0.0] * 4, [-0.1, -5.0, -5.0, -5.0]]))
     np.testing.assert_allclose(window([still]), [[-0.02, 1.02]] * 2)
     # the foundation is seen up to 0.3 of the extent below the body
     np.testing.assert_allclose(window([still], 1.0), [[-0.026, 1.026], [-0.326, 1.026]])

@@ -103,7 +103,7 @@ def test_a_study_by_command_runs_once_and_has_fields(tmp_path, capsys):
     assert [row["key"] for row in rows] == [one.key for one in make_plan(read_study(path), tmp_path / "x")]
     assert all(isinstance(row["shared"], bool) and row["contact_time_s"] > 0 for row in rows)
     for result in read_results(out):
-        assert read_vtu(result.vtu).nodes.shape[1] == result.record["nodes"]
+        assert read_vtu(result.vtu).final.nodes.shape[1] == result.record["nodes"]
     (environment,) = (out / "rows").glob("environment-*.json")
     assert json.loads(environment.read_text())["versions"]["casadi"]
     assert cli.run(arguments) == 0

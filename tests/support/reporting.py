@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from rmesh_nlp.io.records import REQUIRED, Record
+from rmesh_nlp.io.results import Result, single_result
+from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.study.runner import Done
 
 FIXED_61: Record = {
     **dict.fromkeys(REQUIRED),
@@ -87,3 +91,10 @@ def failed_61(**changes: Any) -> Record:
 
 ROWS = [joint_62(), failed(joint_62(), wall_time_s=0.083)]
 """A success and a failure on Example 6.2."""
+
+
+def saved(solution: Solution, folder: Path) -> Result:
+    """A solution with its files, as ``rmesh solve`` keeps them."""
+    result = single_result(folder, solution.record())
+    Done(result.record, solution).save(result)
+    return result
