@@ -136,9 +136,9 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
 def test_settings_that_differ_from_the_defaults_are_in_the_record_and_change_the_path(
     formulation: Any, settings: Any
 ) -> None:
-    solution = formulation.solve(example("6.1", 3, 6), **settings)
+    solution = formulation.solve(example("6.3", (4, 2)), **settings)
     assert solution.record()["settings"] == settings
-    assert solution.iterations != solved(formulation.name, "6.1", 3, 6).iterations
+    assert solution.iterations != solved(formulation.name, "6.3", (4, 2)).iterations
 
 
 def test_nothing_to_move_is_no_crash() -> None:

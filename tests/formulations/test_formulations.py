@@ -183,7 +183,7 @@ def test_formulations_agree(name: str) -> None:
 
 
 def _signorini(n: int) -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n), quadrature=10)
+    return replace(EXAMPLES["6.1"](n), quadrature=6)
 
 
 def _sliding(n: int) -> ContactProblem:

@@ -47,7 +47,7 @@ def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxat
 
 @pytest.mark.parametrize("objective", ["energy", "error-l2"])
 def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(objective: str) -> None:
-    problem = example("6.1", 3, 6)
+    problem = example("6.1", 3)
     seen: list[Any] = []
     solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
     first, record = solution.history[0], solution.record()
@@ -106,7 +106,7 @@ def test_a_minimum_of_another_formulation_is_certified_where_it_is(name: str) ->
 
 def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
     # joint stopped early: what follows must not call its end stationary
-    problem = coarse("6.1")
+    problem = example("6.3", (4, 2))
     loose = joint.solve(problem, **{"tol": 1e-2}, tolerance=1.0)
     accurate = mpcc.solve(problem, start=loose)
     assert loose.stationarity_residual > 1e-3 > 1e-6 > accurate.stationarity_residual
@@ -114,8 +114,8 @@ def test_the_certificate_leaves_a_point_that_is_no_minimum() -> None:
 
 
 def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
-    assert {step.t for step in solved("joint", "6.1", 4, 6).history} == {np.inf}
-    assert {step.t for step in solved("nested", "6.1", 4, 6).history} == {0.0}
+    assert {step.t for step in solved("joint", "6.3", (4, 2)).history} == {np.inf}
+    assert {step.t for step in solved("nested", "6.3", (4, 2)).history} == {0.0}
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
 )
 def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, name: str, n: Any) -> None:
     given = EXAMPLES[name](n)
-    problem = replace(given, motion=replace(given.motion, delta=None), quadrature=6)
+    problem = replace(given, motion=replace(given.motion, delta=None))
     positions, steps = MeshMap.of(problem).positions, []
     solution = formulation.solve(problem, limits={"iterations": 250}, on_step=steps.append)
     assert solution.status.value == "converged"

@@ -220,17 +220,18 @@ def test_an_energy_below_a_proven_bound_is_not_admissible(upper, proved, disprov
 
 
 ROOT = Path(__file__).parents[2]
-SOLVES: dict[str, dict[str, Any]] = {
-    "fixed": {"certify": True},
-    "mpcc": {"objective": "error-l2", "limits": rm.Limits(iterations=30)},
-    "nested": {"starts": 1},
-    "auto": {},
+SOLVES: dict[str, tuple[str, Any, dict[str, Any]]] = {
+    "fixed": ("6.1", 3, {"certify": True}),
+    "mpcc": ("6.1", 3, {"objective": "error-l2", "limits": rm.Limits(iterations=30)}),
+    "nested": ("6.3", (4, 2), {"starts": 1}),
+    "auto": ("6.2", (4, 2), {}),
 }
 
 
 @pytest.mark.parametrize("formulation", SOLVES)
 def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -> None:
-    record = rm.solve(rm.EXAMPLES["6.1"](3), formulation, **SOLVES[formulation]).record()
+    example, size, options = SOLVES[formulation]
+    record = rm.solve(rm.EXAMPLES[example](size), formulation, **options).record()
     assert set(record) <= set(ENTRIES)
     always = {name for name, entry in ENTRIES.items() if entry.of is not None and entry.presence is not KNOWN}
     assert always <= set(record)
