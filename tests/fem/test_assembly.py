@@ -8,8 +8,6 @@ from types import SimpleNamespace
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import Assembled, Entries, Part, Sums
@@ -60,7 +58,7 @@ def of_energy_nlp(rel: Relocation) -> tuple[ca.MX, ca.MX]:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: replace(EXAMPLES["6.1"](4, 0.1), quadrature=4),
+        lambda: replace(EXAMPLES["6.1"](3, 0.1), quadrature=4),
         lambda: EXAMPLES["6.3"]((4, 2)),
         sloped_block,
         lambda: block_along_a_circle(2),
@@ -243,13 +241,11 @@ def packed(X: np.ndarray, *u: np.ndarray) -> np.ndarray:
     return np.concatenate([part.ravel(order="F") for part in (X, *u)])
 
 
-@pytest.mark.parametrize(("rule", "order"), [("midpoint", 1), (6, 1), (3, 2)])
+@pytest.mark.parametrize(("rule", "order"), [("midpoint", 1), (4, 1), ("midpoint", 2)])
 @pytest.mark.parametrize("name", LAWS)
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=3, deadline=None)
-def test_energy_of_triangles_has_the_derivatives_of_its_parts(name, rule, order, seed) -> None:
+def test_energy_of_triangles_has_the_derivatives_of_its_parts(name, rule, order) -> None:
     law = LAWS[name]
-    X, u = triangles(seed, 3, law.components, order)
+    X, u = triangles(order, 3, law.components, order)
     sizes, cell = [6, len(u)], Straight(3, law.components, order)
     parts = [group(strain_energy(law, cell), None, sizes, 3), group(*load_energy(law, cell, rule), sizes, 3)]
     agree([*parts, scaled_group(parts[1], -2.5)], packed(X, u))

@@ -101,9 +101,9 @@ def test_for_the_energy_there_is_no_kink() -> None:
 def test_a_residual_whose_multipliers_were_fitted_badly_is_no_proof_against_a_claim(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    problem, objective = example("6.1", 3, 6), "error-l2"
+    problem, objective = example("6.3", (4, 2)), "mean(top, -uy)"
     outer = Outer.of(problem, objective)
-    q = outer.variables(np.asarray(solved("nested", "6.1", 3, 6, objective=objective).mesh.p))
+    q = outer.variables(np.asarray(solved("nested", "6.3", (4, 2), objective=objective).mesh.p))
     monkeypatch.setattr(Released, "residual", lambda *_: 1.0)
     for claim in (Status.CONVERGED, Status.STALLED):
         found = ended(outer, q, claim)
