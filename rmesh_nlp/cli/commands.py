@@ -201,7 +201,9 @@ def study(
         str | None,
         Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
     ] = None,
-    dry_run: Annotated[bool, Option("--dry-run", help="Print the plan and a guess of its time.")] = False,
+    dry_run: Annotated[
+        bool, Option("--dry-run", help="Print the plan and its time, at most or by its rows.")
+    ] = False,
     retry_failed: Annotated[
         bool, Option("--retry-failed", help="Solve again what has a row that is a failure.")
     ] = False,

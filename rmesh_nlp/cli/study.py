@@ -93,5 +93,7 @@ def print_plan(
         print(f"  {name}: {sum(solve.variant == name for solve in plan)} solves")
     if len(todo) < len(plan):
         print(f"{len(plan) - len(todo)} of them have a row in {out}")
-    seconds = seconds_of_plan(todo, [] if out is None else read_rows(out)) / jobs
-    print(f"a rough guess: {in_words(seconds)} with {jobs} process{'es' * (jobs > 1)}")
+    rows = [] if out is None else read_rows(out)
+    said = "about, by the rows there" if rows else "at most, by its limits"
+    seconds = seconds_of_plan(todo, rows) / jobs
+    print(f"time {said}: {in_words(seconds)} with {jobs} process{'es' * (jobs > 1)}")

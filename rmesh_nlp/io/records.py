@@ -141,13 +141,12 @@ def read_lines(path: Path) -> list[Record]:
     return [read_record(line, f"{path}, line {i}") for i, line in lines if line.strip()]
 
 
-def one_per_key(rows: Iterable[Record], *, latest: bool) -> list[Record]:
-    """One row for each key: of its successes, else of its failures, the first or the latest."""
+def one_per_key(rows: Iterable[Record]) -> list[Record]:
+    """One row for each key: the latest of its successes, else of its failures."""
     chosen: dict[Any, Record] = {}
     for position, row in enumerate(rows):
         key = row.get("key", position)
-        kept = chosen.setdefault(key, row)
-        if row["success"] > kept["success"] or (latest and row["success"] == kept["success"]):
+        if row["success"] >= chosen.setdefault(key, row)["success"]:
             chosen[key] = row
     return list(chosen.values())
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import math
 import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import Manifest, append_whole, folder_lock, read_text, safe_name, write_text
@@ -22,6 +21,9 @@ from rmesh_nlp.io.records import (
     to_json,
     warn_of,
 )
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
 DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
@@ -46,27 +48,19 @@ class Result:
         """Whether both files are there: each was put in place whole."""
         return self.vtu.is_file() and self.history.is_file()
 
-    def steps(self) -> list[dict[str, float]]:
-        """The history, none if there is no file; values that are not known are NaN."""
+    def steps(self) -> pd.DataFrame:
+        """The history, a row for each step, none if there is no file; values that are not known are NaN."""
+        import pandas as pd  # loading it takes longer than a small solve
+
         if not self.history.exists():
-            return []
+            return pd.DataFrame(columns=HISTORY_FIELDS, dtype=float)
         try:
-            with self.history.open(newline="", encoding="utf-8") as file:
-                rows = csv.DictReader(file, strict=True)
-                steps = [{name: _number(text) for name, text in row.items()} for row in rows]
-            missing = sorted(set(HISTORY_FIELDS) - set(rows.fieldnames or ()))
-            if missing:
+            steps = pd.read_csv(self.history, dtype=float)
+            if missing := sorted(set(HISTORY_FIELDS) - set(steps)):
                 raise ValueError(f"it has no column {missing[0]!r}")
-        except (OSError, ValueError, TypeError, csv.Error) as error:  # of the decoding as well
+        except (OSError, ValueError) as error:  # of the decoding as well
             raise BadInputError(f"{self.history} is no history: {error}") from error
         return steps
-
-
-def _number(text: Any) -> float:
-    """A cell; rows that are too short or too long give None or a list."""
-    if not isinstance(text, str):
-        raise ValueError("a row has not as many cells as the head")
-    return float(text) if text else math.nan
 
 
 @dataclass(frozen=True)
@@ -131,7 +125,7 @@ class Results:
         """
         self.mend()
         rows = self.read()
-        kept = one_per_key(rows, latest=True)
+        kept = one_per_key(rows)
         if len(kept) < len(rows):
             self.replace_all(kept)
         return kept
@@ -143,8 +137,8 @@ def row_files(folder: Path) -> list[Path]:
 
 
 def read_rows(folder: Path) -> list[Record]:
-    """The rows of a study joined by key: of several with one key the first success, else the first."""
-    return one_per_key((row for path in row_files(folder) for row in read_lines(path)), latest=False)
+    """The rows of a study joined by key: of several with one key the latest success, else the latest."""
+    return one_per_key(row for path in row_files(folder) for row in read_lines(path))
 
 
 def read_results(folder: Path) -> list[Result]:

@@ -12,7 +12,6 @@ from rmesh_nlp.report.blocks import Block, contact_units, label
 from rmesh_nlp.report.table import MISSING, Groups, Table
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
-from rmesh_nlp.solving.parts import Constrained
 
 
 def cost(value: float) -> str:
@@ -115,17 +114,9 @@ def _bound(name: str, side: str) -> Callable[[Record], str]:
 
 
 def _violation(record: Record) -> float | None:
-    """The largest violation of a constraint over its largest bound; None where nothing is constrained."""
-    quantities = [
-        Constrained(
-            one["value"],
-            -math.inf if one.get("lower") is None else one["lower"],
-            math.inf if one.get("upper") is None else one["upper"],
-        )
-        for one in (record.get("constraints") or {}).values()
-        if one.get("value") is not None
-    ]
-    return max((quantity.violation for quantity in quantities), default=None)
+    """The largest violation of a constraint; None where nothing is constrained."""
+    constraints = (record.get("constraints") or {}).values()
+    return max((one["violation"] for one in constraints if one.get("violation") is not None), default=None)
 
 
 def _left(record: Record) -> float | None:

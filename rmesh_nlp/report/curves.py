@@ -11,13 +11,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogLocator, MaxNLocator
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
-from rmesh_nlp.report.histories import Curve, is_feasible
+from rmesh_nlp.report.histories import is_feasible
 from rmesh_nlp.report.study_summary import Chart
 from rmesh_nlp.report.style import LETTERS, MARKERS, Page, add_legend, new_figure, pen_of
 from rmesh_nlp.solving.parts import DESIGN, FEW
@@ -25,41 +23,43 @@ from rmesh_nlp.solving.parts import DESIGN, FEW
 FLOOR = 1e-8  # part of the best objective down to which distances are drawn: the solvers' tolerance
 UNMET = "open markers: constraints not yet met"
 
-History = Sequence[Mapping[str, Any]]
-"""Steps as ``history.csv`` has them."""
-
 SPREAD = 10.0  # objectives, and lengths of solves, that differ by more have a logarithmic axis
 
 
 def convergence_figure(
-    curves: Sequence[Curve], best: Record, page: Page, positions: Mapping[str, int] | None = None
+    curves: Sequence[tuple[str, pd.DataFrame]],
+    best: Record,
+    page: Page,
+    positions: Mapping[str, int] | None = None,
 ) -> Figure:
     """Distance to the best objective over iterations and over cost; on one column over the cost alone.
 
-    Drawn is the value by the problem's own rule. Energies are per unit of depth, so their unit is that of
-    force. ``best`` has the lowest objective, for curves without a feasible end; ``positions`` are those of
-    the names in other figures.
+    ``curves`` have a name and the steps that :func:`rmesh_nlp.report.histories.curve` gives. Drawn is the
+    value by the problem's own rule. Energies are per unit of depth, so their unit is that of force. ``best``
+    has the lowest objective, for curves without a feasible end; ``positions`` are those of the names in other
+    figures.
     """
     of_energy = objective_of(best) == "energy"
     unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
     symbol = "J" if of_energy else "F"
-    ends = [float(one.energy[-1]) for one in curves if one.feasible[-1]]
+    last = (one.iloc[-1] for _, one in curves)
+    ends = [float(end["value"]) for end in last if end["feasible"]]
     reference = min(ends, default=float(best["energy" if of_energy else "objective_value"]))
     figure = new_figure(page.width, 3.1)
     axes = figure.subplots(1, page.columns, sharey=True, squeeze=False)[0]
-    gaps = [np.abs(one.energy - reference) for one in curves]
-    largest = max(float(np.nanmax(gap)) for gap in gaps) or 1.0
+    gaps = [(one["value"] - reference).abs() for _, one in curves]
+    largest = max(float(gap.max()) for gap in gaps) or 1.0
     # a sum of squares may end at rounding: parts of that would span thirty decades
     ends_at_zero = abs(reference) < FLOOR * largest
     floor = FLOOR * (largest if ends_at_zero else abs(reference))
-    for position, (one, gap) in enumerate(zip(curves, gaps, strict=True), 1):
-        pen = pen_of(position if positions is None else positions[one.name])
-        for axis, where in zip(axes[::-1], (one.cost, one.iteration), strict=False):
-            _draw(axis, where, np.maximum(gap, floor), one.feasible, pen, one.name)
+    for position, ((name, one), gap) in enumerate(zip(curves, gaps, strict=True), 1):
+        pen = pen_of(position if positions is None else positions[name])
+        for axis, where in zip(axes[::-1], ("cost", "iteration"), strict=False):
+            _draw(axis, one[where], gap.clip(lower=floor), one["feasible"], pen, name)
     least = f"{reference:.6g}".replace("-", "−")
     drawn_to = f"{symbol}* = {least}, drawn down to $10^{{{round(np.log10(FLOOR))}}}$ "
     drawn_to += "of the largest" if ends_at_zero else f"|{symbol}*|"
-    if not all(one.feasible.all() for one in curves):
+    if not all(one["feasible"].all() for _, one in curves):
         drawn_to += f"\n{UNMET}"
     axes[-1].set(xscale="log", xlabel="cost: time of build and solve\nover that of one contact solve")
     axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}")
@@ -73,14 +73,14 @@ def convergence_figure(
 
 
 def _draw(
-    axis: Axes, where: Array, values: Array, met: NDArray[np.bool_], pen: dict[str, Any], name: str
+    axis: Axes, where: pd.Series, values: pd.Series, met: pd.Series, pen: dict[str, Any], name: str
 ) -> None:
     """A line over iterations or costs with some markers, filled where an iterate meets its constraints."""
     marked = sorted({*range(0, where.size, max(1, where.size // MARKERS)), where.size - 1})
     common = {**pen, "markersize": 4, "markeredgewidth": 0.8}
     axis.plot(where, values, **common, markevery=marked, markerfacecolor="white")
     full = {**common, "linestyle": "none", "markerfacecolor": pen["color"]}
-    axis.plot(where, np.where(met, values, np.nan), **full, markevery=marked)
+    axis.plot(where, values.where(met), **full, markevery=marked)
     axis.plot([], [], **{**full, "linestyle": pen["linestyle"]}, label=name)  # for the legend
 
 
@@ -91,14 +91,13 @@ def _label_in_numbers(axis: Axes) -> None:
 
 
 def design_figure(
-    curves: Mapping[str, History], bounds: Mapping[str, Sequence[float]], objective: str, page: Page
+    curves: Mapping[str, pd.DataFrame], bounds: Mapping[str, Sequence[float]], objective: str, page: Page
 ) -> Figure | None:
     """Objective and design variables over the iterations of solves by name; None if no history has a design.
 
     ``bounds`` (least, largest) by the names of the design variables are dashed lines.
     """
-    solves = {name: pd.DataFrame(steps, dtype=float) for name, steps in curves.items()}
-    solves = {name: steps for name, steps in solves.items() if DESIGN + next(iter(bounds)) in steps}
+    solves = {name: steps for name, steps in curves.items() if DESIGN + next(iter(bounds)) in steps}
     if not solves:
         return None
     panels: list[tuple[str, list[str], Sequence[float]]] = [("objective", ["objective"], ())]
@@ -106,8 +105,8 @@ def design_figure(
         panels += [(name, [DESIGN + name], ends) for name, ends in bounds.items()]
     else:
         names, (low, high) = [DESIGN + name for name in bounds], np.transpose([*bounds.values()])
-        for steps in solves.values():
-            steps[names] = (steps[names] - low) / (high - low)
+        parts = {name: (steps[names] - low) / (high - low) for name, steps in solves.items()}
+        solves = {name: steps.assign(**parts[name]) for name, steps in solves.items()}
         panels.append(("design variables,\nparts of their bounds", names, (0.0, 1.0)))
     across = 1 + page.columns
     down = -(-len(panels) // across)

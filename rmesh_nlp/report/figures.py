@@ -99,8 +99,8 @@ def progress_figures(
     name = short_label if positions is None else variant
     for objective in block.objectives:
         solves = [result for result in results if result.record["objective"] == objective]
-        traced = [curve(result, name(result.record)) for result in solves]
-        curves = [one for one in traced if one is not None]
+        traced = [(name(result.record), curve(result)) for result in solves]
+        curves = [(what, steps) for what, steps in traced if steps is not None]
         lowest = Block(tuple(result.record for result in solves)).best
         if curves and lowest is not None:
             yield objective, "convergence", convergence_figure(curves, lowest, page, positions)

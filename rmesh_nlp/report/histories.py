@@ -10,22 +10,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.records import Record, ends_of, objective_of
-from rmesh_nlp.io.results import HISTORY_FIELDS, Result
+from rmesh_nlp.io.results import Result
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks_of,
     contact_units,
     end_of,
     grouped,
-    label,
     seconds_of_work,
 )
 from rmesh_nlp.solving.outer import TOLERANCE
@@ -33,40 +28,22 @@ from rmesh_nlp.solving.outer import TOLERANCE
 SLACK = 1e-3  # part of the worst gain by which the common level may miss it: last digits are not compared
 
 
-@dataclass(frozen=True)
-class Curve:
-    """The history of one solve: cost in contact solves, and as energy the objective that was minimised."""
+def curve(result: Result) -> pd.DataFrame | None:
+    """The history of a result with its ``cost`` in contact solves and the ``value`` of what was minimised.
 
-    name: str
-    iteration: Array
-    cost: Array
-    energy: Array
-    feasible: NDArray[np.bool_]
-    stationarity: Array
-
-
-def curve(result: Result, name: str = "") -> Curve | None:
-    """The curve of a result; None without a history of what was minimised."""
-    record = result.record
-    if record["formulation"] == RELOCATING_NOTHING:
-        return None
-    steps = pd.DataFrame(result.steps(), columns=HISTORY_FIELDS, dtype=float)
+    ``feasible`` steps meet their constraints. None without a history of the value.
+    """
+    record, steps = result.record, result.steps()
     value = steps["energy" if _is_energy(record) else "objective"]
-    if not value.notna().any():
+    if record["formulation"] == RELOCATING_NOTHING or not value.notna().any():
         return None
     # a clock too coarse for the unit: no cost is known
     pace = 1.0 / (record.get("contact_time_s") or math.nan)
     if (first := record.get("first_cost_s")) is not None:
         # the history is of the first run, the times are medians over all
         pace *= (seconds_of_work(record) or math.nan) / first
-    return Curve(
-        name or label(record),
-        steps["iteration"].to_numpy(),
-        np.maximum(pace * steps["seconds"].to_numpy(), 1.0),
-        value.to_numpy(),
-        is_feasible(steps).to_numpy(),
-        steps["stationarity"].to_numpy(),
-    )
+    cost = (pace * steps["seconds"]).clip(lower=1.0)
+    return steps.assign(cost=cost, value=value, feasible=is_feasible(steps))
 
 
 def is_feasible(steps: pd.DataFrame) -> pd.Series:
@@ -84,7 +61,7 @@ def cost_to(result: Result, level: float) -> float:
     if way is None:
         return cost
     # the history is of the problem's own rule, the level of the assessment's
-    return _first(way.cost, way.feasible & (way.energy + _to_audited(record) <= level), cost)
+    return _first(way["cost"], way["feasible"] & (way["value"] + _to_audited(record) <= level), cost)
 
 
 def with_common_costs(results: Sequence[Result]) -> list[Record]:
@@ -116,7 +93,7 @@ def _costs(results: Sequence[Result]) -> list[Record]:
         # a history may miss the last digits that the end has: all reach the levels at their ends
         settled, way = contact_units(record) or math.inf, curve(result)
         if way is not None:
-            settled = _first(way.cost, way.stationarity <= common, settled)
+            settled = _first(way["cost"], way["stationarity"] <= common, settled)
         costs = {"cost_to_objective": cost_to(result, level), "cost_to_stationarity": settled}
         finite = {name: cost for name, cost in costs.items() if math.isfinite(cost)}
         rows.append({"common_objective": level, "common_stationarity": common, **finite})
@@ -134,6 +111,6 @@ def _is_energy(record: Record) -> bool:
     return objective_of(record) == "energy"
 
 
-def _first(values: Array, where: NDArray[np.bool_], otherwise: float) -> float:
+def _first(values: pd.Series, where: pd.Series, otherwise: float) -> float:
     """The first value where a condition holds."""
-    return float(values[np.argmax(where)]) if np.any(where) else otherwise
+    return float(values[where].iloc[0]) if where.any() else otherwise

@@ -26,9 +26,8 @@ def main_notes(records: Sequence[Record]) -> list[str]:
 
 
 def block_notes(records: Sequence[Record]) -> list[str]:
-    """What the records show: impossible energies, stick zones."""
-    kinds = (below_infimum, stick_zone)
-    return [note for block in blocks(records) for kind in kinds for note in kind(block)]
+    """What the records show: impossible energies."""
+    return [note for block in blocks(records) for note in below_infimum(block)]
 
 
 def stopped_early(records: Sequence[Record]) -> list[str]:
@@ -63,16 +62,6 @@ def _units_in_words(units: Units, energy: bool) -> str:
     if energy:
         return f"u in {units.length}, J in {units.force}, the energy per {units.length} of depth."
     return f"lengths in {units.length}, forces in {units.force} per {units.length} of depth."
-
-
-def stick_zone(block: Block) -> Iterator[str]:
-    """A remark where no node with friction sticks: what such an example cannot show."""
-    frictional = [record for record in block.records if record.get("sticking_nodes") is not None]
-    if frictional and not any(record["sticking_nodes"] for record in frictional):
-        yield (
-            f"{block.name}: no node sticks in any row, so there is no stick zone. Where all slide one "
-            "way, friction acts like a load of size g: no change between stick and slip is met."
-        )
 
 
 def below_infimum(block: Block) -> Iterator[str]:

@@ -44,7 +44,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     body = Body("", fine.elements, state_of(finer, np.asarray(mesh.p), rest, rest[0], rest[0]))
     extent = np.ptp(np.hstack([mesh.p, *(one.lines.reshape(2, -1) for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
-        width = style.TWO_COLUMNS
+        width = style.Page().width
         figure = style.new_figure(width, 1.5 + width * min(extent[1] / extent[0], 1.0))
         axis = figure.add_subplot()
         # one zone has one colour, the lightest

@@ -24,13 +24,15 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
 from rmesh_nlp.problem.units import bracketed
 
-ONE_COLUMN, TWO_COLUMNS = 3.35, 7.0  # inches of one of two columns of a printed page, and of both
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
 TALLEST = 2.0  # height of a panel over its width, at most
 LETTERS, KEY = 13.0, 8  # letters of a legend to the inch, and those that the line before a name takes
 MARKERS = 15  # about as many markers on a curve
 FORMATS = ("png", "pdf", "svg")
-SETTINGS = rc_params_from_file(Path(__file__).with_name("figures.mplstyle"), use_default_template=False)
+SETTINGS, COLUMN = (
+    rc_params_from_file(Path(__file__).with_name(name), use_default_template=False)
+    for name in ("figures.mplstyle", "column.mplstyle")
+)
 
 # Okabe and Ito's palette; markers differ in size, so that curves on top of each other show
 PENS: Sequence[dict[str, Any]] = [
@@ -67,7 +69,7 @@ class Page:
     @property
     def width(self) -> float:
         """Inches."""
-        return ONE_COLUMN if self.columns == 1 else TWO_COLUMNS
+        return float(self.settings["figure.figsize"][0])
 
     @property
     def narrow(self) -> float:
@@ -77,7 +79,7 @@ class Page:
     @property
     def settings(self) -> Any:
         """Matplotlib's settings."""
-        return SETTINGS if self.columns == 2 else {**SETTINGS, "font.size": 7.0, "figure.dpi": 300}
+        return SETTINGS if self.columns == 2 else {**SETTINGS, **COLUMN}
 
     def panels(
         self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0

@@ -239,7 +239,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("design_bounds", dict[str, list[Number]], "Their bounds.",
               lambda s: _own_design(s, lambda one: list(one.bounds))),
         Entry("constraints", dict[str, dict[str, Number]], "What is constrained, by its text: `value` at the "
-              "end, `lower`, `upper` (null: none). Of `max-pressure(NAME)` the largest pressure at a node.",
+              "end, `lower`, `upper` (null: none), `violation` over the largest bound. Of "
+              "`max-pressure(NAME)` the largest pressure at a node.",
               _constraints),
     ),
     "Work": (

@@ -51,8 +51,8 @@ class Constrained:
         return max(self.lower - self.value, self.value - self.upper, 0.0) / unit
 
     def record(self) -> dict[str, float | None]:
-        """The three as JSON, where an infinite bound is null."""
-        return {name: plain(value) for name, value in vars(self).items()}
+        """The three and the violation as JSON, where an infinite bound is null."""
+        return {**{name: plain(value) for name, value in vars(self).items()}, "violation": self.violation}
 
     def in_words(self) -> str:
         """For people."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from itertools import product
@@ -27,11 +26,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, taken
 from rmesh_nlp.study.study_file import StudyTable
 
-RULE_S = {"fixed": 0.1, "joint": 0.5, "nested": 1.5, "mpcc": 2.5}
-"""Seconds of a solve with 128 triangles on a processor of 2020, audit included (Example 6.1, n = 8)."""
-
 LARGEST = 1_000_000  # solves of a study
-GROWTH = 1.3  # times grow at least like this power of the number of triangles
 
 
 @dataclass(frozen=True)
@@ -234,18 +229,14 @@ def _order(order: int) -> dict[str, int]:
 
 
 def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:
-    """Seconds that the solves take one after the other, roughly: as in these rows, else by ``RULE_S``."""
+    """Seconds that the solves take one after the other at most, by their limits, and roughly by these rows.
+
+    A solve takes the median of those of its variant, family and order; none exceeds its limit.
+    """
     measured: dict[tuple[str, str, int], list[float]] = {}
     for row in rows:
         if row.get("task_time_s") is not None:
             which = str(row.get("variant")), str(row.get("family")), row.get("order") or 1
             measured.setdefault(which, []).append(row["task_time_s"])
-    total = 0.0
-    for solve in solves:
-        times = measured.get((solve.variant, solve.family, solve.order))
-        numbers = [int(number) for number in re.findall(r"\d+", solve.size)]
-        triangles = 2 * numbers[0] * numbers[-1] if numbers else 30
-        triangles *= solve.order**2  # as many unknowns as linear displacements on a refined mesh
-        rule = RULE_S.get(solve.formulation, 1.0) * max(1.0, triangles / 128) ** GROWTH
-        total += min(median(times) if times else rule, solve.time_s)
-    return total
+    alike = ((solve, measured.get((solve.variant, solve.family, solve.order))) for solve in solves)
+    return sum(min(median(times or [math.inf]), solve.time_s) for solve, times in alike)

@@ -22,15 +22,14 @@ from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.solving.parts import FEW, Step
 from rmesh_nlp.study.plan import PlannedSolve
 
-EVERY_S = 10.0  # seconds between lines about a solve that goes on, where there is no terminal
-EVERY = 100  # solves between lines about a study, where there is no terminal
+EVERY_S = 10.0  # seconds between lines about what goes on, where there is no terminal
 
 
 class SolvesProgress:
     """Shows what is being solved; as a context it starts the live line and removes it at the end.
 
     ``done`` of the ``total`` solves have a row. With ``each`` every solve that ended has a line, else those
-    that failed, and every ``EVERY`` of them.
+    that failed.
     """
 
     def __init__(self, total: int, done: int = 0, *, quiet: bool = False, each: bool = True) -> None:
@@ -72,9 +71,7 @@ class SolvesProgress:
         of_energy = str(solve.options.get("objective", "energy")).startswith("energy")
         text = f"{solve.name} {solve.formulation}: {pace(step, limits, of_energy=of_energy)}"
         self._bar.update(self._task, description=text)
-        if not self._console.is_terminal and self._said.elapsed > EVERY_S:
-            self._said = Budget()
-            self._say(text)
+        self._say_seldom(text)
 
     def finish(self, row: Record) -> None:
         """A solve has ended."""
@@ -86,8 +83,13 @@ class SolvesProgress:
         self._bar.update(self._task, description=f"{row.get('example')} {row.get('variant')}")
         if not (row.get("found") or row["success"] or row["status"] == "refused"):
             self._say(summary(row))
-        if not self._console.is_terminal and (self._done % EVERY == 0 or self._done == self._total):
-            self._say(f"{self._done} of {self._total} solves")
+        self._say_seldom(f"{self._done} of {self._total} solves", at_once=self._done == self._total)
+
+    def _say_seldom(self, text: str, *, at_once: bool = False) -> None:
+        """A line where there is no live one, unless there was one a moment ago."""
+        if not self._console.is_terminal and (at_once or self._said.elapsed > EVERY_S):
+            self._said = Budget()
+            self._say(text)
 
     def _say(self, text: str) -> None:
         self._console.print(text, markup=False)

@@ -50,7 +50,7 @@ def lines(*rows):
     return "".join(to_json(row) + "\n" for row in rows)
 
 
-def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first(tmp_path):
+def test_of_rows_of_a_study_with_one_key_the_latest_success_counts_else_the_latest(tmp_path):
     fine, broken = fixed_61, failed_61
     files = [
         [fine(key="a", gain=1.0), broken(key="b", message="one"), broken(key="c", message="one")],
@@ -61,9 +61,9 @@ def test_of_rows_of_a_study_with_one_key_the_first_success_counts_else_the_first
     assert len(row_files(tmp_path)) == 3
     rows = read_rows(tmp_path)
     assert [(row["key"], row["gain"], row.get("message")) for row in rows] == [
-        ("a", 1.0, None),
-        ("b", None, "one"),
-        ("c", 3.0, None),
+        ("a", 2.0, None),
+        ("b", None, "two"),
+        ("c", 4.0, None),
     ]
     assert [result.record for result in read_results(tmp_path)] == rows
 
@@ -102,16 +102,17 @@ def test_single_solve_is_recorded_after_its_files(tmp_path):
 
 def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     result = single_result(tmp_path, fixed_61())
-    assert result.steps() == []
+    assert result.steps().empty
+    assert {*result.steps()} == {*HISTORY_FIELDS}
     rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY_FIELDS, 1.5), dict.fromkeys(HISTORY_FIELDS)]
     rows[1]["t"] = float("inf")
     write_history(result.history, rows)
-    first, second = result.steps()
+    first, second = result.steps().to_dict("records")
     assert first == dict.fromkeys(HISTORY_FIELDS, 1.5)
-    write_history(result.history, [{**rows[0], "design.E": 2.5}])
-    assert result.steps() == [dict.fromkeys(HISTORY_FIELDS, 1.5) | {"design.E": 2.5}]
     assert second["t"] == np.inf
     assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
+    write_history(result.history, [{**rows[0], "design.E": 2.5}])
+    assert result.steps().to_dict("records") == [dict.fromkeys(HISTORY_FIELDS, 1.5) | {"design.E": 2.5}]
 
 
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
@@ -164,7 +165,6 @@ def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, conten
 HEAD = ",".join(HISTORY_FIELDS) + "\n"
 GARBAGE = {
     "text for a number": HEAD + "0,abc,,,,,\n",
-    "too few cells": HEAD + "0,1\n",
     "another head": "a,b\n1,2\n",
     "nothing": "",
     "bytes": "\udcff\udcfe",

@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import rc_context
 from matplotlib.axes import Axes
@@ -33,9 +34,8 @@ from rmesh_nlp.report.drawing import (
 )
 from rmesh_nlp.report.figures import block_figures, error_figure
 from rmesh_nlp.report.figures import figures as figures_of
-from rmesh_nlp.report.histories import Curve
 from rmesh_nlp.report.pictures import pictures
-from rmesh_nlp.report.style import PENS, SETTINGS, TWO_COLUMNS, Page, add_legend, new_figure, write
+from rmesh_nlp.report.style import PENS, SETTINGS, Page, add_legend, new_figure, write
 from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
@@ -89,7 +89,7 @@ def test_texts_are_legible_and_do_not_overlap(figures: dict[str, Figure]) -> Non
     for name, figure in figures.items():
         with rc_context(SETTINGS):
             figure.draw_without_rendering()
-        assert figure.get_size_inches()[0] <= TWO_COLUMNS
+        assert figure.get_size_inches()[0] <= PAGE.width
         texts = [t for t in figure.findobj(Text) if t.get_text() and t.get_visible()]
         assert min(text.get_fontsize() for text in texts) >= 8, name
         labels = [part for axis in figure.axes for part in (axis.xaxis.label, axis.yaxis.label, axis.title)]
@@ -148,7 +148,7 @@ def test_looks_are_told_apart_without_colour() -> None:
     ],
 )
 def test_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
-    figure = new_figure(TWO_COLUMNS, 3.0)
+    figure = new_figure(PAGE.width, 3.0)
     axis = figure.subplots()
     for name in names:
         axis.plot([0, 1], [0, 1], label=name)
@@ -222,17 +222,13 @@ def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
 
 
 def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
-    way = Curve(
-        "joint",
-        np.arange(3),
-        np.array([1.0, 2.0, 4.0]),
-        np.array([-1.0, -1.5, -2.0]),
-        np.ones(3, bool),
-        np.ones(3),
-    )
-    iterations, costs = convergence_figure([way], {"objective": "energy", "energy": -9.0}, PAGE).axes
+    known = {"iteration": range(3), "cost": [1.0, 2.0, 4.0], "value": [-1.0, -1.5, -2.0]}
+    way = pd.DataFrame(known).assign(feasible=True)
+    iterations, costs = convergence_figure(
+        [("joint", way)], {"objective": "energy", "energy": -9.0}, PAGE
+    ).axes
     np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
-    np.testing.assert_allclose(costs.lines[0].get_xdata(), way.cost)
+    np.testing.assert_allclose(costs.lines[0].get_xdata(), way["cost"])
     assert iterations.get_ylabel() == "|J − J*|"
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib import rc_context
 from matplotlib.figure import Figure
@@ -114,12 +115,12 @@ def test_nodes_are_at_their_limits_if_multipliers_count() -> None:
 BOUNDS = {"E": (0.5, 2.0), "h": (-0.1, 0.1)}
 
 
-def history(count: int = 4, names: tuple[str, ...] = ("E", "h"), objective: float = 0.1) -> list[dict]:
-    return [
+def history(count: int = 4, names: tuple[str, ...] = ("E", "h"), objective: float = 0.1) -> pd.DataFrame:
+    return pd.DataFrame(
         {"iteration": k, "objective": objective**k, "primal_residual": 1e-2 if k == 1 else 0.0}
         | {f"design.{name}": 1.0 + 0.1 * k for name in names}
         for k in range(count)
-    ]
+    )
 
 
 def test_objective_and_each_variable_have_a_panel_with_their_bounds() -> None:
@@ -155,8 +156,8 @@ def test_solves_of_very_different_length_have_a_logarithmic_axis() -> None:
 
 
 def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
-    assert design_figure({"": []}, BOUNDS, "area", Page()) is None
-    assert design_figure({"": [{"iteration": 0, "objective": 1.0}]}, BOUNDS, "area", Page()) is None
+    assert design_figure({"": history(0)}, BOUNDS, "area", Page()) is None
+    assert design_figure({"": history(1, names=())}, BOUNDS, "area", Page()) is None
     missing = Result(designed(), tmp_path / "no.vtu", tmp_path / "no.csv")
     assert figure_of_designs([missing], Page()) is None
     unmoved = replace(missing, record=designed(formulation="fixed"))

@@ -184,9 +184,9 @@ def test_curve_has_costs_of_at_least_one_contact_solve(tmp_path: Path) -> None:
     assert curve(Result(fixed_61(), tmp_path, tmp_path / "no")) is None
     found = curve(result(tmp_path, "joint", -1.5, [(0.001, START, 1.0), *GOOD]))
     assert found is not None
-    assert found.cost.tolist() == pytest.approx([1, 10, 20, 30, 50])
-    assert found.energy[-1] == -1.0
-    assert found.feasible.tolist() == [True, True, False, True, True]
+    assert found["cost"].tolist() == pytest.approx([1, 10, 20, 30, 50])
+    assert found["value"].iloc[-1] == -1.0
+    assert found["feasible"].tolist() == [True, True, False, True, True]
 
 
 def test_first_cost_of_a_level_is_in_the_history_or_at_the_end(tmp_path: Path) -> None:

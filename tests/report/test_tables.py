@@ -363,7 +363,7 @@ def test_files(tmp_path: Path) -> None:
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
-STICKING, BELOW = "there is no stick zone", "lies BELOW the infimum"
+BELOW = "lies BELOW the infimum"
 EARLY = joint_62(status="iteration_limit")
 METRES = {"units": {"length": "m", "force": "N"}}
 
@@ -375,7 +375,6 @@ METRES = {"units": {"length": "m", "force": "N"}}
          "but not stationary to the tolerance."),
         ([joint_62(**METRES), joint_62(example="6.3", **METRES), joint_61(units={})],
          "Example 6.2, Example 6.3: u in m, J in N, the energy per m of depth."),
-        ([joint_62(sticking_nodes=0), joint_62(sticking_nodes=0)], STICKING),
         ([joint_62(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)],
          "joint: the energy -4.510000 lies BELOW the infimum -1.945000: its quadrature"),
         ([joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)],
@@ -391,7 +390,6 @@ def test_note_is_said_once(rows: list[Record], said: str) -> None:
     [
         ([joint_62(example="mine", n="144 triangles")], "aper"),
         ([joint_62(), {**EARLY, "success": False}], "iteration_limit: a success"),
-        ([joint_62(sticking_nodes=0), joint_62(sticking_nodes=1)], STICKING),
         ([joint_62(energy_above_exact=0.1)], BELOW),
         ([joint_62(energy_lower_bound=-4.9)], BELOW),
         ([joint_62(**METRES | {"units": {"length": "m"}})], "u in m"),

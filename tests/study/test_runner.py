@@ -49,7 +49,7 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     assert done.solution is not None
     places = Results(tmp_path).result(done.row)
     done.save(places)
-    steps = [step["stationarity"] for step in places.steps()]
+    steps = [*places.steps()["stationarity"]]
     assert np.all(np.isfinite(steps))
     outer = Outer.of(done.solution.problem)
     q = outer.relocation.mesh_map.q_of(np.asarray(done.solution.mesh.p))

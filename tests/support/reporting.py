@@ -51,8 +51,8 @@ DESIGNED: Record = {
     **{"design": {"E": 1.25, "h_0": -0.5}, "design_initial": {"E": 1.0, "h_0": 0.0}, "biactive": 0},
     "design_bounds": {"E": [0.5, 2.0], "h_0": [-0.5, 0.5]},
     "constraints": {
-        "area": {"value": 4.0, "lower": 3.9, "upper": 4.0},
-        "max-pressure(face)": {"value": 110.0, "lower": None, "upper": 100.0},
+        "area": {"value": 4.0, "lower": 3.9, "upper": 4.0, "violation": 0.0},
+        "max-pressure(face)": {"value": 110.0, "lower": None, "upper": 100.0, "violation": 0.1},
     },
 }
 
