@@ -13,6 +13,7 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, on_refined
 from rmesh_nlp.display import rich_table
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
+from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.metric import nodal_areas
 from rmesh_nlp.fem.recovery import Recovered
 from rmesh_nlp.meshes.geometry import counter_clockwise
@@ -120,6 +121,14 @@ def test_rows_say_factors_and_what_they_cost() -> None:
     assert "--remesh" in advice.sentence
     assert advice.record()["predicted_factor"] == 9.0
     assert replace(advice, recommended="refine").sentence.startswith("refine")
+
+
+def test_a_factor_is_an_interval_where_errors_and_energies_fall_at_other_rates() -> None:
+    """On 20 nodes 26 is predicted for a new mesh, and 3.4 is reached."""
+    advice = advise(replace(random_problem(91022), motion=Motion(None)))
+    assert advice.is_rough
+    assert dict(advice.rows())["rmesh solve --remesh"].startswith("1.2 to 26 times less")
+    assert advice.second_order_remeshing_factor is None
 
 
 def test_what_stands_in_brackets_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
