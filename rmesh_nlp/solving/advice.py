@@ -199,8 +199,8 @@ class _Prospect:
 
     ``rate``: the error falls like (number of nodes)^-rate; ``best`` is the factor of any mesh of as many
     triangles, ``remeshed`` that of a metric start and relocation, ``refinement`` that of local refinement.
-    All three are None where the two meshes do not agree about the first of these. ``is_rough``: by derivatives
-    the error falls at less than half of the rate.
+    All three are None where the two meshes do not agree about the first of these. ``is_rough``: by
+    derivatives the error falls at less than half of the rate.
     """
 
     error: float

@@ -12,7 +12,7 @@ from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet
-from rmesh_nlp.contact.uniqueness import contraction, spectral_radius
+from rmesh_nlp.contact.uniqueness import condensed, contraction, spectral_radius
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.optimize.status import Status
@@ -140,8 +140,8 @@ class TestSolver:
         first = after(np.zeros(bound.size))
         jacobian = [(after(small * unit) - first) / small for unit in np.eye(bound.size)]
         expected = np.max(np.abs(np.linalg.eigvals(np.stack(jacobian, axis=1))))
-        assert 0.01 < spectral_radius(system, active) == pytest.approx(expected, rel=1e-6)
-        assert contraction(system, state) >= spectral_radius(system, state.active)
+        assert 0.01 < spectral_radius(system, condensed(system), active) == pytest.approx(expected, rel=1e-6)
+        assert contraction(system, state) >= spectral_radius(system, condensed(system), state.active)
         assert contraction(replace(system, coulomb=None), state) == 0.0
 
     def test_a_body_that_gaps_alone_hold_is_looked_at_with_all_nodes_sliding(self) -> None:
@@ -157,7 +157,7 @@ class TestSolver:
         assert system.rigid.shape[1] == 2
         every = np.ones(system.offset.size, dtype=bool)
         stick, slide = (ActiveSet(every, np.full(every.size, way, dtype=np.int8)) for way in (0, 1))
-        expected = spectral_radius(system, slide)
+        expected = spectral_radius(system, condensed(system), slide)
         assert 0.01 < expected == pytest.approx(contraction(system, replace(solve(system), active=stick)))
 
     @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
@@ -172,8 +172,19 @@ class TestSolver:
         assert len(all_solutions(loaded)) > 1
         found = solve(loaded)
         assert is_solved(loaded, found)
-        assert spectral_radius(loaded, found.active) < 1
+        assert spectral_radius(loaded, condensed(loaded), found.active) < 1
         assert contraction(loaded, found) >= 1
+
+    def test_several_solutions_are_warned_of_where_they_touch_elsewhere(self) -> None:
+        """Where every node slides one way the bounds contract."""
+        mesh, line = rm.shapes.rectangle(2, 1, x=(0, 1.1), y=(0, 1.9)), rm.PlaneStrain.from_young(1.0, 0.4)
+        disc = rm.Obstacle.circle("bottom", (0.7, -2.5), 2.5, coulomb=3.3)
+        system = ContactSolver(rm.ContactProblem(mesh, line, ("top",), disc)).system(np.asarray(mesh.p))
+        push = system.normals.T @ [0.1, 0.8, -0.5] + system.tangents.T @ [0.2, -0.3, 0.5]
+        loaded = replace(system, load=system.load + push)
+        assert len(all_solutions(loaded)) > 1
+        one_way = ActiveSet(np.ones(3, dtype=bool), np.ones(3, dtype=np.int8))
+        assert spectral_radius(loaded, condensed(loaded), one_way) < 1 <= contraction(loaded, solve(loaded))
 
 
 class TestFormulations:
