@@ -1,17 +1,24 @@
-"""Bounds of the normal force on a foundation, from bounds of energies.
+"""Bounds of normal forces, and of other slopes of least energies, from bounds of energies.
 
-Let P(h) be the least energy with the foundation raised by h along its normal: ``n . v + offset - h >= 0``.
-The dual energy is ``D(sigma) + h int p`` then, so P is convex, the normal force ``R = int p`` of the exact
-solution is a subgradient at 0, and for every s > 0
+Let P be a convex function with ``lower <= P(0)`` and ``P(s) <= upper(s)``. For every s > 0 a slope R of P
+at 0 obeys
 
-    (lower - upper(-s)) / s  <=  R  <=  (upper(s) - lower) / s,
+    (lower - upper(-s)) / s  <=  R  <=  (upper(s) - lower) / s.
 
-``lower`` a lower bound of P(0), ``upper(h)`` the energy of a displacement that is admissible for the raised
-foundation. With a gap g between the bounds each side is off by about ``g / s + s P'' / 2``, least for
+- Normal force: P(s) is the least energy with the foundation raised by s along its normal, so that ``n . v +
+  offset - s >= 0``. The dual energy is ``D(sigma) + s int p`` then, so P is convex, and its slope is that of
+  the exact solution, ``int p``. ``upper(s)`` is the energy of a displacement that is admissible there.
+- Linear quantity Q: P(s) is minus the least energy under a load more, whose work is ``s Q(v)``. That energy
+  is the least of functions that are affine in s, so P is convex, and its slope is Q of the exact solution.
+  ``-upper(s)`` is a lower bound of the energy under the load, ``-lower`` an upper one without it.
+
+With a gap g between the bounds each side is off by about ``g / s + s P'' / 2``, least for
 ``s = (2 g / P'')^(1/2)``. Any s is valid.
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -20,9 +27,6 @@ from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
-
-TRIALS = 3
-"""Lengths s that are tried on each side: from the relative error, and twice from the change of the force."""
 
 
 def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, float]]:
@@ -33,39 +37,40 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
     """
     if not exact.problem.obstacles:
         return {}
-    continuous = Continuous(exact.parts, exact.body.nodes)
-    bounds = {}
+    continuous, active = Continuous(exact.parts, exact.body.nodes), exact.state.active
+    bounds, gap = {}, max(exact.energy - lower, ROUNDING * exact.strain)
+    size = float(np.max(np.abs(exact.displacement)) * np.sqrt(gap / max(exact.strain, 1e-300)))
+    gaps = exact.system.normals @ exact.state.u + exact.system.offset
     for contact in continuous.space.contact_sets:
         if not contact.rows.size:  # every gap is given
             continue
+
+        def upper(by: float, contact: ContactSet = contact) -> float:
+            trial = continuous.shifted(contact, by).solve(active, tighten=False)
+            return trial.energy + trial.doubt if trial.status is Status.CONVERGED else np.inf
+
+        raised = exact.system.offset.copy()
+        raised[contact.rows] -= 1.0
+        force = exact.system.with_offset(raised).equilibrium(active).normal_force
+        bend = float(np.sum((force - exact.state.normal_force)[contact.rows]))
+        flat = max(size, float(np.min(gaps[contact.rows])))
         boundary = contact.obstacle.boundary
         name = boundary.value if isinstance(boundary, Place) else boundary
-        below, above = (_bound(continuous, contact, exact, lower, side) for side in (-1, 1))
-        bounds[name] = (max(below, 0.0), above)
+        low, high = slope_bounds(upper, lower, gap, bend, flat, continuous.room(contact))
+        bounds[name] = max(low, 0.0), high
     return bounds
 
 
-def _bound(continuous: Continuous, contact: ContactSet, exact: Admissible, lower: float, side: int) -> float:
-    """The best bound, from below (-1) or above (1), of the lengths that are tried."""
-    room = continuous.room(contact) if side > 0 else np.inf
-    best, active, force = np.inf, exact.state.active, _force(contact, exact)
-    rounding = ROUNDING * exact.strain  # of energies
-    gap = max(exact.energy - lower, rounding)
-    s = float(np.max(np.abs(exact.displacement)) * np.sqrt(gap / max(exact.strain, 1e-300)))
-    for _ in range(TRIALS):
-        s = min(s, room)
-        if not s > 0:
-            break
-        trial = continuous.shifted(contact, side * s).solve(active, tighten=False)
-        active, last = trial.state.active, _force(contact, trial)
-        if trial.status is Status.CONVERGED:
-            best = min(best, (trial.energy + trial.doubt - lower) / s)
-        # the energy changes by the work of the mean force
-        gap = max(trial.energy - lower - side * s * (force + last) / 2, rounding)
-        bend = side * (last - force) / s
-        s = float(np.sqrt(2 * gap / bend)) if bend > 0 else 4 * s
-    return float(side * best)
+def slope_bounds(
+    upper: Callable[[float], float], lower: float, gap: float, bend: float, flat: float, room: float = np.inf
+) -> tuple[float, float]:
+    """Bounds, from below and above, of the slope of P at 0.
 
-
-def _force(contact: ContactSet, found: Admissible) -> float:
-    return float(np.sum(found.state.normal_force[contact.rows]))
+    ``gap`` is that of the bounds at 0, ``bend`` P'' of the computed solution, ``flat`` the s where that is
+    zero, and ``room`` the largest s above 0.
+    """
+    best = float(np.sqrt(2 * gap / bend)) if bend > 0 else flat
+    bounds = []
+    for side, s in ((-1, best), (1, min(best, room))):
+        bounds.append(side * (upper(side * s) - lower) / s if s > 0 else side * np.inf)
+    return float(bounds[0]), float(bounds[1])

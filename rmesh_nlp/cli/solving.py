@@ -151,7 +151,7 @@ def _say(done: Done, *, in_full: bool) -> None:
             f"{certificate.sentence}; least energy between "
             f"{certificate.lower:.7g} and {certificate.upper:.7g}"
         )
-        for sentence in certificate.force_sentences:
+        for sentence in certificate.sentences:
             print(sentence)
     if remark := done.row.get("certificate_remark"):
         print(f"note: {remark}")

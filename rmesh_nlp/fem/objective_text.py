@@ -41,6 +41,7 @@ from rmesh_nlp.fem.quantities import (
     at_point,
     body_integral,
     boundary_integral,
+    boundary_length,
     contact_length,
     fit_file,
     largest_pressure,
@@ -51,6 +52,7 @@ from rmesh_nlp.fem.quantities import (
     shear,
     square,
 )
+from rmesh_nlp.problem import ContactProblem, Traction
 from rmesh_nlp.problem.design import symbol
 
 DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
@@ -73,6 +75,32 @@ def parse_objective(text: str | Objective) -> Objective:
         return Objective(tuple(term for part in parts for term in part.terms))
     except ValueError as error:
         raise BadInputError(str(error)) from error
+
+
+def load_of(text: str, problem: ContactProblem) -> Traction:
+    """The load whose work is a linear quantity, ``boundary(NAME, EXPR)`` or ``mean(NAME, EXPR)``.
+
+    Raises
+    ------
+    BadInputError
+        If it is another quantity, not linear in the displacement, or depends on the normal.
+    """
+    kind, _, rest = text.strip().partition("(")
+    boundary, *expressions = _split(rest[:-1], ",")
+    if kind not in ("boundary", "mean") or len(expressions) != 1 or not rest.endswith(")"):
+        raise BadInputError(f"{text!r} has no bounds: boundary(NAME, EXPR) and mean(NAME, EXPR) have")
+    x, y, u = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("u", problem.components)
+    try:
+        value = ca.SX(_density(text, expressions[0], {})(x, y, u))
+        length = boundary_length(problem, boundary)
+    except ValueError as error:
+        raise BadInputError(str(error)) from error
+    load = ca.gradient(value, u) / (length if kind == "mean" else 1.0)
+    at_zero = ca.substitute(value, u, ca.SX.zeros(problem.components))
+    if ca.depends_on(load, u) or not ca.simplify(at_zero).is_zero():
+        raise BadInputError(f"{text!r} has no bounds: it is not linear in the displacement")
+    parts = (ca.Function("load", [x, y], [ca.densify(part)]) for part in ca.vertsplit(load))
+    return Traction(boundary, tuple(parts))
 
 
 def _weighted(part: str, whole: str) -> Objective:

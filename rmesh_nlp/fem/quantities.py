@@ -127,10 +127,8 @@ def boundary_integral(
 
     @_quantity(name)
     def quantity(on: Fields) -> list[ElementGroup]:
-        if np.any(on.problem.mesh.f2t[1, _named(on.problem, "boundary", boundary)] >= 0):
-            raise ValueError(f"{boundary!r} is an interface inside the body, not a boundary")
-        edges = outward_edges(on.problem, boundary)
-        return _integral(on, name, edges, degree, density, 1 / _length(on.problem, edges) if mean else 1.0)
+        factor = 1 / boundary_length(on.problem, boundary) if mean else 1.0
+        return _integral(on, name, outward_edges(on.problem, boundary), degree, density, factor)
 
     return quantity
 
@@ -247,9 +245,13 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
     return Objective(((1.0, term),))
 
 
-def _length(problem: ContactProblem, edges: Index) -> float:
-    p = problem.mesh.p
-    return float(np.linalg.norm(p[:, edges[1]] - p[:, edges[0]], axis=0).sum())
+def boundary_length(problem: ContactProblem, name: str) -> float:
+    """Length of a named boundary on the initial mesh; a ValueError if it is none, or an interface."""
+    facets, p = _named(problem, "boundary", name), problem.mesh.p
+    if np.any(problem.mesh.f2t[1, facets] >= 0):
+        raise ValueError(f"{name!r} is an interface inside the body, not a boundary")
+    a, b = problem.mesh.facets[:, facets]
+    return float(np.linalg.norm(p[:, b] - p[:, a], axis=0).sum())
 
 
 def _named(problem: ContactProblem, kind: str, name: str) -> Index:

@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
+from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.forces import force_bounds
+from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ContactSystem
+from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import Motion
+from rmesh_nlp.problem import ContactProblem, Motion, Traction
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.parts import Certificate
+from rmesh_nlp.solving.parts import Bounds, Certificate
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.state import State
+from rmesh_nlp.solving.state import State, nodal_stress
 
 POLYGON = (
     "a body with curves is certified as the polygon of its mesh, whose error is larger than that of "
@@ -26,7 +34,9 @@ POLYGON = (
 )
 
 
-def certify(solution: Solution, *, refinements: int | None = None) -> Certificate:
+def certify(
+    solution: Solution, *, quantities: Sequence[str] = (), refinements: int | None = None
+) -> Certificate:
     """Bound the least energy and the error of a solution in the energy norm.
 
     The contact problem is solved once more on the given mesh, for the bound before the relocation. The
@@ -36,6 +46,8 @@ def certify(solution: Solution, *, refinements: int | None = None) -> Certificat
     Parameters
     ----------
     solution : Solution
+    quantities : sequence of str
+        Linear ones that are bounded as well: "mean(top, -uy)" or "boundary(top, x*ux)".
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
@@ -47,11 +59,15 @@ def certify(solution: Solution, *, refinements: int | None = None) -> Certificat
         If the problem is of a kind for which no certificate is known.
     ValueError
         If the solution has no displacement, because its mesh is invalid.
+    BadInputError
+        If a quantity is not linear in the displacement.
     """
-    return bounded(solution.assessment, refinements)
+    return bounded(solution.assessment, quantities, refinements)
 
 
-def bounded(assessment: Assessment, refinements: int | None = None) -> Certificate:
+def bounded(
+    assessment: Assessment, quantities: Sequence[str] = (), refinements: int | None = None
+) -> Certificate:
     """The certificate of the two states of an assessment."""
     given, final = assessment.given, assessment.final
     if given.continuous is None or final.continuous is None:
@@ -59,24 +75,29 @@ def bounded(assessment: Assessment, refinements: int | None = None) -> Certifica
     problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
-    nodes = np.asarray(final.mesh.p)
-    is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
+    nodes, loads = np.asarray(final.mesh.p), {text: load_of(text, problem) for text in quantities}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
-    if not is_new and np.array_equal(nodes, given.mesh.p):
-        return _certificate(exact, after, after, after.why)
-    before = _bracket(given, _on_polygon(given, given.continuous), refinements)
-    is_same = not final.design  # else the bounds are those of two problems
-    if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
-        best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
-        before, after = (
-            replace(bracket, lower=best.lower, lower_faults=best.lower_faults) for bracket in (before, after)
-        )
-    if is_new:  # the elements of a file are those of the last mesh
-        before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
-    return _certificate(
-        exact, before, after, (*after.why, *(f"given mesh: {reason}" for reason in before.why))
-    )
+    before, why = after, after.why
+    is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
+    if is_new or not np.array_equal(nodes, given.mesh.p):
+        before = _bracket(given, _on_polygon(given, given.continuous), refinements)
+        why = (*after.why, *(f"given mesh: {reason}" for reason in before.why))
+        is_same = not final.design  # else the bounds are those of two problems
+        if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
+            best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
+            before, after = (
+                replace(bracket, lower=best.lower, lower_faults=best.lower_faults)
+                for bracket in (before, after)
+            )
+        if is_new:  # the elements of a file are those of the last mesh
+            before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
+    bounds = {
+        f"resultant({name})": Bounds(low, final.contact[name].normal_force, high)
+        for name, (low, high) in force_bounds(exact, after.lower).items()
+    }
+    bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
+    return _certificate(before, after, why, bounds)
 
 
 def _on_polygon(state: State, continuous: Admissible) -> Admissible:
@@ -103,7 +124,38 @@ def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     return replace(bracket, upper=continuous.energy + continuous.doubt, upper_faults=faults)
 
 
-def _certificate(exact: Admissible, before: Bracket, after: Bracket, why: tuple[str, ...]) -> Certificate:
+def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements: int | None) -> Bounds:
+    """Bounds of the work of a load on the exact solution, on which it does not act."""
+    parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
+    solver = ContactSolver(parts)
+
+    def under(s: float) -> ContactProblem:
+        scaled = tuple(lambda x, y, part=part: s * part(x, y) for part in load.value)
+        return replace(parts.problem, tractions=(*parts.problem.tractions, Traction(load.boundary, scaled)))
+
+    push = load_vector(Body(under(1.0), nodes), parts.space)[0] - load_vector(exact.body, parts.space)[0]
+    free, u = field.index.T.ravel() >= 0, exact.displacement.T.ravel()
+
+    def moved(s: float) -> ContactSystem:
+        return replace(exact.system, load=exact.system.load + s * push[free])
+
+    def upper(s: float) -> float:
+        state = solve(moved(s), exact.state.active)
+        forces = state.normal_force, state.tangential_force
+        guess = Guess(field.values(state.u), *(nodal_stress(solver, nodes, force) for force in forces))
+        bracket = refined_bracket(under(s), nodes, guess, refinements)
+        return -bracket.lower if set(bracket.lower_faults) <= set(known.lower_faults) else np.inf
+
+    gap, value = max(known.upper - known.lower, ROUNDING * exact.strain), float(push @ u)
+    flat = float(np.sqrt(gap * exact.strain)) / max(float(np.abs(push) @ np.abs(u)), 1e-300)
+    bend = float(push[free] @ (moved(1.0).equilibrium(exact.state.active).u - exact.state.u))
+    low, high = slope_bounds(upper, -known.upper, gap, bend, flat)
+    return Bounds(low, value, high)
+
+
+def _certificate(
+    before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
+) -> Certificate:
     # half the square of the error in the energy norm is at most the gap between the bounds
     gaps = [max(bracket.upper - bracket.lower, 0.0) for bracket in (before, after)]
     errors = [float(np.sqrt(2 * gap)) for gap in gaps]
@@ -122,7 +174,7 @@ def _certificate(exact: Admissible, before: Bracket, after: Bracket, why: tuple[
         local_initial=before.local,
         field=after.field,
         residual=max(after.residual, before.residual),
-        forces=force_bounds(exact, after.lower),
+        bounds=bounds,
     )
 
 

@@ -81,17 +81,13 @@ def _remark(solution: Solution) -> str | None:
     return solution.certificate_remark if solution.certificate is None else solution.certificate.why
 
 
-def _force_bounds(solution: Solution) -> dict[str, dict[str, float | bool | None]] | None:
+def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
     if (certificate := solution.certificate) is None:
         return None
     return {
-        name: {
-            "lower": lower,
-            "value": solution.contact[name]["normal_force"]["relocated"],
-            "upper": plain(upper),
-            "guaranteed": certificate.guaranteed_forces,
-        }
-        for name, (lower, upper) in certificate.forces.items()
+        name: {key: plain(part) for key, part in of._asdict().items()}
+        | {"guaranteed": certificate.guaranteed_bounds}
+        for name, of in certificate.bounds.items()
     } or None
 
 
@@ -308,10 +304,11 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("guaranteed_initial", bool | None, "The same of the error on the given mesh.",
               "certificate.guaranteed_initial"),
         Entry("certificate_remark", Text, "Why they are not.", _remark),
-        Entry("force_bounds", dict[str, dict[str, Number | bool]],
-              "By contact boundary: the normal force of the exact solution is at least `lower` and at most "
-              "`upper` (null: no bound), `value` is that of the solution; `guaranteed` whether these are "
-              "bounds, not estimates ([how](certificate.md#bounds-of-contact-forces)).", _force_bounds),
+        Entry("bounds", dict[str, dict[str, Number | bool]],
+              "By quantity, `resultant(NAME)` of each contact boundary: that of the exact solution is at "
+              "least `lower` and at most `upper` (null: no bound), `value` is the computed one; `guaranteed` "
+              "whether they are bounds, not estimates ([how](certificate.md#bounds-of-contact-forces)).",
+              _bounds),
     ),
     "What formulations add": (
         Entry("relaxation", Text, "Of the complementarity in `mpcc`."),

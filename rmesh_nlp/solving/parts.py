@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -141,6 +141,14 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+class Bounds(NamedTuple):
+    """Bounds of a quantity of the exact solution, infinite where there is none, and the computed value."""
+
+    lower: float
+    value: float
+    upper: float
+
+
 @dataclass(frozen=True)
 class Certificate:
     """Two-sided bounds of the least energy, and of the error of a solution.
@@ -168,9 +176,10 @@ class Certificate:
         The flux or the stress xx, yy, xy in equilibrium, mean of each element, on the relocated mesh.
     residual : float
         Largest violation of static admissibility, relative to the largest force.
-    forces : mapping of str to (lower, upper)
-        Bounds of the normal force of the exact solution, by contact boundary; infinite where there is none.
-        Bounds if both of the energy are, see ``guaranteed_forces``.
+    bounds : mapping of str to Bounds
+        Of quantities of the exact solution, with the value of the computed one: "resultant(NAME)", the normal
+        force on each contact boundary, and those that were asked for. Infinite where there is none, and
+        bounds if both of the energy are, see ``guaranteed_bounds``.
     """
 
     lower: float
@@ -187,7 +196,7 @@ class Certificate:
     local_initial: Array = field(repr=False)
     field: Array = field(repr=False)
     residual: float
-    forces: Mapping[str, tuple[float, float]]
+    bounds: Mapping[str, Bounds]
 
     @property
     def is_disproved(self) -> bool:
@@ -200,8 +209,8 @@ class Certificate:
         return self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
 
     @property
-    def guaranteed_forces(self) -> bool:
-        """Whether the bounds of normal forces are bounds."""
+    def guaranteed_bounds(self) -> bool:
+        """Whether the bounds of quantities are bounds."""
         return self.guaranteed_lower and self.guaranteed_upper
 
     def of_reduction(self, estimated: ErrorReduction) -> ErrorReduction:
@@ -222,10 +231,10 @@ class Certificate:
         return f"error in the energy norm {word} {before} before, {after} after"
 
     @property
-    def force_sentences(self) -> list[str]:
-        """What it says of the normal force on each contact boundary in words."""
-        word = "guaranteed" if self.guaranteed_forces else "estimated"
+    def sentences(self) -> list[str]:
+        """What it says of quantities in words."""
+        word = "guaranteed" if self.guaranteed_bounds else "estimated"
         return [
-            f"normal force of {name!r} {bounds_in_words(*bounds)}, {word}"
-            for name, bounds in self.forces.items()
+            f"{name} {bounds_in_words(of.lower, of.upper)}, {word} (computed: {figure(of.value)})"
+            for name, of in self.bounds.items()
         ]

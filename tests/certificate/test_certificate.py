@@ -147,7 +147,7 @@ def test_record_and_file_hold_the_certificate(folder):
     assert record["energy_lower_bound"] < record["energy"] == pytest.approx(record["energy_upper_bound"])
     assert record["error_bound"] < record["error_bound_initial"]
     assert record["guaranteed_lower"] is record["guaranteed_upper"] is True
-    (force,) = record["force_bounds"].values()
+    (force,) = record["bounds"].values()
     assert 0 < force["lower"] < force["value"]
     assert force["upper"] is None  # the foundation touches a support
     assert force["guaranteed"] is True

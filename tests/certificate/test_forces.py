@@ -1,4 +1,4 @@
-"""Bounds of normal forces hold known ones, and are infinite where the foundation cannot be raised."""
+"""Bounds of forces and displacements hold known ones, and are infinite where there is none."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.contact_problem import refined
@@ -22,9 +23,9 @@ BOTH = pytest.mark.parametrize("order", ORDERS)
 
 def bounds_of(problem: ContactProblem) -> tuple[float, float]:
     found = certify(fixed.solve(problem))
-    assert found.guaranteed_forces
-    (bounds,) = found.forces.values()
-    return bounds
+    assert found.guaranteed_bounds
+    (bounds,) = found.bounds.values()
+    return bounds.lower, bounds.upper
 
 
 def force_of(problem: ContactProblem) -> float:
@@ -104,3 +105,26 @@ def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
 def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
     lower, upper = bounds_of(replace(body(4, 2, 0.0), obstacle=Obstacle("bottom", offset=1.0)))
     assert 0 == lower < upper < 1e-2 * force_of(body(4, 2, 0.0))
+
+
+@BOTH
+@pytest.mark.parametrize("quantity", ["mean(top, -uy)", "boundary(right, (1+y)*ux)"])
+def test_bounds_hold_a_displacement_on_a_finer_mesh_and_close_under_refinement(
+    quantity: str, order: int
+) -> None:
+    problem = body(8, order, 1.0)
+    value = fixed.solve(refined(refined(problem)), objective=quantity).assessment.final.objective
+    bounds = [
+        certify(fixed.solve(body(n, order, 1.0)), quantities=(quantity,)).bounds[quantity] for n in (2, 4)
+    ]
+    assert all(each.lower < min(value, each.value) for each in bounds)
+    assert all(each.upper > max(value, each.value) for each in bounds)
+    assert bounds[1].upper - bounds[1].lower < 0.8 * (bounds[0].upper - bounds[0].lower)
+
+
+@pytest.mark.parametrize(
+    "quantity", ["mean(top, ux*uy)", "mean(top, uy+1)", "resultant(bottom)", "mean(middle, uy)"]
+)
+def test_what_is_not_linear_in_the_displacement_has_no_bounds(quantity: str) -> None:
+    with pytest.raises(BadInputError, match=r"no bounds|middle"):
+        certify(fixed.solve(body(2, 1, 0.0)), quantities=(quantity,))

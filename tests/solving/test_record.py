@@ -24,7 +24,7 @@ from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Certificate, Step, Work, plain
+from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.progress import summary as one_line
@@ -189,7 +189,7 @@ CERTIFIED = Certificate(
     lower=-3.0, upper=-2.0, error_bound_initial=2.0, error_bound=1.0, relative_initial=0.5, relative=0.125,
     guaranteed_lower=True, guaranteed_upper=True, guaranteed_initial=True, why="because",
     local=np.zeros(1), local_initial=np.zeros(1), field=np.zeros((2, 1)), residual=0.0,
-    forces={"bottom": (2.0, float("inf"))},
+    bounds={"resultant(bottom)": Bounds(2.0, 2.5, float("inf"))},
 )  # fmt: skip
 GUARANTEES = ("guaranteed_lower", "guaranteed_upper", "guaranteed_initial")
 
@@ -200,7 +200,7 @@ def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | N
     word = "at most" if lacks is None else "estimated at"
     assert found.sentence == f"error in the energy norm {word} 50 % before, 12.5 % after"
     word = "estimated" if lacks in ("guaranteed_lower", "guaranteed_upper") else "guaranteed"
-    assert found.force_sentences == [f"normal force of 'bottom' at least 2, {word}"]
+    assert found.sentences == [f"resultant(bottom) at least 2, {word} (computed: 2.5)"]
     claim = ErrorReduction((1, 2), (1, 2), 1, 2, "refinement", 9, 3)
     proved = found.of_reduction(claim)
     if lacks is None:  # half the squares of 2 and 1
