@@ -218,7 +218,7 @@ class TestFormulations:
                 rm.solve(slab(), name, objective=SAG)
 
     def test_a_strong_coefficient_is_warned_of(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("rmesh_nlp.solving.assess.contraction", lambda *_: 1.25)
+        monkeypatch.setattr("rmesh_nlp.solving.state.contraction", lambda *_: 1.25)
         assert "the only one" in " ".join(rm.solve(slab(), "fixed").record()["warnings"])
 
 
