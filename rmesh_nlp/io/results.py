@@ -21,6 +21,7 @@ from rmesh_nlp.io.records import (
     to_json,
     warn_of,
 )
+from rmesh_nlp.solving.parts import HISTORY
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,10 +30,6 @@ RECORDS, SOLUTIONS, RECORD = "records.jsonl", "solutions", "record.json"
 DAMAGED = "records-damaged.txt"  # where lines of records go that a full disk or a power cut left half written
 ROWS = "rows"  # sub-folder of a study with one file of records per worker process
 TABLES = ("table.md", "table.tex", "table.csv")
-HISTORY_FIELDS = (
-    *("iteration", "energy", "objective", "t", "product", "biactive", "primal_residual", "dual_residual"),
-    *("contact_solves", "seconds", "stationarity"),
-)
 
 
 @dataclass(frozen=True)
@@ -53,10 +50,10 @@ class Result:
         import pandas as pd  # loading it takes longer than a small solve
 
         if not self.history.exists():
-            return pd.DataFrame(columns=HISTORY_FIELDS, dtype=float)
+            return pd.DataFrame(columns=HISTORY, dtype=float)
         try:
             steps = pd.read_csv(self.history, dtype=float)
-            if missing := sorted(set(HISTORY_FIELDS) - set(steps)):
+            if missing := sorted(set(HISTORY) - set(steps)):
                 raise ValueError(f"it has no column {missing[0]!r}")
         except (OSError, ValueError) as error:  # of the decoding as well
             raise BadInputError(f"{self.history} is no history: {error}") from error
@@ -171,8 +168,8 @@ def write_single(folder: Path, record: Record, save: Callable[[Result], object])
 
 def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Write a history as CSV, further columns after those of all; what is not known is left empty."""
-    further = dict.fromkeys(name for row in rows for name in row if name not in HISTORY_FIELDS)
+    further = dict.fromkeys(name for row in rows for name in row if name not in HISTORY)
     with path.open("w", newline="") as file:
-        writer = csv.DictWriter(file, [*HISTORY_FIELDS, *further])
+        writer = csv.DictWriter(file, [*HISTORY, *further])
         writer.writeheader()
         writer.writerows(rows)

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
@@ -41,7 +40,7 @@ from rmesh_nlp.report.figures import progress_figures
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
-from rmesh_nlp.report.table import MISSING, Table
+from rmesh_nlp.report.table import MISSING, TEMPLATES, Table
 from rmesh_nlp.report.tables import sections_of
 from rmesh_nlp.solving.parts import DESIGN, FEW
 from rmesh_nlp.study.environment import environment
@@ -61,14 +60,6 @@ WHICH = (
 MESSAGE = Column("message", "message")
 OF_ENERGY = ("energy_initial", "energy", "energy_initial_audited", "energy_audited")
 
-TEMPLATES = Environment(
-    loader=PackageLoader("rmesh_nlp.report", ""),
-    autoescape=select_autoescape(),
-    undefined=StrictUndefined,
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-)
 TEMPLATES.policies["json.dumps_kwargs"] = {"allow_nan": False, "separators": (",", ":")}
 TEMPLATES.filters |= {"variant": variant, "family": family, "objective": objective_of}
 TEMPLATES.filters["problem"] = lambda record: (record["example"], record["n"], order_of(record))

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, replace
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 Rows = Sequence[Sequence[str]]
 Groups = Sequence[tuple[str, Rows]]
@@ -167,18 +167,21 @@ def latex_text(text: str) -> str:
     return text.translate(_ESCAPED)
 
 
-LATEX = Environment(
+TEMPLATES = Environment(
     loader=PackageLoader("rmesh_nlp.report", ""),
+    autoescape=select_autoescape(),
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+    keep_trailing_newline=True,
+)
+LATEX = TEMPLATES.overlay(
     block_start_string="<%",
     block_end_string="%>",
     variable_start_string="<<",
     variable_end_string=">>",
     comment_start_string="<#",
     comment_end_string="#>",
-    trim_blocks=True,
-    lstrip_blocks=True,
-    keep_trailing_newline=True,
-    undefined=StrictUndefined,
 )
 LATEX.filters |= {"words": latex_words, "cell": latex_cell, "width": _width}
 """Templates in which braces and per cent signs are those of LaTeX."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -129,10 +129,14 @@ class Step:
     design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
 
     def row(self) -> dict[str, Any]:
-        """The step as a plain dictionary for CSV or pandas: None where unknown, ``t`` may be ``inf``."""
-        row = {key: plain(value) for key, value in vars(self).items() if key not in ("q", "design")}
+        """The step as a line of a history: None where unknown, ``t`` may be ``inf``."""
+        row = {name: plain(getattr(self, name)) for name in HISTORY}
         row |= {DESIGN + name: plain(value) for name, value in self.design.items()}
         return {**row, "t": self.t} if np.isinf(self.t) else row
+
+
+HISTORY = tuple(one.name for one in fields(Step) if one.repr)
+"""Columns of every history; those of design variables follow."""
 
 
 def plain(value: Any) -> Any:

@@ -50,16 +50,13 @@ class Contained:
 
     def solve(self, solve: PlannedSolve, folder: Path) -> Record:
         """The row of a solve, whatever happens to it; its fields are kept in a folder of results."""
-        for attempt in range(1, ATTEMPTS + 1):
+        for _ in range(ATTEMPTS):
             process = self._ready()
             request = json.dumps({"solve": solve.plain(), "folder": str(folder)})
-            try:
-                assert process.stdin is not None
+            assert process.stdin is not None
+            with suppress(OSError):  # it died while it had nothing to do, and gives no answer
                 process.stdin.write(request.encode() + b"\n")
                 process.stdin.flush()
-            except OSError:  # it died while it had nothing to do
-                self.close()
-                continue
             watch = Budget(Limits(solve.time_s * GRACE + GRACE_S), self._session)
             line, why = self._answer(process, watch, solve.memory_mb)
             seconds = watch.elapsed
@@ -68,14 +65,15 @@ class Contained:
                     self.close()  # what a leak has left is not charged to the next solve
                 row: Record = json.loads(line)
                 return row
-            message = {
-                "time_limit": f"killed after {seconds:.1f} s: the limit is {solve.time_s:g} s",
-                "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
-                "died": f"its process ended twice, at last with code {self.close()}",
-            }
-            if why != "died" or attempt == ATTEMPTS:
-                return failure(solve, why, message[why], seconds)
-        return failure(solve, "died", "its process could not be given the problem")
+            code = self.close()
+            if why != "died":
+                break
+        said = {
+            "time_limit": f"killed after {seconds:.1f} s: the limit is {solve.time_s:g} s",
+            "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
+            "died": f"its process ended twice, at last with code {code}",
+        }
+        return failure(solve, why, said[why], seconds)
 
     def close(self) -> int | None:
         """End the process; returns its exit code."""

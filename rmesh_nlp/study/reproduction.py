@@ -37,12 +37,6 @@ LARGER_STARTS = 5  # random starts under enlarged move limits, and with friction
 USABLE = ("exploited",)
 """Ends other than success whose energy, by the problem's own rule, is that of a valid mesh."""
 
-FROZEN_OPTIONS = {
-    **{"max_iter": 3000, "nlp_scaling_method": "none", "obj_scaling_factor": 100.0},
-    **{"tol": 1e-8, "acceptable_tol": 1e-6, "mu_init": 1e-2},
-}
-"""Ipopt options; with this factor the energies of 6.3 are large against its barrier."""
-
 Say = Callable[[str], object]
 
 
@@ -178,7 +172,7 @@ def least_energy_with_frozen_friction(problem: ContactProblem, seed: int | None 
     program = outer.relocation
     nlp = program.nlp.extended(f=_difference(problem, program))
     q = outer.variables(seed=seed)
-    solver = Solver(nlp, options=FROZEN_OPTIONS)
+    solver = Solver(nlp)
     result = solver(outer.energy.unknowns(q, outer.energy(q).equilibrium.u))
     return result.f if result.converged else float("nan")
 

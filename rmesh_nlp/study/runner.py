@@ -11,13 +11,12 @@ import numpy as np
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.records import REQUIRED, Record
-from rmesh_nlp.io.results import HISTORY_FIELDS, Result, write_history
+from rmesh_nlp.io.results import Result, write_history
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.entries import versions
 from rmesh_nlp.solving.monitor import OnStep
-from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.verification import error_terms
 from rmesh_nlp.study.plan import PlannedSolve, build
@@ -48,10 +47,7 @@ class Done:
             replace(step, stationarity=step.dual_residual) if np.isnan(step.stationarity) else step
             for step in solution.history
         ]
-        rows = [
-            {name: row[name] for name in row if name in HISTORY_FIELDS or name.startswith(DESIGN)}
-            for row in (step.row() for step in steps)
-        ]
+        rows = [step.row() for step in steps]
         write_whole(places.history, lambda path: write_history(path, rows))
 
 

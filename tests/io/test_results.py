@@ -24,7 +24,7 @@ from rmesh_nlp.io.records import (
     to_json,
 )
 from rmesh_nlp.io.results import (
-    HISTORY_FIELDS,
+    HISTORY,
     RECORD,
     RECORDS,
     Results,
@@ -103,16 +103,16 @@ def test_single_solve_is_recorded_after_its_files(tmp_path):
 def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     result = single_result(tmp_path, fixed_61())
     assert result.steps().empty
-    assert {*result.steps()} == {*HISTORY_FIELDS}
-    rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY_FIELDS, 1.5), dict.fromkeys(HISTORY_FIELDS)]
+    assert {*result.steps()} == {*HISTORY}
+    rows: list[dict[str, Any]] = [dict.fromkeys(HISTORY, 1.5), dict.fromkeys(HISTORY)]
     rows[1]["t"] = float("inf")
     write_history(result.history, rows)
     first, second = result.steps().to_dict("records")
-    assert first == dict.fromkeys(HISTORY_FIELDS, 1.5)
+    assert first == dict.fromkeys(HISTORY, 1.5)
     assert second["t"] == np.inf
     assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
     write_history(result.history, [{**rows[0], "design.E": 2.5}])
-    assert result.steps().to_dict("records") == [dict.fromkeys(HISTORY_FIELDS, 1.5) | {"design.E": 2.5}]
+    assert result.steps().to_dict("records") == [dict.fromkeys(HISTORY, 1.5) | {"design.E": 2.5}]
 
 
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
@@ -162,7 +162,7 @@ def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, conten
         assert read_results(tmp_path) == []
 
 
-HEAD = ",".join(HISTORY_FIELDS) + "\n"
+HEAD = ",".join(HISTORY) + "\n"
 GARBAGE = {
     "text for a number": HEAD + "0,abc,,,,,\n",
     "another head": "a,b\n1,2\n",

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.io.results import HISTORY_FIELDS, Result, Results, write_history
+from rmesh_nlp.io.results import HISTORY, Result, Results, write_history
 from rmesh_nlp.report.blocks import in_common_units
 from rmesh_nlp.report.histories import cost_to, curve, with_common_costs
 from rmesh_nlp.report.study_summary import (
@@ -141,7 +141,7 @@ def result(folder: Path, name: str, end: float, steps: Steps, **changes: Any) ->
     rows = []
     for i, (seconds, energy, residual, *primal) in enumerate(steps):
         known = {"iteration": i, "seconds": seconds, "energy": energy + 0.5, "stationarity": residual}
-        rows.append({**dict.fromkeys(HISTORY_FIELDS), **known, "primal_residual": sum(primal)})
+        rows.append({**dict.fromkeys(HISTORY), **known, "primal_residual": sum(primal)})
     write_history(folder / f"{name}.csv", rows)
     return Result(record, folder / "none.vtu", folder / f"{name}.csv")
 
