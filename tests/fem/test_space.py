@@ -1,4 +1,4 @@
-"""Spaces of displacements: numbering, order 2 against another code, known rates, fields cut into pieces."""
+"""Spaces of displacements: numbering, weights, known rates, fields cut into pieces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, Fields, constant_field, unknown_field
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -19,36 +18,19 @@ from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PointLoad
+from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
-from support.contact_geometry import block_between_two_foundations
-from support.curved import HOLE, disc, plate
+from support.curved import HOLE, plate
 from support.manufactured import smooth_block, smooth_membrane
 from support.problems import sloped_block
-from support.second_order import SecondOrder
-
-KINDS = {
-    "6.1": lambda: EXAMPLES["6.1"](4),
-    "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
-    "sloped": sloped_block,
-    "two foundations": block_between_two_foundations,
-    "along edges": lambda: replace(sloped_block(), obstacle=replace(sloped_block().obstacle, gap="edge")),
-    "curved": disc,
-    "interior": lambda: replace(
-        EXAMPLES["6.1"](4),
-        law=Laplace(-20.0),
-        exact=None,
-        obstacle=Obstacle.interior(-0.1),
-        motion=Motion(0.05),
-    ),
-}
 
 
 def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
     problem = EXAMPLES["6.2"]((6, 3))
     assert np.sum(DisplacementSpace(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
-    interior = KINDS["interior"]()
+    membrane = replace(EXAMPLES["6.1"](4), law=Laplace(-20.0), exact=None)
+    interior = replace(membrane, obstacle=Obstacle.interior(-0.1), motion=Motion(0.05))
     weights = DisplacementSpace(interior).weights(interior.mesh.p)
     x, y = interior.mesh.p[:, interior.contact_nodes]
     np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
@@ -80,42 +62,6 @@ def test_design_variables_are_arguments_of_element_terms() -> None:
     np.testing.assert_allclose(assembled.derivatives.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
     with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
         fields._replace(positions=values).group(spring, [values])
-
-
-SEEDS = range(20)
-
-
-def varied(seed: int) -> ContactProblem:
-    """A random problem of order 2, half of them with a second support or a point load; exact rules."""
-    problem = replace(random_problem(seed), order=2, quadrature=12)
-    if seed % 4 == 1:
-        (left,) = problem.supports
-        rise = left.value[0]
-        above = Dirichlet("top", (lambda x, y: rise + 0.02 * x * x,))
-        other = above if problem.components == 1 else Dirichlet("right", (0.005, None))
-        problem = replace(problem, dirichlet=(left, other))
-    if seed % 4 == 3:
-        node = int(np.argmax(np.sum(problem.mesh.p, axis=0)))
-        problem = replace(problem, point_loads=(PointLoad(node, (0.9,) * problem.components),))
-    return problem
-
-
-@pytest.mark.parametrize("seeds", [SEEDS[:4], pytest.param(SEEDS, marks=pytest.mark.slow)])
-def test_contact_solutions_are_those_of_scikit_fem(seeds: range) -> None:
-    kinds, parted = set(), 0
-    for seed in seeds:
-        problem = varied(seed)
-        values, energy = SecondOrder(problem).solve()
-        solver = ContactSolver(problem)
-        found = solver.given
-        u = solver.discretisation.space.values(solver.displacement.values(found.u))
-        assert found.energy == pytest.approx(energy, rel=1e-10)
-        np.testing.assert_allclose(u, values, atol=1e-9 * np.max(np.abs(values)))
-        touching = found.active.touching
-        parted += 0 < np.sum(touching) < touching.size
-        kinds.add((problem.components, problem.frictional, len(problem.regions)))
-    assert parted >= len(seeds) // 4
-    assert len(kinds) == 6 or len(seeds) < len(SEEDS)
 
 
 def errors(problem: ContactProblem) -> tuple[int, list[float]]:
