@@ -37,15 +37,16 @@ def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
 
 
 @contextmanager
-def notes(kind: type[Warning], head: str) -> Iterator[None]:
-    """Print warnings of a kind in one line each, as the command line prints everything; drop others."""
+def notes(kind: type[Warning], head: str, *, says: bool = True) -> Iterator[None]:
+    """Print warnings of a kind in one line each, if anything is said; drop others."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", kind)
         try:
             yield
         finally:
             for warning in caught:
-                print(f"{head}: {warning.message}", file=sys.stderr)
+                if says and issubclass(warning.category, kind):
+                    print(f"{head}: {warning.message}", file=sys.stderr)
 
 
 def read_quietly(folder: Path) -> list[Result]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import load
+from rmesh_nlp.cli.folders import notes
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
@@ -127,13 +127,8 @@ def _first_design(path: Path, problem: ContactProblem, *, says: bool = True) -> 
 
 def load_problem(path: Path, order: int | None = None, *, says: bool = True) -> ContactProblem:
     """The problem of a file, or with another order; repairs of its mesh are printed as notes."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", MeshRepairWarning)
-        problem = read_problem(path, order)
-    for warning in caught:
-        if says and issubclass(warning.category, MeshRepairWarning):
-            print(f"note: {path}: {warning.message}")
-    return problem
+    with notes(MeshRepairWarning, f"note: {path}", says=says):
+        return read_problem(path, order)
 
 
 def solve_options(

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import load
@@ -132,7 +131,7 @@ def _write(results: Results, done: Done, series: Series | None, stated: ProblemT
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
     if solution is not None and series is not None and series.frames:
         manifest.claim(*(f"iterations/{name}" for name in series.names()))
-        series.write(folder / "iterations", pressure=np.asarray(solution.pressure))
+        series.write(folder / "iterations")
 
 
 def _say(done: Done, *, in_full: bool) -> None:

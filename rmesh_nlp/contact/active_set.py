@@ -26,7 +26,6 @@ from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
@@ -121,11 +120,6 @@ def first_set(system: ContactSystem) -> ActiveSet:
 def at_rest(system: ContactSystem) -> ActiveSet:
     """Nodes with an initial gap of zero or less touch, and all stick."""
     return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
-
-
-def touching_set(system: ContactSystem, touching: NDArray[np.bool_]) -> ActiveSet | None:
-    """The active set of contact nodes (gaps,) that touched on a similar mesh; None where friction acts."""
-    return None if system.slip_bound.size else ActiveSet(np.array(touching), np.zeros(0, dtype=np.int8))
 
 
 def check_load(system: ContactSystem) -> None:

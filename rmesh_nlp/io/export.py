@@ -10,7 +10,7 @@ import meshio
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.contact.active_set import solve, touching_set
+from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import points_of
@@ -174,12 +174,8 @@ class Series:
         """Names of the files that :meth:`write` will write."""
         return [f"{name}.pvd", *(self._file(step, name) for step in self._chosen())]
 
-    def write(self, folder: str | Path, name: str = "iterations", pressure: Array | None = None) -> Path:
-        """Write ``name.pvd`` and one VTU file per frame, each whole; returns the path of the former.
-
-        A contact ``pressure`` (nodes,) on a similar mesh saves the first frame the search for the nodes that
-        touch.
-        """
+    def write(self, folder: str | Path, name: str = "iterations") -> Path:
+        """Write ``name.pvd`` and one VTU file per frame, each whole; returns the path of the former."""
         folder = Path(folder)
         model, free = ContactSolver(self.problem), MeshMap.of(self.problem)
         space = model.discretisation.space
@@ -187,8 +183,6 @@ class Series:
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
             system = model.system(nodes, free.design(np.asarray(step.q)) if self.problem.design else None)
-            if active is None and pressure is not None:
-                active = touching_set(system, pressure[model.contact_nodes] > 0)
             state = solve(system, active)
             active = state.active
             u = space.values(model.displacement.values(state.u))

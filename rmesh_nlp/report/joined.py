@@ -169,12 +169,9 @@ def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[
         if record["formulation"] != RELOCATING_NOTHING or entry == "constraints"
     ]
     names = list(dict.fromkeys(name for own in values for name in own))
-    columns = [Column("formulation", ""), *(Column(name, name, ".5g") for name in names)]
+    columns = [Column("", ""), *(Column(name, name, ".5g") for name in names)]
     said = f"{NAMED[entry]}: bounds, where there is one the start, and the end of each solve."
-    if len(names) <= FEW:
-        yield Table(["formulation", *names], [(title, cells(columns, rows + solves))], said, NAMED[entry])
-        return
     for first in range(0, max(len(solves), 1), FEW):
         some = cells(columns, rows + solves[first : first + FEW])
         head, *body = zip(["name", *names], *some, strict=True)
-        yield Table(head, [(title, body)], said, NAMED[entry], is_detail=True)
+        yield Table(head, [(title, body)], said, NAMED[entry], is_detail=len(names) > FEW)

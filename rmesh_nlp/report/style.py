@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -144,23 +143,16 @@ def write(drawn: Iterable[tuple[str, Figure]], manifest: Manifest, page: Page) -
     is replaced that is not; BadInputError if a file of the user's is in the way.
     """
     paths: list[Path] = []
-    # of PNG files of such drawings zlib's level 3 makes smaller ones than 6, in less time
-    options: Any = {"pil_kwargs": {"compress_level": 3}} if page.kind == "png" else {}
-    # figures are many small objects in cycles: without this each collection looks at all solves again
-    gc.freeze()
-    try:
-        with rc_context(page.settings):
-            for name, figure in drawn:
-                stem, number = safe_name(name), 1
-                while stem in {path.stem for path in paths}:
-                    number += 1
-                    stem = f"{safe_name(name)}-{number}"
-                file = f"figures/{stem}.{page.kind}"
-                manifest.claim(file)
-                lay_out(figure)
-                path = manifest.folder / file
-                write_whole(path, partial(figure.savefig, format=page.kind, **options))
-                paths.append(path)
-    finally:
-        gc.unfreeze()
+    with rc_context(page.settings):
+        for name, figure in drawn:
+            stem, number = safe_name(name), 1
+            while stem in {path.stem for path in paths}:
+                number += 1
+                stem = f"{safe_name(name)}-{number}"
+            file = f"figures/{stem}.{page.kind}"
+            manifest.claim(file)
+            lay_out(figure)
+            path = manifest.folder / file
+            write_whole(path, partial(figure.savefig, format=page.kind))
+            paths.append(path)
     return paths

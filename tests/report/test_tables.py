@@ -93,17 +93,16 @@ DESIGN_TABLES = [
 | nested      |          - |              - |                  - |      0.5 |                    - |        - |
 """,  # noqa: E501
     """\
-| formulation |        E |         h_0 |
-|:------------|---------:|------------:|
-| bounds      | 0.5 to 2 | -0.5 to 0.5 |
-| start       |        1 |           0 |
-| mpcc        |     1.25 |        -0.5 |
+| name |      bounds | start | mpcc |
+|:-----|------------:|------:|-----:|
+| E    |    0.5 to 2 |     1 | 1.25 |
+| h_0  | -0.5 to 0.5 |     0 | -0.5 |
 """,
     """\
-| formulation |     area | max-pressure(face) |
-|:------------|---------:|-------------------:|
-| bounds      | 3.9 to 4 |        at most 100 |
-| mpcc        |        4 |                110 |
+| name               |      bounds | mpcc |
+|:-------------------|------------:|-----:|
+| area               |    3.9 to 4 |    4 |
+| max-pressure(face) | at most 100 |  110 |
 """,
 ]
 
@@ -167,7 +166,7 @@ def test_designs_have_tables_of_their_own_and_no_energies() -> None:
 def test_designs_in_latex() -> None:
     text = latex(DESIGN_ROWS)
     assert r"mpcc & $2.500000\cdot 10^{0}$ & $1.000000\cdot 10^{-3}$ & $99.96$ & $96$" in text
-    assert r"formulation & E & h\_0 \\" in text
+    assert r"h\_0 & -0.5 to 0.5 & $0$ & $-0.5$ \\" in text
     assert r"gain\\ {[\%]}" in text
     assert "left on refined" in text
     assert "J" not in re.sub(r"\\[a-z]+", "", text)
