@@ -11,7 +11,8 @@ from skfem.models.elasticity import linear_elasticity
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.problem import PlaneStrain
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Obstacle, PlaneStrain
 from support.problems import sloped_block
 
 
@@ -63,6 +64,20 @@ def test_turned_problem_has_the_same_energy_and_forces() -> None:
     np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)
     assert np.any(one.active.touching)
     assert np.any(one.tangential_force != 0)
+
+
+def test_gaps_of_order_2_have_the_coefficients_of_the_distance() -> None:
+    """Those of ``x^2 / 10`` on an edge from a to b are that at its ends and ``a b / 10`` in its middle."""
+    foundation = Obstacle.graph("bottom", lambda x, y: -(x**2) / 10)
+    problem = ContactProblem(rectangle(4, 2, x=(0, 2)), PlaneStrain(1.0, 1.0), "top", foundation, order=2)
+    solver = ContactSolver(problem)
+    nodes, vertices = solver.contact_nodes, problem.mesh.p.shape[1]
+    middles = nodes >= vertices
+    ends = np.stack([nodes, nodes])
+    ends[:, middles] = problem.mesh.facets[:, nodes[middles] - vertices]
+    assert np.sum(middles) == 4
+    expected = np.prod(problem.mesh.p[0, ends], axis=0) / 10
+    np.testing.assert_allclose(solver.system(problem.mesh.p).offset, expected, atol=1e-15)
 
 
 def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
