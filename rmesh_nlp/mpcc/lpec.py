@@ -172,8 +172,9 @@ def _milp(
             LinearConstraint(sp.hstack([pick[second], sp.diags(top_H)]), -np.inf, top_H - members[second]),
         ]
     if rows.A.shape[0]:
-        wide = sp.hstack([rows.A, sp.csr_matrix((rows.A.shape[0], k))], format="csr")
-        constraints.append(LinearConstraint(wide, rows.lb, rows.ub))
+        steep = steepness(rows.A)  # HiGHS has one tolerance for all rows: entries of 1e9 exhaust it
+        wide = sp.hstack([sp.diags(1 / steep) @ rows.A, sp.csr_matrix((steep.size, k))], format="csr")
+        constraints.append(LinearConstraint(wide, rows.lb / steep, rows.ub / steep))
     nodes = int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))
     answer = milp(
         np.append(cost, np.zeros(k)),

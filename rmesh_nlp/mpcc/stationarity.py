@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, Lifted
@@ -32,8 +32,8 @@ from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
-_SHARP = 1e-3  # part of the tolerance with which multipliers are asked for first
-_OPTIMAL, _INFEASIBLE = 0, 2  # words of milp
+_SHARP = 1e-3  # part of the tolerance with which multipliers are asked for first, since they are used
+_OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
 AT_LEAST = "at least "
 Range = tuple[float, float]
 Piece = tuple[Range, Range]
@@ -100,7 +100,8 @@ class _MultiplierLP:
     """Linear programs over the multipliers that make the Lagrangian stationary within ``tolerance``.
 
     After the ``Columns`` of the point stands for each biactive member a copy for the positive part of its
-    multiplier, which costs 1: the minimum is 0 exactly if the point is S-stationary.
+    multiplier, which costs 1: the minimum is 0 exactly if the point is S-stationary. The last columns are
+    what is left of the Lagrangian's gradient.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
@@ -109,35 +110,39 @@ class _MultiplierLP:
         self.at_corner = np.flatnonzero(self.columns.corner)
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
-        matrix = sp.hstack([self.columns.matrix, self.columns.matrix[:, self.at_corner]], format="csc")
-        self.matrix, self.right, self.slack = matrix, -lin.gradient, tolerance * lin.scale
+        own, eye = self.columns.matrix, sp.identity(lin.gradient.size, format="csc")
+        self.matrix = sp.hstack([own, own[:, self.at_corner], eye], format="csc")
+        self.right, self.slack = -lin.gradient, tolerance * lin.scale
         may_fall, may_rise = self.columns.may_fall, self.columns.may_rise & ~self.columns.corner
-        copies = np.zeros(self.at_corner.size)
-        self.lower = np.append(np.where(may_fall, -np.inf, 0.0), copies)
-        self.upper = np.append(np.where(may_rise, np.inf, 0.0), copies + np.inf)
-        self.cost = np.append(np.zeros(may_fall.size), copies + 1.0)
+        copies, rest = np.zeros(self.at_corner.size), np.zeros(lin.gradient.size)
+        self.lower = np.concatenate([np.where(may_fall, -np.inf, 0.0), copies, rest])
+        self.upper = np.concatenate([np.where(may_rise, np.inf, 0.0), copies + np.inf, rest])
+        self.cost = np.concatenate([np.zeros(may_fall.size), copies + 1.0, rest])
 
-    def solve(self, pieces: dict[int, Piece]) -> tuple[Multipliers, float] | None:
-        """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any."""
-        lower, upper = self.lower.copy(), self.upper.copy()
-        n_columns = lower.size - self.at_corner.size
+    def solve(
+        self, pieces: dict[int, Piece], parts: tuple[float, ...] = (_SHARP, 1.0)
+    ) -> tuple[Multipliers, float] | None:
+        """Multipliers within ``pieces[k]`` on the k-th biactive pair, and their cost, if there are any.
+
+        Those within the first of the ``parts`` of the tolerance for which there are some.
+        """
+        bounds = np.column_stack([self.lower, self.upper])
+        n_columns, n_rest = self.columns.corner.size, self.right.size
         for k, piece in pieces.items():
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
-                lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
-        if lower.size == 0:
-            flat = np.all(np.abs(self.right) <= self.slack)
-            return (self.columns.scattered(lower), 0.0) if flat else None
-        for slack in (_SHARP * self.slack, self.slack):  # multipliers are used: as sharp as there are
-            stationary = LinearConstraint(self.matrix, self.right - slack, self.right + slack)
-            answer = milp(
-                self.cost, bounds=Bounds(lower, upper), constraints=stationary, options=limits(self.budget)
-            )
+                bounds[self.at_corner[copy], 0], bounds[n_columns + copy, 1] = low, high
+        for part in parts:
+            bounds[-n_rest:] = part * self.slack * np.array([-1.0, 1.0])
+            answer = linprog(
+                self.cost, A_eq=self.matrix, b_eq=self.right, bounds=bounds, method="highs-ipm",
+                options=limits(self.budget),
+            )  # fmt: skip
             if answer.status == _OPTIMAL:
                 break
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         if answer.status != _OPTIMAL:
             return None
-        values, copies = np.split(answer.x, [n_columns])
+        values, copies, _ = np.split(answer.x, [n_columns, bounds.shape[0] - n_rest])
         values[self.at_corner] += copies
         return self.columns.scattered(values), float(answer.fun)
 
@@ -151,15 +156,16 @@ def strongest(
     search of a stronger one ran out of nodes it is ``"at least C"`` or ``"at least W"``.
     """
     programs = _MultiplierLP(lifted, lin, tolerance, budget)
+    zero = tolerance * lin.scale
     weak = programs.solve({})
     if weak is None:
         return "none" if programs.decided else "", None
-    zero = tolerance * lin.scale
-    if weak[1] <= zero:
-        return "S", weak[0]
+    least = weak if weak[1] <= zero else programs.solve({}, (1.0,)) or weak
+    if least[1] <= zero:
+        return "S", least[0]
     word = ""
     for name, pieces in _PIECES.items():
-        multipliers, complete = _search(programs, pieces, zero)
+        multipliers, complete = _search(programs, weak, pieces, zero)
         if multipliers is not None:
             return word + name, multipliers
         word = word if complete else AT_LEAST
@@ -167,18 +173,18 @@ def strongest(
 
 
 def _search(
-    programs: _MultiplierLP, pieces: tuple[Piece, ...], zero: float
+    programs: _MultiplierLP, weak: tuple[Multipliers, float], pieces: tuple[Piece, ...], zero: float
 ) -> tuple[Multipliers | None, bool]:
     """Depth-first search for multipliers that lie in one of ``pieces`` on every biactive pair, nearest first.
 
-    Also whether the search was complete.
+    It begins at ``weak`` ones. Also whether the search was complete.
     """
     stack: list[dict[int, Piece]] = [{}]
-    for _ in range(int(np.clip(_WORK / max(programs.cost.size, 1), _LEAST_NODES, _NODES))):
+    for _ in range(int(np.clip(_WORK / max(programs.columns.corner.size, 1), _LEAST_NODES, _NODES))):
         if not stack:
             return None, programs.decided
         node = stack.pop()
-        solution = programs.solve(node)
+        solution = programs.solve(node) if node else weak
         if solution is None:
             continue
         G, H = solution[0].pairs[:, programs.pairs]

@@ -139,13 +139,20 @@ def test_linear_program_that_fails_decides_nothing(monkeypatch):
         status, x, fun = 4, None, None  # "numerical difficulties"
 
     given = []
-    monkeypatch.setattr(module, "milp", lambda *_, **names: given.append(names["options"]) or Answer)
+    monkeypatch.setattr(module, "linprog", lambda *_, **names: given.append(names["options"]) or Answer)
     lifted, lin = at(MPCC(XY, x + y, None, x, y), [0, 0])
     assert strongest(lifted, lin, TOLERANCE) == ("", None)
     Answer.status = 2
     assert strongest(lifted, lin, TOLERANCE, Budget(Limits(2.5))) == ("none", None)
     assert given[0] == {}
     assert 2.0 < given[-1]["time_limit"] <= 2.5
+
+
+def test_s_is_asked_within_the_whole_tolerance():
+    f, row = -5e-7 * w + y, w - 1000 * x  # descends by 5e-7 in a step of at most 1; sharp multipliers prove M
+    label, multipliers = strongest(*at(MPCC(XYW, f, row, x, y, lbg=0, ubg=0), [0, 0, 0]), TOLERANCE)
+    assert label == "S"
+    assert np.max(multipliers.pairs) <= TOLERANCE
 
 
 @pytest.mark.parametrize(("slope", "label"), [(0, "S"), (x, "none"), (-y, "none"), (x - y, "none")])
