@@ -82,7 +82,8 @@ def certificate(solution: Any) -> Row:
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return {"remark": str(error)[:200]}
     record = {"energy_lower_bound": bounds.lower, "energy_upper_bound": bounds.upper}
-    record |= {"error_bound": bounds.error_bound, "why": bounds.why, "forces": list(bounds.forces.values())}
+    record |= {"error_bound": bounds.error_bound, "why": bounds.why}
+    record["forces"] = [(force.lower, force.upper) for force in bounds.bounds.values()]
     record |= {name: getattr(bounds, name) for name in ("guaranteed_lower", "guaranteed_upper")}
     return {**record, "percent": "%" in bounds.sentence}
 

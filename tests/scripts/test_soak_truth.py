@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
 import soak_truth as soak
 from truth.body import Body
 from truth.contact import accurate_loads, equilibrium, friction, least, penetration
@@ -154,6 +155,9 @@ def test_displacements_and_certificates_are_checked() -> None:
     sound = {"energy_lower_bound": -1.05, "energy_upper_bound": -0.98, "error_bound": 0.4, "percent": True}
     sound |= {"guaranteed_lower": True, "guaranteed_upper": True, "forces": [(4.5, 5.5)]}
     assert soak.found_faults({**row, "certificate": sound}) == []
+    made = soak.certificate(rm.solve(rm.EXAMPLES["6.1"](n=2), "fixed"))
+    assert set(made) - {"why"} == set(sound)
+    assert all(low <= high for low, high in made["forces"])
     assert soak.found_faults({**row, "own": [{"J": -0.98}, {"J": -0.9}]}) == ["worse displacement"]
     for change, fault in (
         ({"energy_lower_bound": -0.99}, "lower bound"),
