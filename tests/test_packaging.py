@@ -120,10 +120,15 @@ def python_blocks(name: str) -> list[str]:
     return re.findall(r"```python\n(.*?)```", (ROOT / name).read_text(), re.S)
 
 
+def toml_blocks(name: str) -> list[str]:
+    return re.findall(r"```toml\n(.*?)```", (ROOT / name).read_text(), re.S)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if python_blocks(page)])
 def test_the_python_of_the_readme_and_the_pages_runs(page, tmp_path, monkeypatch) -> None:
     monkeypatch.chdir(tmp_path)  # it writes files
+    Path("my.toml").write_text(toml_blocks("README.md")[0])
     space: dict[str, object] = {}
     for block in python_blocks(page):
         exec(block, space)
@@ -143,7 +148,7 @@ def stated_twice(page: str, folder: Path) -> tuple[ContactProblem, str, Path]:
     named = re.match(r"problem(?:, \"(\w+)\")?\)", rest)
     assert named is not None
     _, formulation, *_ = inspect.signature(rmesh_nlp.solve).parameters.values()
-    (folder / "block.toml").write_text(re.findall(r"```toml\n(.*?)```", (ROOT / page).read_text(), re.S)[0])
+    (folder / "block.toml").write_text(toml_blocks(page)[0])
     return space["problem"], named[1] or formulation.default, folder / "block.toml"
 
 
