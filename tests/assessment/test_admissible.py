@@ -112,7 +112,7 @@ ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.
 @pytest.mark.parametrize(
     ("obstacles", "load"),
     [
-        (replace(WAVES, friction=2.0), Traction("top", (6.0, -10.0))),
+        (replace(PEAK, friction=2.0), Traction("top", (6.0, -10.0))),
         ((WAVES, ABOVE), Traction("right", (-400.0, 100.0))),
     ],
     ids=["friction", "two foundations"],

@@ -98,6 +98,8 @@ def test_friction_counts_only_where_it_may_act_and_a_body_at_rest_where_it_touch
     at_the_bound = (0.0, 5.0, 0.0, 4.0)
     for acts in (True, False):
         assert weakly_active(*spring(*at_the_bound, frictional=np.array([acts])))[0] == acts
+    # half of a contact force of 5 stands beside the bound of 4
+    assert weakly_active(*spring(0.0, 5.0, 0.0, 6.5, coulomb=np.array([0.5])))[0]
     system, state = spring(*at_the_bound)
     assert not weakly_active(replace(system, slip_bound=np.zeros(0)), state)[0]
     # without any displacement the gap itself tells: no length is there to divide by
