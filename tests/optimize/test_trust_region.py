@@ -35,18 +35,17 @@ def test_convex_quadratics_in_a_box_end_at_their_kkt_point(seed: int, widths: An
     assert result.iterations > 0
 
 
-def test_a_cut_step_is_judged_by_what_the_model_says_of_it() -> None:
-    """Half of a step of 1/2 is taken; the function falls by a share of what is predicted, x - x^2 / 2, there."""
-    for share, second in ((0.26, 0.125), (0.24, 0.03125)):  # above and below a quarter of it
-        visited: list[float] = []
+@pytest.mark.parametrize(("share", "second"), [(0.26, 0.125), (0.24, 0.03125)])
+def test_a_cut_step_is_judged_by_what_the_model_says_of_it(share: float, second: float) -> None:
+    """Half of a step of 1/2 is taken, where the function falls by a share of what the model predicts."""
 
-        def evaluate(x: Array, share: float = share) -> Evaluation:
-            value = -share * float(x[0] - x[0] ** 2 / 2)
-            return Evaluation(value, x - 1, lambda: Matrix(np.eye(1)))
+    def evaluate(x: Array) -> Evaluation:
+        return Evaluation(-share * float(x[0] - x[0] ** 2 / 2), x - 1, lambda: Matrix(np.eye(1)))
 
-        local = LocalRadii(np.ones_like, lambda x, step: 0.5)
-        descent(evaluate, [0.0], local=local, max_iterations=2, on_step=lambda _, x: visited.append(x[0]))
-        np.testing.assert_allclose(visited[:3], [0, 0.25, 0.25 + second])
+    visited: list[float] = []
+    local = LocalRadii(np.ones_like, lambda x, step: 0.5)
+    descent(evaluate, [0.0], local=local, max_iterations=2, on_step=lambda _, x: visited.append(x[0]))
+    np.testing.assert_allclose(visited[:3], [0, 0.25, 0.25 + second])
 
 
 def test_negative_curvature_leads_to_a_corner() -> None:
