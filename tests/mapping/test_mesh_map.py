@@ -149,6 +149,9 @@ def test_elements_that_a_shape_moves_have_a_row(min_angle: float) -> None:
     """No node moves but by the shape."""
     design = replace(block(BOW), motion=Motion(0, min_angle=min_angle))
     free, triangles = MeshMap.of(design), design.triangles
+    # the last unknowns are the design variables, in units of half the width of their bounds
+    count = len(design.design)
+    np.testing.assert_allclose((free.upper - free.lower)[-count:], 2)
     moves = np.any(free.positions.values(np.ones(free.n)) != design.mesh.p, axis=0)
     expected = np.flatnonzero(np.any(moves[triangles], axis=0))
     assert expected.size > 0
