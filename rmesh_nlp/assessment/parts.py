@@ -62,11 +62,11 @@ class TriangleParts:
 
 def _switches_of(coefficients: Iterable[Coefficient]) -> tuple[list[OnPoints], bool]:
     """All switches of coefficients, and whether there can be no others."""
-    known = [each for each in map(switches, coefficients) if each is not None]
+    switching = [each for each in map(switches, coefficients) if each is not None]
     functions: list[OnPoints] = [
-        (partial(each, number), degree) for each in known for number, degree in enumerate(each.degrees)
+        (partial(each, number), degree) for each in switching for number, degree in enumerate(each.degrees)
     ]
-    return functions, all(each.are_all for each in known)
+    return functions, all(each.are_all for each in switching)
 
 
 def edge_parts(

@@ -148,7 +148,7 @@ def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Bala
     """What the free traces and the contact forces say of elements and edges."""
     skeleton, conditions, held = assembled.skeleton, assembled.conditions, assembled.held
     edge, shape = skeleton.lengths[conditions.contact], conditions.offset.shape
-    W = assembled.known.copy()
+    W = assembled.prescribed.copy()
     W[~held] = u
     reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
     inside, pressure = np.split(force, [conditions.inside.offset.size])

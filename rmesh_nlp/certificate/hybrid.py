@@ -47,7 +47,7 @@ class Hybrid:
     turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
     held: NDArray[np.bool_]  # (traces,), which are given
     start: Array  # (traces,), the base
-    known: Array  # (traces,), the given ones, counted from the base
+    prescribed: Array  # (traces,), the given ones, counted from the base
     slips: Array  # (k contact edges,), the base along the first row of ``conditions.axes``, edges fastest
 
 
@@ -71,7 +71,7 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
 
     start, given = traces(base, base_inside), traces(conditions.given, none)
     held = np.abs(traces(np.repeat(conditions.held[:, None], k, axis=1), none)) > 0.5
-    known, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
+    prescribed, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
     load = traces(
         conditions.traction.balanced * lengths, (fields.load[0] * skeleton.areas)[:, inside.elements]
     )
@@ -81,7 +81,7 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
     at = np.repeat(numbers, count, axis=1).ravel(), np.tile(numbers, count).ravel()
     of_elements = sp.coo_array((fields.stiffness.ravel(), at), shape=(size, size))
     matrix = sp.csc_array(turn @ sp.csr_array(of_elements) @ turn.T)
-    stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ known)[free]
+    stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ prescribed)[free]
     # contact inside, then on the boundary function by function
     touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
     unit = sp.csr_array(sp.eye_array(size))[:, free]
@@ -93,7 +93,7 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
         tangents, bound = unit[touching[0]], np.where(held[touching[0]], 0.0, forces.ravel())
     system = ContactSystem(stiffness, rest, 0.0, normals, sp.csr_array(tangents), np.append(*gaps), bound)
     slips = start[touching[0]]
-    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, known, slips)
+    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, prescribed, slips)
 
 
 def _turn(conditions: Conditions, added: int) -> sp.csr_array:

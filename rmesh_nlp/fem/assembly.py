@@ -129,12 +129,12 @@ class Part(NamedTuple):
     def compiled(self) -> Callable[[Sequence[Array]], list[Array]]:
         """A function of x, p, lam_f and lam_g: the local results."""
         columns = columnwise(self.function, self.arguments[0].shape[1])
-        more = self.function.n_in() - len(self.arguments)
+        from_points = self.function.n_in() - len(self.arguments)
 
         def local(inputs: Sequence[Array]) -> list[Array]:
             values = [field.values(inputs[field.source]) for field in self.arguments]
             if self.at_points is not None:
-                values += self.at_points.evaluated(values[0], more)
+                values += self.at_points.evaluated(values[0], from_points)
             return columns(values)
 
         return local

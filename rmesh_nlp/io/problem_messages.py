@@ -123,8 +123,8 @@ def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> s
         names = [part for part in place[:-1] if isinstance(part, str)]
         own, any_name = ".".join(names), ".".join([*names[:-1], "*"])
         table = own if own in tables else any_name if any_name in tables else None
-        known = "" if table is None else nearest(place[-1], tables[table].model_fields)
-        message = f"unknown key{_home(place[-1], table, tables) or known}"
+        suggestion = "" if table is None else nearest(place[-1], tables[table].model_fields)
+        message = f"unknown key{_home(place[-1], table, tables) or suggestion}"
     elif item["type"] == "missing":
         message = "expected, but it is missing"
     elif item["type"] == "literal_error":

@@ -44,8 +44,8 @@ def exact_rule(
 def _degree(coefficient: Coefficient) -> int | None:
     """Of the pieces of a coefficient between affine switches."""
     degree = degree_of_pieces(coefficient)
-    known = None if degree is None else switches(coefficient)
-    return degree if known is None or (known.are_all and set(known.degrees) == {1}) else None
+    switching = None if degree is None else switches(coefficient)
+    return degree if switching is None or (switching.are_all and set(switching.degrees) == {1}) else None
 
 
 def is_split(coefficients: Sequence[Coefficient], rule: str | int, corners: int) -> bool:

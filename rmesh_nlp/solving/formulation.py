@@ -174,15 +174,15 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
 
 def taken(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> dict[str, Any]:
     """Those of some options that a formulation takes."""
-    known = options(formulation)
-    return {name: value for name, value in given.items() if name in known}
+    accepted = options(formulation)
+    return {name: value for name, value in given.items() if name in accepted}
 
 
 def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulation | Chooser]) -> None:
     """Raise a BadInputError for an option that none of several formulations takes."""
-    known = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
+    accepted = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
     for name, value in given.items():
-        if name not in known:
+        if name not in accepted:
             names = [one if isinstance(one, str) else one.name for one in formulations]
             raise BadInputError(f"{name} = {value!r}: not an option of {', '.join(names)}")
 
@@ -208,11 +208,11 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
             example = f"{type(formulation).__name__}({next(iter(asked))}=...)"
             raise BadInputError(f"settings are fields of the formulation: {example}")
         return formulation
-    kind, known = kind_of(formulation), options(formulation)
+    kind, accepted = kind_of(formulation), options(formulation)
     for key, value in asked.items():
-        if key not in known and value not in (0, False):
+        if key not in accepted and value not in (0, False):
             said = f"the formulation {formulation!r} takes no {key} = {value!r}"
-            raise BadInputError(said + nearest(key, sorted(known)))
+            raise BadInputError(said + nearest(key, sorted(accepted)))
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
     wrappers = available(WRAPPERS)

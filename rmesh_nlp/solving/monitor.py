@@ -255,5 +255,5 @@ class Track:
         """
         if self._best is not None:
             return self._best[1]
-        known = [start] if self._valid is None else [start, self._valid]
-        return min(known, key=lambda q: self.outer.merit(self.outer.function(q)))
+        candidates = [start] if self._valid is None else [start, self._valid]
+        return min(candidates, key=lambda q: self.outer.merit(self.outer.function(q)))
