@@ -131,13 +131,14 @@ class _MultiplierLP:
         for k, piece in pieces.items():
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
                 bounds[self.at_corner[copy], 0], bounds[n_columns + copy, 1] = low, high
-        for part in parts:
+        # of small programs that are infeasible, interior points of old versions of HiGHS may say nothing
+        for part, method in [*((part, "highs-ipm") for part in parts), (parts[-1], "highs-ds")]:
             bounds[-n_rest:] = part * self.slack * np.array([-1.0, 1.0])
             answer = linprog(
-                self.cost, A_eq=self.matrix, b_eq=self.right, bounds=bounds, method="highs-ipm",
+                self.cost, A_eq=self.matrix, b_eq=self.right, bounds=bounds, method=method,
                 options=limits(self.budget),
             )  # fmt: skip
-            if answer.status == _OPTIMAL:
+            if answer.status == _OPTIMAL or (answer.status, part) == (_INFEASIBLE, parts[-1]):
                 break
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         if answer.status != _OPTIMAL:
