@@ -72,7 +72,14 @@ def settled(run: Run, result: NLPResult) -> Finish:
     return pivot(run, labelled(run, result.x, result.f, result.status, result.lam_g))
 
 
-def labelled(run: Run, z: Array, f: float, status: Status, lam_rows: Array | None = None) -> Finish:
+def proved(run: Run, result: NLPResult) -> Finish:
+    """The end of a branch; solved if its own multipliers prove S, without a linear program."""
+    return labelled(run, result.x, result.f, result.status, result.lam_g, search=False)
+
+
+def labelled(
+    run: Run, z: Array, f: float, status: Status, lam_rows: Array | None = None, *, search: bool = True
+) -> Finish:
     """The end of a branch; an exact one is labelled, unless f falls without end in it."""
     if not run.exact(z):
         is_solution = status in (Status.CONVERGED, Status.ACCEPTABLE)
@@ -81,7 +88,7 @@ def labelled(run: Run, z: Array, f: float, status: Status, lam_rows: Array | Non
         return Finish(z, f, status)
     options = run.options
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
-    label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows)
+    label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows, search)
     return Finish(z, f, label.status, label, lin)
 
 

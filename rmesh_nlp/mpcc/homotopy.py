@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.mpcc.finish import Finish, finish, settled
+from rmesh_nlp.mpcc.finish import Finish, finish, proved
 from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run
@@ -98,8 +98,8 @@ def follow(
             break
         is_settled = before is not None and _settled(before, sides)
         if is_settled and t <= options.crossover * (1 + ROUNDING):
-            near = settled(run, run.branch(result.x, sides, warm=clear))
-            if path.keep(near) and _at_the_limit(near.f, objective):
+            near = proved(run, run.branch(result.x, sides, warm=clear))
+            if near.solved and path.keep(near) and _at_the_limit(near.f, objective):
                 return
         z, is_first, warm = result.x, False, result if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)

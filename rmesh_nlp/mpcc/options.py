@@ -16,7 +16,7 @@ _RELAXED = {"tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
 _FIRST = {"mu_strategy": "monotone", "mu_init": 0.1}
 _WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-6 for push in _PUSHES}}
 _EXACT = {
-    "tol": 1e-10, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
+    "tol": 1e-11, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
     # the start is the relaxed solution: do not push it back into the interior
     "bound_push": 1e-6, "bound_frac": 1e-6,
 }  # fmt: skip

@@ -75,17 +75,21 @@ def stationarity(
     tolerance: float,
     budget: Budget | None = None,
     lam_rows: Array | None = None,
+    search: bool = True,
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
     ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
-    ``lam_rows``, multipliers of the rows at the end of a solve, decide if they prove S; else linear programs.
+    ``lam_rows``, multipliers of the rows at the end of a solve, decide if they prove S; else linear programs
+    do, or nothing without ``search``.
     """
     if not (np.all(np.isfinite(lin.gradient)) and np.all(np.isfinite(lin.jacobian.data))):
         return Stationarity("")
     proof = None if lam_rows is None else proving(lifted, lin, lam_rows, tolerance)
     if proof is not None:
         return Stationarity("S", proof, True)
+    if not search:
+        return Stationarity("")
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)

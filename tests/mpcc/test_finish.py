@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.mpcc.finish import Finish, finish, pivot
+from rmesh_nlp.mpcc.finish import Finish, finish, pivot, proved
 from rmesh_nlp.mpcc.lpec import Direction
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
@@ -123,3 +123,12 @@ def test_signs_within_the_tolerance_are_right(negative, signs):
     run = scripted(at([0.0, -negative]), at([2.0, 0.0], f=1.0))
     assert finish(run, np.array([0.1, 0.2]), search=True).z[1] <= 0
     assert len([call for call in run.branch_calls if call.options.get("phase") == "signs"]) == signs
+
+
+@pytest.mark.parametrize(("lam_rows", "solved"), [([0.0], True), ([1.0], False)])
+def test_early_end_is_solved_only_if_its_own_multipliers_prove_it(lam_rows, solved):
+    """At (0, 1) of `two_minima` without active rows; a linear program would find the label."""
+    run = run_of(MPCC(XY, (x - 2) ** 2 + (y - 1) ** 2, x + y, x, y, ubg=1.0))
+    result = ended([0.0, 1.0], f=4.0, lam_g=np.array(lam_rows))
+    assert proved(run, result).solved is solved
+    assert finish(run, np.array([0.0, 1.0]), search=False).solved
