@@ -21,7 +21,6 @@ from typing import Any
 
 import numpy as np
 
-from formulations.confirmed import Confirmed
 from formulations.schedule import Schedule, weights_of
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
@@ -75,9 +74,8 @@ class Descent(Formulation):
 class Cascade(Formulation):
     """Minimises the energy over the positions of all nodes, by a cascade of meshes, from the given mesh.
 
-    The rule for the loads is raised until the assessment agrees with the gain. On a mesh that was made for
-    the solution there are no coarser ones, which know less of it. docs/notes/large_moves.md has what other
-    values of the settings gave.
+    On a mesh that was made for the solution there are no coarser ones, which know less of it.
+    docs/notes/large_moves.md has what other values of the settings gave.
 
     Attributes
     ----------
@@ -115,11 +113,10 @@ class Cascade(Formulation):
             )
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        descent = Descent(self.end, self.iterations)
-        inner: Formulation = Levels(self)
         if outer.is_near:
-            inner = Schedule(descent, (self.regularisation,), self.distortion)
-        return Confirmed(inner, descent).run(outer, q, monitor)
+            descent = Descent(self.end, self.iterations)
+            return Schedule(descent, (self.regularisation,), self.distortion).run(outer, q, monitor)
+        return Levels(self).run(outer, q, monitor)
 
 
 @dataclass(frozen=True)

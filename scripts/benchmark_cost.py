@@ -43,7 +43,7 @@ PARTS = {
     "metric": "models.remeshing:metric_start",
     "estimate": "models.regularisation:gain_estimate",
     "unit": "optimize.budget:timed",
-    "assess": "formulations.confirmed:agrees solving.assess:assess",
+    "assess": "solving.assess:assess",
     "reduction": "assessment.error_reduction:error_reduction",
     "attainable": "solving.attained:attained",
 }

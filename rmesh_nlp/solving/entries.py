@@ -328,7 +328,6 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("regularisation_weight", Number, "The last weight in units of the energy.", unit="energy"),
         Entry("gain_estimate", Number, "Estimated error of the energy on the given mesh.", unit="energy"),
         Entry("cascade", list[dict[str, Any]], "What was done on each mesh, coarsest first."),
-        Entry("rules", list[str | int], "Quadrature degrees that `auto` took in turn."),
         Entry("start_seeds", list[Count], "With `--starts`: the seed of each; null for the given mesh."),
         Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),
         Entry("start_values", list[Number] | None, "Value that each one reached, of another objective."),

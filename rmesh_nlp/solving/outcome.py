@@ -48,11 +48,6 @@ class Outcome:
         """The same with further entries."""
         return replace(self, details={**self.details, **details}, **changes)
 
-    def after(self, before: Outcome) -> Outcome:
-        """The same with the entries and remarks of what ran before."""
-        remarks = tuple(dict.fromkeys((*before.remarks, *self.remarks)))
-        return replace(self, details={**before.details, **self.details}, remarks=remarks)
-
 
 def continuous_energy(outcome: Outcome) -> float:
     """The energy of the continuous problem at the end of a run; NaN of an invalid or unsolved mesh."""

@@ -12,7 +12,6 @@ import pytest
 
 from formulations.auto import Auto
 from formulations.cascade import Cascade, Descent
-from formulations.confirmed import Confirmed
 from formulations.fixed import Fixed
 from formulations.joint import Joint
 from formulations.mpcc import AllAtOnce
@@ -156,7 +155,7 @@ def test_one_contact_node_and_no_load_are_solved(formulation: Any) -> None:
     assert (unloaded.status, unloaded.success) == (Status.CONVERGED, True)
 
 
-WRAPPERS = (Confirmed, MultiStart, Remeshed, Schedule)
+WRAPPERS = (MultiStart, Remeshed, Schedule)
 FORMS = (AllAtOnce, Auto, Cascade, Descent, Fixed, Joint, Nested, *WRAPPERS)
 KINDS = (NewtonSettings, *FORMS, NestedSettings, Options, Limits)
 
