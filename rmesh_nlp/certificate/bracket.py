@@ -7,8 +7,8 @@ With a field sigma in equilibrium with the simplified load (f_h, g_h), pressure 
     D(sigma) = -1/2 |C^-1 sigma|^2 + int R . u_D - int p offset,
     contact(v) = int p (n . v + offset) + int (s |v_t| + q v_t)   >= 0.
 
-The simplified loads are the best approximations by polynomials of the degree of the field's tractions: 1, for
-scalar problems the order of the displacements. So on each element such a polynomial w can be taken off v in
+The simplified loads are the best approximations by polynomials of the degree of the field's tractions, which
+is the order of the displacements. So on each element such a polynomial w can be taken off v in
 the load terms, which are then bounded by ``r_T |v - w|_T``. With that w whose strain is the mean of
 ``C^-1 sigma``, or at degree 2 the computed displacement if that is closer,
 

@@ -20,7 +20,7 @@ from rmesh_nlp.assessment.parts import PROVED, edge_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
-from rmesh_nlp.certificate.polynomials import Index, lowered
+from rmesh_nlp.certificate.polynomials import Index, lowered, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
@@ -100,7 +100,8 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         is_certain &= gap.is_certain
         if n == 2:
             edges = Edges(skeleton.body, part.edges)
-            friction[:, part.place], known = _linear_below(obstacle.friction, edges)
+            below, known = _linear_below(obstacle.friction, edges)
+            friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
             is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
     supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, axes)

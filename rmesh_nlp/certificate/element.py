@@ -153,7 +153,8 @@ class Element:
     def among(cls, pieces: Pieces, free: Array, loaded: Array) -> Element:
         """Those combinations of fields that have no faults, and no divergence or that of the loads.
 
-        The loaded ones are the combinations of least coefficients.
+        The loaded ones take the combinations of least coefficients for what those among which the free ones
+        are do not balance: so the best field does not depend on the one that it is counted from.
         """
         corners = CORNERS[..., None]
 
@@ -163,8 +164,11 @@ class Element:
 
         loads = np.einsum("pfi,cd->cpfid", pieces.restriction, np.eye(len(pieces.matrix)))
         loads = loads.reshape(loads[..., 0, 0].size, -1)
-        inverse = np.linalg.pinv(conditions(loaded))[:, : len(loads)]
-        return cls(pieces, free @ scipy.linalg.null_space(conditions(free)), loaded @ inverse @ loads)
+        rows = conditions(free)
+        wanted = np.vstack([loads, np.zeros((len(rows) - len(loads), loads.shape[1]))])
+        first = np.linalg.pinv(rows) @ wanted
+        rest = np.linalg.pinv(conditions(loaded)) @ (wanted - rows @ first)
+        return cls(pieces, free @ scipy.linalg.null_space(rows), free @ first + loaded @ rest)
 
     @cached_property
     def basis(self) -> Array:

@@ -27,8 +27,8 @@ from rmesh_nlp.problem import ContactProblem, Elastic
 
 
 def element_of(problem: ContactProblem) -> Element:
-    """Fluxes are as exact as the displacement, stresses of the first degree."""
-    return raviart_thomas(problem.order) if problem.components == 1 else johnson_mercier()
+    """The element whose fields are as exact as the displacement."""
+    return raviart_thomas(problem.order) if problem.components == 1 else johnson_mercier(problem.order)
 
 
 class Law(NamedTuple):
