@@ -155,7 +155,8 @@ class Continuous:
         system = self.system(standoff)
         state = _solved(system, start)
         curved = any(part.obstacle.level is not None for part in self.space.contact_sets)
-        if np.any(standoff) or curved:
+        # coefficients that are not negative are more than a gap of order 2 needs
+        if self.cells and (np.any(standoff) or curved or self.space.order == 2):
             state, standoff, violation = self._safe(system, state, standoff)
             tighten &= violation == 0 and not self.problem.has_coulomb
             closer = tightened(system, state, self.cells, self.field) if tighten else None

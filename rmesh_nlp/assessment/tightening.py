@@ -18,6 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.standoff import Cells
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
@@ -44,26 +45,39 @@ def tightened(
     touches where its share is positive.
     """
     length = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
-    chosen = _worst(cells, field.values(state.u), state.normal_force)
+    acted = [field.index[np.any(part.normals != 0, axis=(1, 2))][:, part.nodes].ravel() for part in cells]
+    u, last = state.u, np.unique(np.concatenate([system.tangents[: system.slip_bound.size].indices, *acted]))
+    last = last[last >= 0]
+    program = system.condensed(last)
+    if program is None:
+        program, last = system, np.arange(u.size)
+    chosen, off = _worst(cells, field.values(u), state.normal_force), ROUNDING * length
     while True:  # each program has points more than the last one, of which there are finitely many
-        # the points keep off by a little more, so that rounding violates nothing
-        rows, gap = _points(cells, chosen, field, state.u)
-        result = _minimised(system, rows, gap - ROUNDING * length, state.u, length)
+        rows, gap = _points(cells, chosen, field, u)
+        result = _minimised(program, sp.csr_array(rows[:, last]), gap - off, u[last], length)
         if result is None:
             return None
-        state, pressing, is_closed = result
-        violated = _worst(cells, field.values(state.u))
+        contact, pressing, is_closed = result
+        u = np.zeros(u.size)  # of the others no gap depends
+        u[last] = contact.u
+        violated = _worst(cells, field.values(u))
         if not violated.size:
-            force, of_closed = np.zeros((2, system.offset.size))
-            for number, part in enumerate(cells):
-                own = chosen[0] == number
-                _, cell, point = chosen[:, own]
-                part.share(force, cell, point, pressing[own])
-                part.share(of_closed, cell, point, (pressing * is_closed)[own])
-            return replace(state, normal_force=force, active=replace(state.active, touching=of_closed > 0))
+            break
         before, chosen = chosen, np.unique(np.hstack([chosen, violated]), axis=1)  # in the order of the parts
-        if chosen.shape == before.shape:
-            return None
+        if chosen.shape == before.shape:  # the gap falls more between points than it did
+            off *= 10
+    force, of_closed = np.zeros((2, system.offset.size))
+    for number, part in enumerate(cells):
+        own = chosen[0] == number
+        _, cell, point = chosen[:, own]
+        part.share(force, cell, point, pressing[own])
+        part.share(of_closed, cell, point, (pressing * is_closed)[own])
+    if last.size < u.size:
+        push = np.zeros(u.size)
+        push[last] = program.stiffness @ contact.u - program.load
+        u = factorised(system.stiffness)(system.load + push)
+    active = replace(contact.active, touching=of_closed > 0)
+    return replace(contact, u=u, energy=system.energy(u), normal_force=force, active=active)
 
 
 def _minimised(

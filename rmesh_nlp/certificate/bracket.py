@@ -76,6 +76,7 @@ class Bracket:
     field: Array  # (2 or 3, elements), mean equilibrated flux, or stress xx, yy, xy
     norm: float  # energy norm of the displacement
     residual: float  # largest violation of equilibrium, relative to the largest force
+    distance: float = 0.0  # in the energy norm, from the displacement whose energy ``upper`` is
 
     @property
     def why(self) -> tuple[str, ...]:

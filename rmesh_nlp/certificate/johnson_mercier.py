@@ -4,7 +4,7 @@ A triangle is cut at its barycentre into three. The stress is symmetric and a po
 of them, and its tractions are continuous inside. For k = 1 these are 15 degrees of freedom, nine of them
 without divergence, which linear tractions on the three edges (12 values, in equilibrium) determine; for k = 2
 there are 18 without divergence, three more than quadratic tractions determine. Body forces of degree k on the
-triangle are balanced by stresses of degree k + 1 on each third, again with tractions of degree k on the edges.
+triangle are balanced by stresses of degree k + 1 on each third, with tractions of degree k on the edges.
 
 References
 ----------

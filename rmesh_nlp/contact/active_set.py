@@ -29,7 +29,6 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
-from rmesh_nlp.contact.factorisation import condensed
 from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, rank, single_change
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
@@ -109,12 +108,8 @@ def first_set(system: ContactSystem) -> ActiveSet:
     if system.rigid is not None:
         return replace(start, touching=np.ones(system.offset.size, dtype=bool))
     rows = sp.vstack([system.normals, system.tangents]) if system.slip_bound.size else system.normals
-    last = np.unique(rows.indices)
-    if last.size == 0 or last.size**2 > system.stiffness.nnz:
-        return start
-    stiffness, load = condensed(system.stiffness, system.load, last)
-    own = {"normals": system.normals[:, last], "tangents": system.tangents[:, last]}
-    return solve(replace(system, stiffness=sp.csc_array(stiffness), load=load, **own), start).active
+    condensed = system.condensed(np.unique(rows.indices))
+    return start if condensed is None else solve(condensed, start).active
 
 
 def at_rest(system: ContactSystem) -> ActiveSet:

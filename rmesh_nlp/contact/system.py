@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.factorisation import Solve, factorised, factorised_lu
+from rmesh_nlp.contact.factorisation import Solve, condensed, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.space import Index
 from rmesh_nlp.optimize.status import Status
@@ -76,6 +76,17 @@ class ContactSystem:
         other = replace(self, offset=offset)
         vars(other)["rotated"] = self.rotated
         return other
+
+    def condensed(self, last: Index) -> ContactSystem | None:
+        """The program in the unknowns ``last`` (k,) alone, among which are all that contact acts on.
+
+        None where there are none, where its matrix has more entries, or where only contact holds the body.
+        """
+        if last.size == 0 or last.size**2 > self.stiffness.nnz or self.rigid is not None:
+            return None
+        stiffness, load = condensed(self.stiffness, self.load, last)
+        own = {"normals": self.normals[:, last], "tangents": self.tangents[:, last]}
+        return replace(self, stiffness=sp.csc_array(stiffness), load=load, **own)
 
     @cached_property
     def rotated(self) -> RotatedSystem:

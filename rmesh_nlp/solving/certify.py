@@ -17,7 +17,7 @@ from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
@@ -111,9 +111,17 @@ def _bracket(state: State, continuous: Admissible, refinements: int | None) -> B
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
     u = DisplacementSpace(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
-    return with_upper(
-        refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements), continuous
-    )
+    bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
+    return replace(with_upper(bracket, continuous), distance=_distance(u, bracket.norm, continuous))
+
+
+def _distance(u: Array, norm: float, continuous: Admissible) -> float:
+    """At most that of a displacement (components, nodes) from the admissible one, in the energy norm."""
+    if u.shape != continuous.displacement.shape:  # on a mesh that was refined to make room
+        return norm + float(np.sqrt(2 * continuous.strain))
+    free = continuous.parts.displacement.index.T.ravel() >= 0
+    apart = (u - continuous.displacement).T.ravel()[free]
+    return float(np.sqrt(max(apart @ (continuous.system.stiffness @ apart), 0.0)))
 
 
 def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
@@ -156,12 +164,14 @@ def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements:
 def _certificate(
     before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
 ) -> Certificate:
-    # half the square of the error in the energy norm is at most the gap between the bounds
-    gaps = [max(bracket.upper - bracket.lower, 0.0) for bracket in (before, after)]
-    errors = [float(np.sqrt(2 * gap)) for gap in gaps]
+    # half the square of the admissible displacement's error is at most the gap between the bounds
+    gaps = (max(before.upper - before.lower, 0.0), max(after.upper - after.lower, 0.0))
+    apart = before.distance, after.distance
+    errors = [float(np.sqrt(2 * gap)) + distance for gap, distance in zip(gaps, apart, strict=True)]
     return Certificate(
         lower=after.lower,
         upper=after.upper,
+        gaps=gaps,
         error_bound_initial=errors[0],
         error_bound=errors[1],
         relative_initial=errors[0] / max(before.norm, 1e-300),

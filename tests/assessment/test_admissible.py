@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -103,6 +104,26 @@ def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
     found = admissible(block(ripples))
     assert 1e-7 < np.max(standoff(found)) < 1e-5
     assert deepest(found) < 1e-10
+
+
+def test_gaps_of_order_2_hold_between_the_nodes_and_no_more() -> None:
+    """Where contact ends within an edge, coefficients that are not negative keep off farther than needed."""
+    problem = replace(block(Obstacle.graph("bottom", -0.02), n=1), order=2)
+    by_coefficients, found = ContactSolver(problem).given, admissible(problem)
+    assert 0 < np.sum(by_coefficients.active.touching) < by_coefficients.active.touching.size
+    assert deepest(found) < 1e-10
+    assert found.energy < by_coefficients.energy - 5e-5
+
+
+def test_nodes_come_closer_at_order_2_where_the_gap_bends_differently_after_each_step() -> None:
+    """Beside a kink that the load presses on, the gap between points falls by the second derivative."""
+    kinks = (1.4339, 0.0087, 0.0295), (1.7111, 0.00704, 0.01407), (0.9298, 0.01925, 0.01485)
+    for place, depth, slope in kinks:
+        height = partial(lambda a, b, c, x, y: -b - c * ca.fabs(x - a), place, depth, slope)
+        here = Continuous(replace(block(Obstacle.graph("bottom", height), n=1), order=2))
+        found = here.solve()
+        assert deepest(found) < 1e-10
+        assert found.energy < here.solve(tighten=False).energy - 1e-5
 
 
 ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import meshio
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ import pytest
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.cli.app import run
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.io.results import read_results
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.curves import Circle
@@ -48,6 +50,17 @@ def test_the_error_bound_is_one_and_close_where_the_error_is_known() -> None:
     found = certify(solution)
     assert error <= found.error_bound <= 1.05 * error
     assert found.relative == pytest.approx(found.error_bound / np.sqrt(-2 * solution.energy))
+
+
+def test_the_error_bound_is_one_of_the_computed_displacement_under_a_coarse_rule_too() -> None:
+    """The admissible displacement, whose energy is the upper bound, is found by an accurate rule."""
+    source = Laplace(lambda x, y: 10 * np.pi**2 * ca.sin(3 * np.pi * x) * ca.sin(np.pi * y))
+    problem = ContactProblem(rectangle(2, 2), source, SIDES, quadrature="midpoint")
+    solution, model = fixed.solve(problem), ContactSolver(problem.with_rule(25))
+    u = solution.displacement.T.ravel()[model.displacement.index.T.ravel() >= 0]
+    error = np.sqrt(2 * (model.system(problem.mesh.p).energy(u) + 10 * np.pi**2 / 8))
+    found = certify(solution)
+    assert np.sqrt(2 * found.gaps[1]) < error <= found.error_bound < 1.5 * error
 
 
 def relocated(patch: pytest.MonkeyPatch, before: Bracket, after: Bracket, **found: Any) -> Certificate:

@@ -186,8 +186,8 @@ def test_histories_are_plain_and_keep_an_infinite_t() -> None:
 
 
 CERTIFIED = Certificate(
-    lower=-3.0, upper=-2.0, error_bound_initial=2.0, error_bound=1.0, relative_initial=0.5, relative=0.125,
-    guaranteed_lower=True, guaranteed_upper=True, guaranteed_initial=True, why="because",
+    lower=-3.0, upper=-2.0, gaps=(2.0, 0.5), error_bound_initial=2.0, error_bound=1.0, relative_initial=0.5,
+    relative=0.125, guaranteed_lower=True, guaranteed_upper=True, guaranteed_initial=True, why="because",
     local=np.zeros(1), local_initial=np.zeros(1), field=np.zeros((2, 1)), residual=0.0,
     bounds={"resultant(bottom)": Bounds(2.0, 2.5, float("inf"))},
 )  # fmt: skip
@@ -203,7 +203,7 @@ def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | N
     assert found.sentences == [f"resultant(bottom) at least 2, {word} (computed: 2.5)"]
     claim = ErrorReduction((1, 2), (1, 2), 1, 2, "refinement", 9, 3)
     proved = found.of_reduction(claim)
-    if lacks is None:  # half the squares of 2 and 1
+    if lacks is None:
         assert (proved.source, proved.factor) == ("certified", 4.0)
         assert (proved.error_initial, proved.error) == ((1.5, 2.0), (0.0, 0.5))
     else:
