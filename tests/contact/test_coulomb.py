@@ -143,6 +143,8 @@ class TestSolver:
         assert 0.01 < spectral_radius(system, condensed(system), active) == pytest.approx(expected, rel=1e-6)
         assert contraction(system, state) >= spectral_radius(system, condensed(system), state.active)
         assert contraction(replace(system, coulomb=None), state) == 0.0
+        own = spectral_radius(system, condensed(system), active)
+        assert contraction(system, replace(state, active=active)) >= own
 
     def test_a_body_that_gaps_alone_hold_is_looked_at_with_all_nodes_sliding(self) -> None:
         """Rollers at the top leave it a translation and a rotation."""

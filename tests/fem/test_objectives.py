@@ -23,6 +23,7 @@ from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, DesignVariable, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving import refinement
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.refinement import surviving_gain
 from support.designs import block
@@ -491,6 +492,17 @@ def test_the_gain_is_measured_on_refined_meshes_whose_triangles_a_point_could_le
     solution = rm.solve(problem, "nested", objective=objective)
     assert solution.success
     assert np.isfinite(solution.record()["gain_surviving"])
+
+
+@pytest.mark.parametrize(("after", "share"), [(1.0, 0.75), (2.0, None), (3.0, None)])
+def test_a_part_of_a_gain_is_left_only_where_there_is_a_gain(after, share, monkeypatch) -> None:
+    """Of an objective of 2 on the given mesh, and of 3 and 2.25 on the refined ones."""
+    problem = replace(example("6.3", (4, 2)), motion=rm.Motion(delta=0.02))
+    assessment = rm.solve(problem, "nested", objective="mean(top, -uy)").assessment
+    values = iter([2.0, after, 3.0, 2.25])
+    monkeypatch.setattr(refinement, "_value", lambda *_, **__: next(values))
+    found = surviving_gain(assessment)
+    assert (None if found is None else found.share) == share
 
 
 def test_of_the_shape_of_elements_no_gain_is_left_to_measure() -> None:

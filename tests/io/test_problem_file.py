@@ -328,6 +328,8 @@ def test_names_of_the_design_stand_in_expressions(write):
     assert float(force(ca.DM(3.0), ca.DM(0.0))) == pytest.approx(1.5)
     middle = np.flatnonzero((problem.mesh.p[1] == 0) & (problem.mesh.p[0] == 2))
     assert at.mesh.p[1, middle] == pytest.approx(0.02)
+    # distortions compare with the triangles of the first design
+    np.testing.assert_array_equal(at.reference, problem.mesh.p[:, problem.triangles])
 
 
 def test_motion_is_as_stated_beside_a_design(write):

@@ -8,6 +8,7 @@ from mpcc_library.bilevel_problems import NONCONVEX, PROBLEMS
 from rmesh_nlp.mpcc import bilevel, outcome, solve, solve_bilevel
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ended
 
 INF = np.inf
 KINDS = (ca.SX, ca.MX)
@@ -273,6 +274,15 @@ def test_cut_holds_only_where_its_point_is_feasible():
     end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=3)
     assert (end.success, end.cuts >= 1) == (True, True)
     assert (end.x[0], end.y[0], end.f) == pytest.approx((-2, -2, 1), abs=1e-3)
+
+
+def test_lowest_of_several_starts_is_a_solution_and_no_lower_end_that_is_none(monkeypatch):
+    of = (Status.CONVERGED, 2.0), (Status.ITERATION_LIMIT, 0.0), (Status.CONVERGED, 1.0)
+    ends = iter([ended([0.0], *each) for each in of])
+    monkeypatch.setattr(LowerLevel, "solve", lambda *_, **__: next(ends))
+    upper, lower, y, problem = levels("mitsos-barton-3.13")
+    level = bilevel(upper, lower, variables=y).lower_level
+    assert level.lowest(problem.x0, n=3).f == 1.0
 
 
 def test_convex_lower_levels_are_neither_searched_nor_cut(monkeypatch):

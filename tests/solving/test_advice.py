@@ -77,6 +77,21 @@ def test_least_errors_are_those_of_the_best_triangles_at_each_place() -> None:
         assert value == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.parametrize("degree", [2, 3])
+def test_least_errors_are_quadratic_in_the_derivatives_and_fall_like_the_order(degree: int) -> None:
+    mesh = rectangle(3, 3)
+    triangles, rng = counter_clockwise(mesh.p, mesh.t), np.random.default_rng(degree)
+    derivatives = rng.uniform(1, 2, (1, degree + 1, mesh.p.shape[1]))
+
+    def found(factor: float, count: int) -> np.ndarray:
+        every = np.arange(mesh.t.shape[1]), np.arange(mesh.p.shape[1]), triangles
+        least = LeastErrors.of(mesh.p, [Recovered(Laplace(), *every, factor * derivatives)], count)
+        return np.array([*vars(least).values()])
+
+    np.testing.assert_allclose(found(2.0, 100), 4 * found(1.0, 100), rtol=1e-9)
+    np.testing.assert_allclose(found(1.0, 200), found(1.0, 100) / 2 ** (degree - 1), rtol=1e-9)
+
+
 @pytest.mark.parametrize(("order", "error"), [(1, 1 / (24 * 4**2)), (2, 1 / (1440 * 4**4))])
 def test_what_is_attained_is_over_the_error_of_the_last_mesh(order: int, error: float) -> None:
     """Of ``x^2 / 2`` and ``x^3 / 6``, by derivatives on the last mesh and on its refinement."""
