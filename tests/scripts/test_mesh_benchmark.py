@@ -1,12 +1,15 @@
 """What the benchmark of meshes measures with: the plain loop of scikit-fem, references, the tables."""
 
+import json
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from skfem import MeshTri
 
+import benchmark_bounds
 import benchmark_mesh
 import benchmark_order
 from best_mesh import adaptive as plain
@@ -103,6 +106,23 @@ def test_a_reference_extrapolates_the_energy_and_bounds_the_error_of_as_many_tri
     assert fine.least(given.mesh.t.shape[1]) < 0.5 * error  # a corner: graded meshes are far better
     refined = fine.problem  # what refinement reaches is above it
     assert fine.least(refined.mesh.t.shape[1]) < case.error(refined)
+
+
+@pytest.mark.slow
+def test_bounds_of_a_force_are_measured_on_meshes_of_both_orders(tmp_path: Path) -> None:
+    body = tmp_path / "body.toml"
+    body.write_text(
+        'mesh = { shape = "rectangle", nx = 6, ny = 2, x = [0, 3] }\n'
+        'material = { law = "plane-strain", young = 1000, poisson = 0.3 }\n'
+        "dirichlet = { left = [0, 0] }\ntractions = { top = [0, -10] }\n"
+        'contact = { boundary = "bottom", height = -0.02 }\n'
+    )
+    assert benchmark_bounds.main([str(body), "--levels", "1", "--out", str(tmp_path)]) == 0
+    rows = [json.loads(line) for line in (tmp_path / "rows.jsonl").read_text().splitlines()]
+    assert {(row["order"], row["method"]) for row in rows} == set(product((1, 2), benchmark_bounds.METHODS))
+    width = {(row["order"], row["method"]): row["error"] for row in rows}
+    assert 0 < width[2, REMESHED] < width[2, UNIFORM] < width[1, UNIFORM]
+    assert (tmp_path / "force_bounds.png").stat().st_size > 0
 
 
 @pytest.mark.slow
