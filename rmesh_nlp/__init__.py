@@ -16,16 +16,19 @@ solver of mathematical programs with complementarity constraints, which knows no
 Every name is loaded when it is first used, so that ``rmesh --help`` starts at once.
 """
 
-import ast
+from functools import cache
 from importlib import import_module
-from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
 
 
+@cache
 def _public() -> dict[str, tuple[str, str]]:
     """Public name -> its module and its name there, from ``__init__.pyi``, which type checkers read too."""
+    import ast
+    from pathlib import Path
+
     seen: dict[str, tuple[str, str]] = {}
     public = set()
     for node in ast.parse(Path(__file__).with_suffix(".pyi").read_text()).body:
@@ -39,18 +42,16 @@ def _public() -> dict[str, tuple[str, str]]:
     return {name: seen[name] for name in sorted(public)}
 
 
-_PUBLIC = _public()
-__all__ = ["__version__", *_PUBLIC]
-
-
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
+    if name == "__all__":
+        return ["__version__", *_public()]
+    if name not in _public():
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, there = _PUBLIC[name]
+    module, there = _public()[name]
     value: Any = None if module == __name__ else getattr(import_module(module), there, None)
     globals()[name] = value = import_module(f"{module}.{there}") if value is None else value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
+    return sorted({"__version__", *_public(), *(name for name in globals() if name.startswith("__"))})

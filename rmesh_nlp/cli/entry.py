@@ -5,8 +5,6 @@ from __future__ import annotations
 import os
 import sys
 
-from rmesh_nlp.errors import Exit
-
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables of the threads of linear algebra, which are read when numpy is imported."""
 
@@ -33,5 +31,7 @@ def _run(words: list[str]) -> int:
         end_like_interrupts()
         return run(words)
     except KeyboardInterrupt:
+        from rmesh_nlp.errors import Exit
+
         print("rmesh: interrupted", file=sys.stderr)
         return Exit.INTERRUPTED
