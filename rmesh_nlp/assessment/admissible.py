@@ -154,16 +154,17 @@ class Continuous:
         standoff, violation = self.first_standoff(), 0.0
         system = self.system(standoff)
         state = _solved(system, start)
-        curved = any(part.obstacle.level is not None for part in self.space.contact_sets)
-        # coefficients that are not negative are more than a gap of order 2 needs
-        if self.cells and (np.any(standoff) or curved or self.space.order == 2):
+        rises = np.any(standoff) or any(part.obstacle.level is not None for part in self.space.contact_sets)
+        if rises:
             state, standoff, violation = self._safe(system, state, standoff)
-            tighten &= violation == 0 and not self.problem.has_coulomb
-            closer = tightened(system, state, self.cells, self.field) if tighten else None
+        # coefficients that are not negative are more than a gap of order 2 needs
+        tighten &= violation == 0 and not self.problem.has_coulomb
+        if tighten and (rises or (self.cells and self.space.order == 2)):
+            closer = tightened(system, state, self.cells, self.field)
             if closer is not None and closer.energy < state.energy:
                 gap = self._bare.normals @ closer.u + self._bare.offset
                 state, standoff = closer, np.where(closer.active.touching, gap, 0.0)
-            system = self.system(standoff)
+        system = self.system(standoff)
         displacement = self.field.values(state.u)
         u = displacement.T.ravel()
         strain, work = 0.5 * float(u @ (self.stiffness @ u)), float(self.load @ u)

@@ -46,7 +46,7 @@ def test_relocation_without_move_limits_and_what_the_record_and_the_steps_say_of
     assert row["energy_initial_audited"] - exact > 5 * (row["energy_audited"] - exact)
     assert row["chosen_by"] == "auto"
     assert "81, 289 nodes" in row["chosen"]
-    assert (row["formulation"], row["outer"], row["quadrature"]) == ("cascade", "newton", 6)
+    assert (row["formulation"], row["outer"], row["quadrature"]) == ("cascade", "newton", DEGREE)
     assert [level["nodes"] for level in row["cascade"]] == [81, 289]
     own = row["cascade"][1]["iterations"]
     assert row["iterations"] == row["cascade"][0]["iterations"] + own
