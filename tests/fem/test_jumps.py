@@ -30,7 +30,7 @@ SOURCES = (
 
 def pulled(order: int) -> rm.ContactProblem:
     return rm.ContactProblem(
-        rm.shapes.rectangle(5, 3, x=(0, 2)),
+        rm.shapes.rectangle(3, 2, x=(0, 2)),
         rm.PlaneStrain.from_young(1000.0, 0.3, SOURCES),
         ("left",),
         rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0)),
@@ -43,19 +43,18 @@ def pulled(order: int) -> rm.ContactProblem:
 @pytest.mark.parametrize("order", [1, 2])
 def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
     problem = pulled(order)
-    for seed in range(2):
-        mesh, rng = problem.mesh, np.random.default_rng(seed)
-        p = np.array(mesh.p)
-        for k, end in enumerate((2, 1)):
-            inner = (p[k] > 0) & (p[k] < end)
-            p[k, inner] += rng.uniform(-0.1, 0.1, np.count_nonzero(inner))
-        moved = replace(problem, mesh=replace(mesh, doflocs=p))
-        space = DisplacementSpace(moved)
-        exact, doubt = load_vector(Body(moved, p), space)
-        held = space.given()[0].T.ravel()
-        system = ContactSolver(moved).system(p)
-        assert np.max(doubt) < 1e-12
-        np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
+    mesh, rng = problem.mesh, np.random.default_rng(1)
+    p = np.array(mesh.p)
+    for k, end in enumerate((2, 1)):
+        inner = (p[k] > 0) & (p[k] < end)
+        p[k, inner] += rng.uniform(-0.1, 0.1, np.count_nonzero(inner))
+    moved = replace(problem, mesh=replace(mesh, doflocs=p))
+    space = DisplacementSpace(moved)
+    exact, doubt = load_vector(Body(moved, p), space)
+    held = space.given()[0].T.ravel()
+    system = ContactSolver(moved).system(p)
+    assert np.max(doubt) < 1e-12
+    np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
 
 
 @pytest.mark.parametrize("order", [1, 2])
@@ -69,11 +68,11 @@ def test_the_energy_has_no_gain_by_quadrature_and_a_gradient(order: int) -> None
     assert outer.energy(q).gradient @ d == pytest.approx(slope, rel=1e-5)
 
 
-@pytest.mark.parametrize(("sources", "order"), [(SOURCES, 1), (SOURCES[1:] * 2, 2)])
-def test_sums_of_triangles_that_a_jump_cuts_have_the_derivatives_of_their_function(
-    sources, order: int
-) -> None:
-    sums = load_energy(rm.PlaneStrain(1.3, 0.7, sources), Straight(3, 2, order), 5)[1]
+@pytest.mark.parametrize(
+    ("law", "order"), [(rm.PlaneStrain(1.3, 0.7, SOURCES), 1), (rm.Laplace(SOURCES[1]), 2)]
+)
+def test_sums_of_triangles_that_a_jump_cuts_have_the_derivatives_of_their_function(law, order: int) -> None:
+    sums = load_energy(law, Straight(3, law.components, order), 5)[1]
     X = np.array([[0.0, 0.1, 1.9, 0.2, 0.6, 1.4], [2.0, 1.3, 3.0, 1.3, 2.5, 2.0]]).T  # cut, and on one side
 
     def matrices(X: np.ndarray, k: int) -> np.ndarray:

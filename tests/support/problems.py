@@ -24,9 +24,11 @@ from rmesh_nlp.problem import (
 )
 
 
-def sloped_block(friction: float = 60.0) -> ContactProblem:
+def sloped_block(friction: float = 60.0, n: tuple[int, int] = (8, 3)) -> ContactProblem:
     alpha = PiecewiseLinear((0.0, 2.0, 4.0), (0.0, 0.02, 0.1))
-    mesh = MeshTri.init_tensor(np.linspace(0, 4, 9), np.linspace(0, 1, 4))
+    mesh = MeshTri.init_tensor(
+        *(np.linspace(0, end, count + 1) for end, count in zip((4, 1), n, strict=True))
+    )
     p = mesh.p.copy()
     height = np.interp(p[0], alpha.x, alpha.y)
     p[1] = height + p[1] * (1 - height)
