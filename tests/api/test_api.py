@@ -27,14 +27,6 @@ def comparison() -> rm.Comparison:
     return rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["fixed", "joint"])
 
 
-def test_a_formulation_is_found_by_its_name(comparison: rm.Comparison) -> None:
-    solution = rm.solve(rm.EXAMPLES["6.2"](n=(4, 2)), "joint")
-    assert isinstance(solution, rm.Solution)
-    assert solution.formulation == "joint"
-    assert solution.energy == pytest.approx(comparison["joint"].energy, rel=1e-9)
-    assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.formulations())
-
-
 def test_settings_of_an_object_are_its_own() -> None:
     problem = rm.EXAMPLES["6.2"](n=(4, 2))
     assert rm.solve(problem, Joint(first_barrier=1e-2)).settings == {"first_barrier": 1e-2}
@@ -97,24 +89,17 @@ def test_every_picture_is_drawn_on_axes_of_ones_own(comparison: rm.Comparison, w
     assert what in axes.get_title()
 
 
-def test_the_pressure_curve_is_the_pressure(comparison: rm.Comparison) -> None:
+def test_pictures_have_the_pressure_the_stress_of_each_element_and_both_meshes(comparison) -> None:
     solution = comparison["joint"]
     (line,) = solution.plot("pressure").lines
     where = solution.problem.contact_nodes
     assert np.ptp(np.diff(line.get_xdata())) > 0
     assert np.all(np.diff(line.get_xdata()) > 0)
     assert sorted(line.get_ydata()) == sorted(solution.pressure[where])
-
-
-def test_stress_is_drawn_per_element(comparison: rm.Comparison) -> None:
-    solution = comparison["joint"]
     (painted,) = solution.plot("stress").collections
     stress = stresses(solution.problem, solution.mesh.p, solution.displacement)
     np.testing.assert_array_equal(painted.get_array(), von_mises(stress))
-
-
-def test_mesh_is_drawn_over_the_given_one_where_it_moved(comparison: rm.Comparison) -> None:
-    for name, meshes in (("fixed", 1), ("joint", 2)):
+    for name, meshes in (("fixed", 1), ("joint", 2)):  # over the given one where it moved
         lines = comparison[name].plot("mesh").lines
         assert len(lines) == meshes
         corner = np.nanmax(lines[-1].get_xydata(), axis=0)
@@ -172,6 +157,8 @@ def test_every_public_name_is_there() -> None:
         assert getattr(rm, name) is not None
         assert name in dir(rm)
     assert {"importlib", "Any"}.isdisjoint(dir(rm))
+    assert rm.mpcc.solve is rm.solve_mpcc  # the package of the solver keeps its name
+    assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.formulations())
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:
@@ -203,11 +190,6 @@ def test_nothing_heavy_is_loaded_before_it_is_used(name, heavy) -> None:
     code = f"import sys, {name}; dir({name}); print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
-
-
-def test_the_solver_of_mpccs_stays_a_package() -> None:
-    assert rm.mpcc.solve is rm.solve_mpcc
-    assert rm.mpcc.MPCC is rm.MPCC
 
 
 @pytest.mark.slow

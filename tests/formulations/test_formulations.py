@@ -85,14 +85,6 @@ def test_nested_reaches_its_bound(name: str) -> None:
     assert solution.contact_solves >= solution.iterations
 
 
-@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
-def test_fixed_is_the_baseline(name: str) -> None:
-    solution = fixed.solve(EXAMPLES[name]())
-    check_record(solution)
-    assert solution.energy == solution.energy_initial
-    np.testing.assert_array_equal(solution.mesh.p, solution.problem.mesh.p)
-
-
 @pytest.mark.parametrize("formulation", ["fixed", "nested", "joint", "mpcc"])
 def test_a_mesh_of_one_triangle_is_solved(formulation: str) -> None:
     """One unknown and no free node: load 1/6, stiffness 1/2. Then friction at one free node."""

@@ -93,7 +93,7 @@ def test_an_end_that_was_asked_for_is_the_end(formulation: Nested) -> None:
 
 
 def test_for_the_energy_there_is_no_kink() -> None:
-    row = rm.solve(example("6.3", (4, 2)), "nested").record()
+    row = solved("nested", "6.3", (4, 2)).record()
     assert (row["stationarity"], row["outer"]) == ("KKT", "newton")
     assert not {"descent_rate", "label"} & row.keys()
 

@@ -172,11 +172,14 @@ def test_start_for_the_upper_level_alone_is_completed():
 
 
 def saddle(f, at, g=(), **bounds):
-    """The check of ``min f(y_1, y_2)`` at ``at``: y, then multipliers."""
-    y, x = ca.SX.sym("y", 2), ca.SX.sym("x")
-    lower = {"f": f(y), **({"g": [row(y) for row in g]} if g else {}), **bounds}
-    mpcc = bilevel({"x": x, "f": x}, lower, variables=y)
-    return mpcc.lower_level.check([0.0, *at])
+    """The check of ``min f(y_1, y_2)`` at ``at`` (y, then multipliers), to be called by a test."""
+
+    def check():
+        y, x = ca.SX.sym("y", 2), ca.SX.sym("x")
+        lower = {"f": f(y), **({"g": [row(y) for row in g]} if g else {}), **bounds}
+        return bilevel({"x": x, "f": x}, lower, variables=y).lower_level.check([0.0, *at])
+
+    return check
 
 
 @pytest.mark.parametrize(
@@ -216,15 +219,18 @@ def saddle(f, at, g=(), **bounds):
     ],
 )  # fmt: skip
 def test_second_order_conditions(check, verdict, low, high):
-    assert check.verdict == verdict
-    assert (check.curvature_low, check.curvature_high) == pytest.approx((low, high), abs=1e-9)
-    assert verdict in str(check)
+    found = check()
+    assert found.verdict == verdict
+    assert (found.curvature_low, found.curvature_high) == pytest.approx((low, high), abs=1e-9)
+    assert verdict in str(found)
 
 
 def test_verdict_needs_multipliers_with_signs_and_complementary():
-    assert saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0], lbx=0).verdict == "global minimum"
-    assert saddle(lambda y: y[0], [0.5, 0, 1], lbx=[0, -INF]).verdict == "not stationary"  # not complementary
-    assert saddle(lambda y: -y[0], [0, 0, -1], lbx=[0, -INF]).verdict == "not stationary"  # wrong sign
+    assert saddle(lambda y: y[0] + y[1] ** 2, [0, 0, 1, 0], lbx=0)().verdict == "global minimum"
+    assert (
+        saddle(lambda y: y[0], [0.5, 0, 1], lbx=[0, -INF])().verdict == "not stationary"
+    )  # not complementary
+    assert saddle(lambda y: -y[0], [0, 0, -1], lbx=[0, -INF])().verdict == "not stationary"
 
 
 @pytest.mark.parametrize("name", ["mitsos-barton-3.12", "mitsos-barton-3.13", "mitsos-barton-3.17"])

@@ -6,9 +6,14 @@ import pytest
 
 from support.asl import EXECUTABLE, environment, install
 
-pe = pytest.importorskip("pyomo.environ")
-mpec = pytest.importorskip("pyomo.mpec")
-common = pytest.importorskip("pyomo.common")
+pe = mpec = common = None
+"""Modules of Pyomo, which takes a second to load."""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pyomo():
+    global pe, mpec, common
+    pe, mpec, common = (pytest.importorskip(f"pyomo.{name}") for name in ("environ", "mpec", "common"))
 
 
 @pytest.fixture
