@@ -19,7 +19,7 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
@@ -28,7 +28,6 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import refined
 from support.orders import ORDERS
 from support.penetration import penetration
-from support.rings import ring_on_a_shaft
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
@@ -226,6 +225,33 @@ def falling(problem: ContactProblem, times: int) -> list[float]:
 def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int, order: int) -> None:
     falls = -np.diff(falling(replace(random_problem(seed), quadrature="auto", order=order), 2))
     assert np.all(falls[1:] < 0.75 * falls[:-1])
+
+
+def ring_on_a_shaft(n: int, order: int) -> tuple[ContactProblem, float]:
+    """1 < r < 2 on a rigid shaft that is too thick for it, on n x 2n squares, and its energy."""
+    flat = rectangle(n, 2 * n)
+    r, angle = 1 + flat.p[0], np.pi / 2 * flat.p[1]
+    mesh = type(flat)(np.stack([r * np.cos(angle), r * np.sin(angle)]), flat.t)
+    sides = {
+        "inner": lambda p: np.hypot(*p) < 1 + 0.2 / n,
+        "outer": lambda p: np.hypot(*p) > 2 - 0.2 / n,
+        "bottom": lambda p: p[1] < 1e-9,
+        "left": lambda p: p[0] < 1e-9,
+    }
+    law, overlap = PlaneStrain(1.2, 0.8), 0.01
+    problem = ContactProblem(
+        named(mesh, sides),
+        law,
+        (Dirichlet("bottom", (None, 0.0)), Dirichlet("left", (0.0, None))),
+        Obstacle.circle("inner", (0.0, 0.0), 1 + overlap),
+        Motion(None, curves={"inner": Circle((0.0, 0.0), 1.0), "outer": Circle((0.0, 0.0), 2.0)}),
+        order=order,
+    )
+    # u_r = A r + B / r, with no stress at r = 2
+    lam, mu = law.lame_lambda, law.lame_mu
+    A = overlap / (1 + 4 * (lam + mu) / mu)
+    pressure = 2 * mu * (overlap - A) - 2 * (lam + mu) * A
+    return problem, np.pi / 4 * pressure * overlap
 
 
 def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_too() -> None:

@@ -22,12 +22,6 @@ def solve_once(problem: ContactProblem, *args: Any, **options: Any) -> Solution:
 Size = int | tuple[int, int] | None
 
 
-def with_final(solution: Solution, **fields: Any) -> Solution:
-    """The solution with other measurements of its final mesh."""
-    assessment = solution.assessment
-    return replace(solution, assessment=replace(assessment, final=replace(assessment.final, **fields)))
-
-
 @cache
 def example(name: str, size: Size = None, quadrature: int | None = None) -> ContactProblem:
     """One of the paper's examples, by default at the paper's size and with its rule."""
