@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -40,6 +41,7 @@ SIDES = ("left", "right", "top", "bottom")
 TORSION = -0.5 * 0.0351442538  # least energy of -laplace u = 1 on the unit square: the series for its torsion
 
 
+@cache
 def membrane() -> Solution:
     return fixed.solve(ContactProblem(rectangle(3, 3), Laplace(1.0), SIDES))
 

@@ -160,7 +160,7 @@ def test_bad_shapes_are_named(make: Callable, message: str) -> None:
 
 
 def test_boundaries_of_meshes_whose_edges_32_bits_do_not_number() -> None:
-    mesh = rectangle(216, 216)
+    mesh = rectangle(23_170, 1, x=(0, 23_170))
     edges = mesh.facets[:, mesh.boundaries["right"]]
     assert mesh.p.shape[1] ** 2 > 2**31
     found = from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, {"side": edges.T})
