@@ -58,20 +58,13 @@ ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2 - 0.1 * y, None, x, y, lbx=-2, ubx=3
 """Minima (1, 0) with f = 1 and (0, 1.05) with f = 0.8975; from t0 = 1e-4 each start keeps its arm."""
 
 
-@pytest.fixture(scope="module")
-def many():
-    return solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
-
-
-def test_best_of_several_starts_says_what_they_reached(many):
+def test_best_of_several_starts_says_what_they_reached_and_no_trajectory_is_followed_twice():
+    many = solve(ARMS, [1.5, 0], starts=8, seed=3, t0=1e-4)
     assert many.x == pytest.approx([0, 1.05], abs=1e-7)
     assert [end.f for end in many.reached] == pytest.approx([0.8975, 1.0], abs=1e-6)
     assert sum(end.starts for end in many.reached) == len(many.ends) == 8
     assert "starts: " in str(many)
     assert not solve(ARMS, [1.5, 0], t0=1e-4).reached
-
-
-def test_trajectory_that_comes_upon_a_former_one_has_its_result(many):
     own = {id(end): end for end in many.ends}.values()
     assert 2 <= len(own) < 8
     assert many.counts["nlp_solves"] == sum(end.counts["nlp_solves"] for end in own)
