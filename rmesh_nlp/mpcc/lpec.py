@@ -14,6 +14,10 @@ method for bound-constrained MPCCs, SIAM J. Optim. 32 (2022) 75-99; A. Nurkanovi
 
 from __future__ import annotations
 
+import ctypes
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +27,8 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
 from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
+
+STDOUT = 1  # its file descriptor
 
 _NODES, _LEAST_NODES, _WORK = 5_000, 50, 1_000_000  # branch and bound is given up after so many, by size
 
@@ -145,6 +151,25 @@ def limits(budget: Budget | None) -> dict[str, float]:
     return {} if budget is None else {"time_limit": max(budget.remaining, LEAST_SECONDS)}
 
 
+@contextmanager
+def _unprinted() -> Iterator[None]:
+    """Without what HiGHS prints itself: a line for some solutions, which would stand among a user's JSON."""
+    try:
+        flush, kept = ctypes.CDLL(None).fflush, os.dup(STDOUT)
+    except (OSError, TypeError):  # no standard output, or no C library by that name
+        yield
+        return
+    flush(None)  # what waits in the buffer was printed by others
+    try:
+        with open(os.devnull, "wb") as nowhere:
+            os.dup2(nowhere.fileno(), STDOUT)
+        yield
+    finally:
+        flush(None)
+        os.dup2(kept, STDOUT)
+        os.close(kept)
+
+
 def _milp(
     cost: Array,
     rows: LinearConstraint,
@@ -176,13 +201,14 @@ def _milp(
         wide = sp.hstack([sp.diags(1 / steep) @ rows.A, sp.csr_matrix((steep.size, k))], format="csr")
         constraints.append(LinearConstraint(wide, rows.lb / steep, rows.ub / steep))
     nodes = int(np.clip(_WORK / (n + k + 1), _LEAST_NODES, _NODES))
-    answer = milp(
-        np.append(cost, np.zeros(k)),
-        integrality=np.append(np.zeros(n), np.ones(k)),
-        bounds=Bounds(np.append(lower, np.zeros(k)), np.append(upper, np.ones(k))),
-        constraints=constraints,
-        options={"node_limit": nodes, **limits(budget)},
-    )
+    with _unprinted():
+        answer = milp(
+            np.append(cost, np.zeros(k)),
+            integrality=np.append(np.zeros(n), np.ones(k)),
+            bounds=Bounds(np.append(lower, np.zeros(k)), np.append(upper, np.ones(k))),
+            constraints=constraints,
+            options={"node_limit": nodes, **limits(budget)},
+        )
     if answer.x is None:
         return None
     on_G = on_G.copy()

@@ -1,5 +1,6 @@
 """Active sets of a point, descent over its branches, branches near an inexact one, and phase I."""
 
+import ctypes
 from types import SimpleNamespace
 
 import casadi as ca
@@ -164,3 +165,18 @@ def test_infeasible_is_what_has_a_local_minimum_of_the_violation(rows, bounds, s
 def test_point_that_is_not_finite_proves_nothing(start):
     run = run_of(MPCC(XY, x, x + y, x, y, lbg=1))
     assert phase_one(run, np.array(start))[1] is Status.STALLED
+
+
+def test_what_the_solver_of_linear_programs_prints_is_not_seen_and_what_others_print_is(capfd, monkeypatch):
+    library = ctypes.CDLL(None)
+
+    def loud(*_, **__):
+        library.puts(b"a line of HiGHS")
+        return SimpleNamespace(x=None, status=2, fun=None)
+
+    monkeypatch.setattr(lpec, "milp", loud)
+    library.puts(b"before")
+    assert descent(*linearised(MPCC(XY, x, None, x, y), [0, 0])) is None
+    library.puts(b"after")
+    library.fflush(None)
+    assert capfd.readouterr().out.split() == ["before", "after"]
