@@ -52,7 +52,7 @@ def tightened(
     if program is None:
         program, last = system, np.arange(u.size)
     chosen, off = _worst(cells, field.values(u), state.normal_force), ROUNDING * length
-    while True:  # each program has points more than the last one, of which there are finitely many
+    while True:  # each program has more of finitely many points than the last one, or keeps off farther
         rows, gap = _points(cells, chosen, field, u)
         result = _minimised(program, sp.csr_array(rows[:, last]), gap - off, u[last], length)
         if result is None:

@@ -153,8 +153,9 @@ class Element:
     def among(cls, pieces: Pieces, free: Array, loaded: Array) -> Element:
         """Those combinations of fields that have no faults, and no divergence or that of the loads.
 
-        The loaded ones take the combinations of least coefficients for what those among which the free ones
-        are do not balance: so the best field does not depend on the one that it is counted from.
+        A load is balanced by fields of ``free`` as far as these can, the rest of it by the combination of
+        ``loaded`` with least coefficients. So the field of a displacement is one of the element, and the best
+        field does not depend on the displacement that it is counted from.
         """
         corners = CORNERS[..., None]
 
