@@ -159,7 +159,7 @@ def _derivatives(text: str, count: int, n: int) -> Columns:
     results = [value(x, y)]
     for _ in range(1, count):
         results.append(ca.vertcat(*(ca.jacobian(results[-1], symbol) for symbol in (x, y))))
-    return columnwise(ca.Function("derivatives", [x, y], ca.cse([ca.densify(r) for r in results])), n)
+    return columnwise(ca.Function("derivatives", [x, y], [ca.densify(r) for r in results]), n)
 
 
 @lru_cache
@@ -173,7 +173,7 @@ def _of_pieces(text: str, count: int, n: int) -> tuple[Columns, Columns]:
     *results, switches = map(ca.densify, pieces(X))
     for k in range(2 * count - 2):
         results.append(ca.densify(ca.jacobian(results[k], X)))
-    whole = ca.Function("pieces", [X], ca.cse(results))
+    whole = ca.Function("pieces", [X], results)
     return columnwise(ca.Function("switches", [X], [switches]), n), columnwise(whole, TOGETHER)
 
 
@@ -202,7 +202,7 @@ def plain(function: ca.Function, at_points: PointSums | None) -> ca.Function:
     if at_points is None:
         return function
     columns = local_symbols(function)[:-1]
-    return ca.Function(function.name(), columns, ca.cse(function(*columns, at_points(columns[0]))), OPEN)
+    return ca.Function(function.name(), columns, function(*columns, at_points(columns[0])), OPEN)
 
 
 def vector(components: tuple[Coefficient, ...], x: Expression, y: Expression) -> Expression:
@@ -253,7 +253,7 @@ class Differentiated:
 
     def _made(self, name: str, results: list[Expression], others: list[Expression]) -> ca.Function:
         results = [self._kind(*r.shape) if r.is_zero() else r for r in results]
-        return ca.Function(name, [*self._columns, *others], ca.cse(results))
+        return ca.Function(name, [*self._columns, *others], results)
 
 
 def differentiated(
