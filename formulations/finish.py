@@ -19,7 +19,7 @@ import numpy as np
 
 from formulations.outer_solvers import NestedSettings, solved
 from formulations.units import pull
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, is_finite
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCCSolver
@@ -47,7 +47,7 @@ def finished(outer: Outer, q: Array, monitor: Monitor) -> Finish:
     if q.size == 0 or is_stationary(outer, point):
         return Finish(q, True)
     last, method = (_newton if outer.objective.collapses else _exact)(outer, point, monitor)
-    if not (np.all(np.isfinite(last)) and outer.is_valid(last) and outer.function.is_defined(last)):
+    if not (is_finite(last) and outer.is_valid(last) and outer.function.is_defined(last)):
         return Finish(q, False)
     end = outer.function(last)
     violation, value = outer.merit(point)
@@ -90,7 +90,7 @@ def _exact(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, 
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)
     q = outer.clipped(program.split(result.x)[0])
-    if np.all(np.isfinite(q)) and outer.is_valid(q):
+    if is_finite(q) and outer.is_valid(q):
         track.exact(iterations, q)
     monitor.budget.check()
     return q, EXACT_FINISH

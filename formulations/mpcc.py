@@ -19,7 +19,7 @@ from formulations.finish import is_above, is_stationary
 from formulations.units import pull
 from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import unknown
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT, Bilevel, bilevel, in_units_of
@@ -213,9 +213,9 @@ def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, An
         ],
         "label": result.label,
         "b_stationary": result.b_stationary,
-        "biactive": int(result.biactive.size),
+        "biactive": result.biactive.size,
         "biactive_nodes": np.unique(nodes).tolist(),
-        "equilibrium_multiplier": float(np.max(np.abs(result.lam_g[: program.n_u]))),
+        "equilibrium_multiplier": magnitude(result.lam_g[: program.n_u]),
         "constraint_violation": result.constraint_violation,
         "complementarity": result.complementarity,
         "nlp_solves": result.counts["nlp_solves"],

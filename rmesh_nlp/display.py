@@ -75,11 +75,6 @@ def for_spreadsheet(value: object) -> object:
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA) else value
 
 
-def for_markdown(text: str) -> str:
-    """Markdown in which no name is taken for HTML."""
-    return text.replace("<", "&lt;")
-
-
 def figure(value: float) -> str:
     """A number with six digits."""
     return f"{value:.6g}"

@@ -1,6 +1,9 @@
-"""Fast numerical evaluation of CasADi Functions on numpy arrays."""
+"""Arrays, and CasADi Functions and matrices on them."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,12 +15,39 @@ ROUNDING = 1e-9
 edge, of areas over the initial ones, of angles in radians."""
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 Expression = ca.SX | ca.MX
 """What formulas are of: a symbolic expression, or what computes like one, a number or an array of values."""
 
 Kind = type[ca.SX] | type[ca.MX]
 """Whether the expressions of a function are scalar or of matrices."""
+
+
+def magnitude(values: ArrayLike) -> float:
+    """Largest absolute value, 0 of none."""
+    return float(np.max(np.abs(values), initial=0.0))
+
+
+def is_finite(values: ArrayLike) -> bool:
+    """Whether all are finite."""
+    return bool(np.all(np.isfinite(values)))
+
+
+def largest_side(points: Array) -> float:
+    """Largest side of their bounding box."""
+    return float(np.max(np.ptp(points, axis=1)))
+
+
+def cross(a: Any, b: Any) -> Any:
+    """Signed area of the parallelogram of two vectors."""
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def numbers_of(parts: Iterable[NDArray]) -> Index:
+    """All whole numbers of the parts; of no part none."""
+    return np.concatenate([np.zeros(0, np.int64), *parts])
 
 
 class Evaluator:
@@ -68,7 +98,6 @@ class Block:
         self._form(whole[rows, columns])
 
     def _form(self, numbered: sp.csc_array) -> None:
-        numbered = sp.csc_array(numbered)
         numbered.sort_indices()
         self._shape, self._indices, self._starts = numbered.shape, numbered.indices, numbered.indptr
         self._source = (numbered.data - 1).astype(np.int32)
@@ -94,4 +123,27 @@ def numbered(sparsity: ca.Sparsity) -> sp.csc_array:
 
 def flat(matrix: ca.DM) -> Array:
     """All entries of a CasADi matrix in one array, column by column."""
-    return np.asarray(matrix.full(), dtype=float).ravel(order="F")
+    return matrix.full().ravel(order="F")
+
+
+def sparsity_of(matrix: sp.csc_array) -> ca.Sparsity:
+    """Its pattern, whose rows are sorted."""
+    return ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
+
+
+def constant_of(matrix: sp.sparray) -> ca.DM:
+    """The matrix for CasADi."""
+    columns = sp.csc_array(matrix)
+    columns.sort_indices()
+    return ca.DM(sparsity_of(columns), columns.data.tolist())  # a hundred times faster than from the array
+
+
+def kind_of(*functions: ca.Function) -> Kind:
+    """Symbols that all of them take: scalar ones, if they can."""
+    return ca.SX if all(function.is_a("SXFunction") for function in functions) else ca.MX
+
+
+def slope_of(function: ca.Function) -> ca.Function:
+    """Derivative of a function of one number."""
+    t = kind_of(function).sym("t")
+    return ca.Function("slope", [t], [ca.jacobian(function(t), t)])

@@ -80,7 +80,7 @@ def columnwise(function: ca.Function, n: int) -> Columns:
 
 @lru_cache(maxsize=256)
 def lean(function: ca.Function) -> ca.Function:
-    """The same Function without operations that stand in it twice; to find these takes longer than few columns."""
+    """The same Function without operations that stand in it twice."""
     arguments = function.sx_in()
     return ca.Function(function.name(), arguments, ca.cse(function.call(arguments)))
 

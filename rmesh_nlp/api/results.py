@@ -48,6 +48,8 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
     """
     from matplotlib import pyplot
 
+    from rmesh_nlp.solving import plotting
+
     if not solutions:
         raise ValueError("nothing to draw: give one or several solutions")
     n, extent = len(solutions), np.ptp(solutions[0].problem.mesh.p, axis=1)
@@ -58,8 +60,5 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
     for solution, axes in zip(solutions, row, strict=True):
         solution.plot(what, axes, **style)
         axes.set_title(f"{solution.formulation}: {axes.get_title()}")
-    painted = [one for axes in row for one in axes.collections if one.get_array() is not None]
-    limits = np.array([one.get_clim() for one in painted])
-    for one in painted:  # one range of values for all
-        one.set_clim(limits[:, 0].min(), limits[:, 1].max())
+    plotting.share_colours([one for axes in row for one in axes.collections if one.get_array() is not None])
     return list(row)

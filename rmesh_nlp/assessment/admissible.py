@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
 from rmesh_nlp.assessment.parts import PROVED
@@ -23,7 +22,7 @@ from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, magnitude, numbers_of
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
@@ -106,7 +105,7 @@ class Continuous:
             bounds[part.rows] = friction[part.nodes]
         rigid = self.parts.rigid_motions(nodes)
         return ContactSystem(
-            stiffness=sp.csc_array(self.stiffness[free][:, free]),
+            stiffness=self.stiffness[free][:, free],
             load=(self.load - pull)[free],
             constant=float(0.5 * given @ pull - self.load @ given),
             normals=normals,
@@ -184,7 +183,7 @@ class Continuous:
             displacement = self.field.values(state.u)
             raised = self._raised([cells.missing(displacement) for cells in self.cells])
             violation = float(np.max(raised, initial=0.0))
-            size = np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=0.0)
+            size = magnitude(state.u) + magnitude(system.offset)
             if violation <= ROUNDING * size:
                 return state, standoff, 0.0
             standoff = standoff + 1.1 * raised
@@ -195,13 +194,13 @@ class Continuous:
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""
         normals = cells.contact.obstacle.normals(self.space.points(self.body.nodes))
-        return np.asarray(np.sum(normals * self.given, axis=0))
+        return np.sum(normals * self.given, axis=0)
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by the height of the foundations without displacement."""
         heights = []
         for cells in self.cells:
-            off, size = cells.off(self.given_along(cells)), np.max(np.abs(cells.distance), initial=0.0)
+            off, size = cells.off(self.given_along(cells)), magnitude(cells.distance)
             heights.append(np.where(off > PROVED * size, off, 0.0))
         return self._raised(heights)
 
@@ -226,7 +225,7 @@ def admissible(
         continuous = Continuous(problem, nodes)
         inside = [cells for cells in continuous.cells if cells.contact.obstacle.boundary is Place.INTERIOR]
         cut = [cells.number[cells.unreachable(continuous.given_along(cells))] for cells in inside]
-        elements = np.concatenate([np.zeros(0, dtype=np.int64), *cut])
+        elements = numbers_of(cut)
         if elements.size == 0:
             break
         moved = continuous.problem

@@ -51,7 +51,7 @@ def contact_results(
     if not force.size:
         return results
     weights = space.weights(nodes)
-    least = ROUNDING * max(system.force_scale, float(np.max(force)))
+    least = ROUNDING * max(system.force_scale, np.max(force))
     for part in space.contact_sets:
         boundary, rows = part.obstacle.boundary, part.rows
         name = boundary.value if isinstance(boundary, Place) else str(boundary)

@@ -16,10 +16,10 @@ import numpy as np
 
 from rmesh_nlp.assessment.contact_results import CLEAR
 from rmesh_nlp.assessment.integrals import over_edges
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem.body import Body, Index
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
 
@@ -74,7 +74,7 @@ def _integral(
         normals = obstacle.normals(where)
         given, factor = (on_points(value, where) for value in (obstacle.friction, obstacle.coulomb))
         bound = given + factor * np.maximum(pressure, 0.0)
-        slip = normals[1] * u[0] - normals[0] * u[1]
+        slip = cross(u, normals)
         return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
 
     return float(np.sum(over_edges(edges, integrand, (obstacle.friction,)).value))

@@ -9,10 +9,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.assessment.integrals import Integral, over_edges, over_triangles
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem.body import Body, Edges, Index, gradients
+from rmesh_nlp.problem.body import Body, Edges, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
 from rmesh_nlp.problem.laws import Laplace, Law
 from rmesh_nlp.problem.obstacle import Obstacle
@@ -38,7 +38,7 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
                 nodes = problem.components * space.elements[:, None, elements]
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
-                matrix += sp.csc_array(sp.coo_array((local.ravel(), place), shape=(n, n)))
+                matrix += sp.csc_array((local.ravel(), place), shape=(n, n))
     return matrix
 
 
@@ -111,7 +111,7 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
         normals = obstacle.normals(where)
         shares = functions(order, np.stack([1 - s, s]))
         u = sum(displacement[:, i, rows, None] * share for i, share in enumerate(shares))
-        return np.asarray(normals[1] * u[0] - normals[0] * u[1])
+        return cross(u, normals)
 
     def integrand(rows: Index, s: Array, where: Array) -> Array:
         bound = on_points(obstacle.friction, where, "the friction bound")

@@ -101,7 +101,7 @@ def error_reduction(
     if bounds is None or not fall > 0:
         return None, finest
     low, high = bounds
-    size = int(after.body.nodes.shape[1])
+    size = after.body.nodes.shape[1]
     factors = 1 + fall / high, 1 + fall / low
     reduction = ErrorReduction((low + fall, high + fall), bounds, *factors, source, size, contact_solves)
     return reduction, finest

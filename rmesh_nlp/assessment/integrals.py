@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.assessment.parts import AlongEdges, edge_parts, triangle_parts
-from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.problem.body import Body, Edges, Index
+from rmesh_nlp.evaluation import ROUNDING, Array, Index
+from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.vectorised import CHUNK
 

@@ -9,7 +9,7 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium, OwnState
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.optimize.activity import ZERO
 
 EXPLOITS = ("quadrature", "penetration", "friction", "geometry")
@@ -63,7 +63,7 @@ def equilibrium_residual(system: ContactSystem, u: Array, normal: Array, tangent
     residual = system.stiffness @ u - system.load - system.normals.T @ normal
     if system.slip_bound.size:
         residual = residual - system.tangents.T @ tangential
-    return float(np.max(np.abs(residual)) / system.force_scale)
+    return float(magnitude(residual) / system.force_scale)
 
 
 def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Array) -> float:
@@ -73,7 +73,7 @@ def law_residual(system: ContactSystem, u: Array, normal: Array, tangential: Arr
     projection on [-b, b]; U the largest displacement and F the largest applied nodal force.
     Both vanish exactly where the laws hold, and count penetration and tension as well.
     """
-    length = max(float(np.max(np.abs(u), initial=0.0)), 1e-300)
+    length = max(magnitude(u), 1e-300)
     force, bound = system.force_scale, system.bound(normal)
     gap = system.normals @ u + system.offset
     violations = np.abs(np.minimum(gap / length, normal / force))

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import comb
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import SIDES, to_coefficients
-from rmesh_nlp.problem.body import Body, Edges, Index
+from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.switches import switches
 
@@ -108,7 +107,7 @@ def _zeros_along(
     at, begin, end, scale = rows[:0], low[:0], low[:0], 0.0
     while rows.size and width > ROUNDING:
         values = value(rows, low[:, None] + width * share)
-        scale = max(scale, float(np.max(np.abs(values))))
+        scale = max(scale, magnitude(values))
         values = np.where(np.abs(values) <= PROVED * scale, 0.0, values)
         coefficients = values @ to_bernstein.T
         none, single = _one_sign(coefficients), _one_sign(np.diff(coefficients, axis=1))
@@ -127,14 +126,14 @@ def _zeros_along(
     return at, (begin + end) / 2, degree is not None and rows.size == 0
 
 
-def _one_sign(values: Array) -> NDArray[np.bool_]:
-    return np.asarray(np.all(values >= 0, axis=-1) | np.all(values <= 0, axis=-1))
+def _one_sign(values: Array) -> Mask:
+    return np.all(values >= 0, axis=-1) | np.all(values <= 0, axis=-1)
 
 
 def _to_bernstein(degree: int) -> Array:
     """(degree + 1, degree + 1) Bernstein coefficients of a polynomial by its values at equal distances."""
     s, k = np.linspace(0, 1, degree + 1)[:, None], np.arange(degree + 1)
-    return np.asarray(np.linalg.inv(comb(degree, k) * s**k * (1 - s) ** (degree - k)))
+    return np.linalg.inv(comb(degree, k) * s**k * (1 - s) ** (degree - k))
 
 
 def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficient]) -> TriangleParts:
@@ -150,7 +149,7 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
 
     for switch, degree in switched:
         value = partial(on_parts, switch)
-        tiny = PROVED * float(np.max(np.abs(value(owner, corners)), initial=0.0))
+        tiny = PROVED * magnitude(value(owner, corners))
         bends = body.is_curved[elements] | (degree is None or degree > 1)
         width = 1.0
         while np.any(bends) and width > 1 / SAMPLES:
@@ -164,8 +163,8 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
     return TriangleParts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 
 
-def _have_two_signs(values: Array, tiny: float) -> NDArray[np.bool_]:
-    return np.asarray((np.min(values, axis=0) < -tiny) & (np.max(values, axis=0) > tiny))
+def _have_two_signs(values: Array, tiny: float) -> Mask:
+    return (np.min(values, axis=0) < -tiny) & (np.max(values, axis=0) > tiny)
 
 
 def _with_middles(corners: Array) -> Array:
@@ -174,7 +173,7 @@ def _with_middles(corners: Array) -> Array:
     return np.concatenate([corners, np.stack(middles, axis=1)], axis=1)
 
 
-def _refined(owner: Index, corners: Array, chosen: NDArray[np.bool_]) -> tuple[Index, Array]:
+def _refined(owner: Index, corners: Array, chosen: Mask) -> tuple[Index, Array]:
     """Some of the parts in four similar ones."""
     a, b, c, ab, bc, ca = _with_middles(corners[:, :, chosen]).transpose(1, 0, 2)
     four = [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]

@@ -16,17 +16,15 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.standoff import Cells
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, constant_of, magnitude
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem.body import Index
 
 QUADRATIC = {
     "tol": 1e-12,  # multiplier times gap, so that what is open presses by a billionth of the load
@@ -44,7 +42,7 @@ def tightened(
     displacement as a function of the unknowns. The forces at points are shared among their nodes; a node
     touches where its share is positive.
     """
-    length = float(np.max(np.abs(state.u), initial=0.0) + np.max(np.abs(system.offset), initial=1e-300))
+    length = float(magnitude(state.u) + np.max(np.abs(system.offset), initial=1e-300))
     acted = [field.index[np.any(part.normals != 0, axis=(1, 2))][:, part.nodes].ravel() for part in cells]
     u, last = state.u, np.unique(np.concatenate([system.tangents[: system.slip_bound.size].indices, *acted]))
     last = last[last >= 0]
@@ -54,7 +52,7 @@ def tightened(
     chosen, off = _worst(cells, field.values(u), state.normal_force), ROUNDING * length
     while True:  # each program has more of finitely many points than the last one, or keeps off farther
         rows, gap = _points(cells, chosen, field, u)
-        result = _minimised(program, sp.csr_array(rows[:, last]), gap - off, u[last], length)
+        result = _minimised(program, rows[:, last], gap - off, u[last], length)
         if result is None:
             return None
         contact, pressing, is_closed = result
@@ -82,7 +80,7 @@ def tightened(
 
 def _minimised(
     system: ContactSystem, rows: sp.csr_array, gap: Array, start: Array, length: float
-) -> tuple[Equilibrium, Array, NDArray[np.bool_]] | None:
+) -> tuple[Equilibrium, Array, Mask] | None:
     """The solution of the program with forces at points in the place of nodes, and which of these are closed.
 
     ``rows`` (points, n_u) are those of the gaps, ``gap`` (points,) these at zero displacement. A point is
@@ -90,7 +88,7 @@ def _minimised(
     finds none.
     """
     slips, force, m = np.flatnonzero(system.rotated.slips), system.force_scale, start.size
-    tangents, one, zero = sp.csr_array(system.tangents)[slips], sp.eye_array(slips.size), np.zeros(slips.size)
+    tangents, one, zero = system.tangents[slips], sp.eye_array(slips.size), np.zeros(slips.size)
     hessian = sp.block_diag([system.stiffness * (length / force), 0 * one])
     linear = np.append(-system.load, system.slip_bound[slips]) / force
     matrix = sp.block_array([[rows, None], [-tangents, one], [tangents, one]])
@@ -113,7 +111,7 @@ def _minimised(
 def _quadratic(hessian: sp.sparray, linear: Array, matrix: sp.sparray, constant: Array) -> NLP:
     """``min x H x / 2 + l x`` with ``A x + c >= 0``, and derivatives, which CasADi needs longer to find."""
     x, p, lam_f = ca.MX.sym("x", linear.size), ca.MX(0, 1), ca.MX.sym("lam_f")
-    H, A = _constant(hessian), _constant(matrix)
+    H, A = constant_of(hessian), constant_of(matrix)
     f, g, slope = ca.dot(H @ x / 2 + linear, x), A @ x + constant, H @ x + linear
     derivatives = Derivatives(
         ca.Function("slope", [x, p], [f, slope]),
@@ -122,13 +120,6 @@ def _quadratic(hessian: sp.sparray, linear: Array, matrix: sp.sparray, constant:
     )
     free, rows = np.full(linear.size, np.inf), np.full(constant.size, np.inf)
     return NLP(x, p, f, g, -free, free, 0 * constant, rows, derivatives)
-
-
-def _constant(matrix: sp.sparray) -> ca.DM:
-    columns = sp.csc_array(matrix)
-    columns.sort_indices()
-    pattern = ca.Sparsity(*columns.shape, columns.indptr.tolist(), columns.indices.tolist())
-    return ca.DM(pattern, columns.data.tolist())  # a hundred times faster than from the array
 
 
 def _worst(cells: Sequence[Cells], displacement: Array, force: Array | None = None) -> Index:
@@ -160,4 +151,4 @@ def _points(cells: Sequence[Cells], chosen: Index, field: Field, u: Array) -> tu
         given = np.where(free, 0.0, weight * field.offset[:, nodes]).sum(axis=(0, 1))
         low = part.low - part.dips(displacement)
         gaps.append(given + low[cell, point])
-    return sp.csr_array(sp.vstack(rows)), np.concatenate(gaps)
+    return sp.vstack(rows), np.concatenate(gaps)

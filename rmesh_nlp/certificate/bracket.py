@@ -198,7 +198,7 @@ def refined_bracket(
     for _ in range(refinements):
         coarse, finer = finer, replace(finer, mesh=finer.mesh.refined(1))
         guess = guess.on_refined(DisplacementSpace(coarse), DisplacementSpace(finer))
-    refined = bracket(finer, np.asarray(finer.mesh.p), guess)
+    refined = bracket(finer, finer.mesh.p, guess)
     children = 4**refinements
     return replace(
         refined,

@@ -14,21 +14,18 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.assessment.parts import PROVED, edge_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
-from rmesh_nlp.certificate.polynomials import Index, lowered, powers
+from rmesh_nlp.certificate.polynomials import lowered, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
-
-Mask = NDArray[np.bool_]
 
 SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
 """Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
@@ -89,7 +86,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     traction, inside, inside_is_certain = tractions(problem, skeleton), *_inside(problem, skeleton, degree)
     is_certain &= traction.is_certain and inside_is_certain
     parts = _contact_parts(problem, held)
-    contact = np.concatenate([np.zeros(0, dtype=np.int64), *(part.edges for part in parts)])
+    contact = numbers_of(part.edges for part in parts)
     offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
@@ -127,7 +124,7 @@ def _given_displacement(
             doubt = np.max(part.doubt, initial=doubt)
             error = np.max(np.abs(samples - shares @ at_nodes), initial=error)
             is_certain &= part.is_certain
-    scale = max(float(np.max(np.abs(given), initial=0.0)), 1e-300)
+    scale = max(magnitude(given), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
 
 

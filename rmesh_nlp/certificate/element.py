@@ -23,9 +23,9 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
-from rmesh_nlp.certificate.polynomials import Index, elevation, mass, powers, raised
+from rmesh_nlp.certificate.polynomials import elevation, mass, powers, raised
 from rmesh_nlp.certificate.skeleton import AFTER, CORNERS, edge_normals
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 
 Point = tuple[float, ...]
@@ -79,7 +79,7 @@ class Pieces:
         ``corners`` (2, 3, ...) are those of the triangles.
         """
         normals = edge_normals(np.einsum("pwv,dv...->dwp...", self.corners, corners))
-        slopes = -normals / (normals[1, 2] * normals[0, 1] - normals[0, 2] * normals[1, 1])
+        slopes = -normals / cross(normals[:, 1], normals[:, 2])
         derived = (self.degree + 1) * field[:, raised(self.degree + 1, 3)]
         gradients = np.einsum("pfwv...,dwp...->pfdv...", derived, slopes)
         return np.einsum("idv,pfdv...->ipf...", self.matrix, gradients)

@@ -19,6 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
@@ -28,7 +29,7 @@ from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -49,15 +50,20 @@ class Guess:
         point, and between vertices of the mesh the coefficient of their edge.
         """
         mesh, finer = coarse.problem.mesh, fine.problem.mesh
-        node = ends = np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])
+        node = ends = _ends(mesh)
         if coarse.order == 2:
-            P, Q = np.hstack([np.tile(np.arange(finer.p.shape[1]), (2, 1)), finer.facets])
+            P, Q = _ends(finer)
             first, second = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
             node, between = first.astype(np.int64), first != second
             node[between] = coarse.nodes_at(first[between], second[between])
             node = node.reshape(4, -1)
         values = self.displacement, self.pressure, self.friction
         return Guess(*(part[..., node].mean(axis=-2) for part in values))
+
+
+def _ends(mesh: MeshTri) -> Index:
+    """Between which vertices each node of order 2 is: a vertex between itself and itself."""
+    return np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])
 
 
 @dataclass(frozen=True)

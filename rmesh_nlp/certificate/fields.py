@@ -21,7 +21,7 @@ from rmesh_nlp.certificate.johnson_mercier import johnson_mercier
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.raviart_thomas import raviart_thomas
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.problem import ContactProblem, Elastic
 
 
@@ -142,7 +142,7 @@ class Fields:
         root = np.linalg.cholesky(A[:, :free, :free] + 1e-14 * largest[:, None, None] * np.eye(free))
         right = np.concatenate([self.rows[:, :, :free].transpose(0, 2, 1), by_load], axis=2)
         solved = np.linalg.solve(root, right)
-        return np.asarray(root, dtype=float), solved[:, :, :-1], -solved[:, :, -1]
+        return root, solved[:, :, :-1], -solved[:, :, -1]
 
     @cached_property
     def stiffness(self) -> Array:
@@ -189,6 +189,6 @@ class Fields:
         body = np.einsum("pfg,cge->cpfe", pieces.restriction, load)
         out = pieces.divergence(field, corners) + body
         share = pieces.shares[:, None, None] * areas
-        largest = max(float(np.max(np.abs(part))) for part in (self.forces(field), load * areas))
+        largest = max(magnitude(part) for part in (self.forces(field), load * areas))
         violations = out * share, pieces.faults(field, corners)
-        return max(float(np.max(np.abs(part))) for part in violations) / max(largest, 1e-300)
+        return max(magnitude(part) for part in violations) / max(largest, 1e-300)

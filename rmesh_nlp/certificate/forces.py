@@ -23,7 +23,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.evaluation import ROUNDING, magnitude
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
@@ -39,7 +39,7 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
         return {}
     continuous, active = Continuous(exact.parts, exact.body.nodes), exact.state.active
     bounds, gap = {}, max(exact.energy - lower, ROUNDING * exact.strain)
-    size = float(np.max(np.abs(exact.displacement)) * np.sqrt(gap / max(exact.strain, 1e-300)))
+    size = float(magnitude(exact.displacement) * np.sqrt(gap / max(exact.strain, 1e-300)))
     gaps = exact.system.normals @ exact.state.u + exact.system.offset
     for contact in continuous.space.contact_sets:
         if not contact.rows.size:  # every gap is given
@@ -53,7 +53,7 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
         raised[contact.rows] -= 1.0
         force = exact.system.with_offset(raised).equilibrium(active).normal_force
         bend = float(np.sum((force - exact.state.normal_force)[contact.rows]))
-        flat = max(size, float(np.min(gaps[contact.rows])))
+        flat = max(size, np.min(gaps[contact.rows]))
         boundary = contact.obstacle.boundary
         name = boundary.value if isinstance(boundary, Place) else boundary
         low, high = slope_bounds(upper, lower, gap, bend, flat, continuous.room(contact))

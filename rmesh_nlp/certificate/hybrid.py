@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.fields import Fields
-from rmesh_nlp.certificate.polynomials import Index, moments
+from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, Mask
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Hybrid:
     load: Array  # (traces,)
     numbers: Index  # (elements, k), the traces of each element
     turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
-    held: NDArray[np.bool_]  # (traces,), which are given
+    held: Mask  # (traces,), which are given
     start: Array  # (traces,), the base
     prescribed: Array  # (traces,), the given ones, counted from the base
     slips: Array  # (k contact edges,), the base along the first row of ``conditions.axes``, edges fastest
@@ -79,19 +79,19 @@ def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) ->
     load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
     count = numbers.shape[1]
     at = np.repeat(numbers, count, axis=1).ravel(), np.tile(numbers, count).ravel()
-    of_elements = sp.coo_array((fields.stiffness.ravel(), at), shape=(size, size))
-    matrix = sp.csc_array(turn @ sp.csr_array(of_elements) @ turn.T)
-    stiffness, rest = sp.csc_array(matrix[free][:, free]), (load - matrix @ prescribed)[free]
+    of_elements = sp.csr_array((fields.stiffness.ravel(), at), shape=(size, size))
+    matrix = sp.csc_array(turn @ of_elements @ turn.T)
+    stiffness, rest = matrix[free][:, free], (load - matrix @ prescribed)[free]
     # contact inside, then on the boundary function by function
     touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
     unit = sp.csr_array(sp.eye_array(size))[:, free]
-    normals = sp.csr_array(sp.vstack([unit[added] * inside.sign, unit[touching[-1]]]))
+    normals = sp.vstack([unit[added] * inside.sign, unit[touching[-1]]])
     gaps = (inside.offset + inside.sign * base_inside[0]).T, conditions.offset.ravel() + start[touching[-1]]
     tangents, bound = unit[:0], np.zeros(0)
     if np.any(conditions.friction > 0):
         forces = conditions.friction * lengths[conditions.contact]
         tangents, bound = unit[touching[0]], np.where(held[touching[0]], 0.0, forces.ravel())
-    system = ContactSystem(stiffness, rest, 0.0, normals, sp.csr_array(tangents), np.append(*gaps), bound)
+    system = ContactSystem(stiffness, rest, 0.0, normals, tangents, np.append(*gaps), bound)
     slips = start[touching[0]]
     return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, prescribed, slips)
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
 from rmesh_nlp.certificate.fields import element_of
-from rmesh_nlp.certificate.polynomials import Index, lowered, moments, projection
+from rmesh_nlp.certificate.polynomials import lowered, moments, projection
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.fem.bernstein import functions, size
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Edges
@@ -79,7 +79,7 @@ class Loads:
 
     def doubtful_work(self, displacement: Array) -> float:
         """How much the energy may be wrong by the doubt of the moments."""
-        local = np.abs(displacement[:, self.nodes]) + np.max(np.abs(displacement))
+        local = np.abs(displacement[:, self.nodes]) + magnitude(displacement)
         return float(np.sum(self.doubt * local * self.measure))
 
     def unbalanced_work(self, displacement: Array) -> Array:

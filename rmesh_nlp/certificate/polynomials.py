@@ -10,13 +10,10 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import comb
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import SIDES
-
-Index = NDArray[np.int64]
 
 
 @lru_cache
@@ -67,7 +64,7 @@ def moments(coefficients: Array, degree: int, vertices: int = 2) -> Array:
     return mass(degree, degree_of(coefficients, vertices), vertices) @ coefficients
 
 
-def projection(given: Array, vertices: int = 2) -> Array:
+def projection(given: Array, vertices: int) -> Array:
     """(..., functions, cells) coefficients of the polynomials with these moments: the L2 projection."""
     degree = degree_of(given, vertices)
     if (degree, vertices) == (1, 3):  # with fewer roundings: the remainder of a load is the root of theirs

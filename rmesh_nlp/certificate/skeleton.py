@@ -8,9 +8,9 @@ from functools import cached_property
 import numpy as np
 
 from rmesh_nlp.assessment.parts import PROVED
-from rmesh_nlp.certificate.polynomials import Index, raised
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.certificate.polynomials import raised
+from rmesh_nlp.evaluation import Array, Index, magnitude
+from rmesh_nlp.meshes.geometry import lengths, signed_areas
 from rmesh_nlp.problem import ContactProblem, Motion, Place
 from rmesh_nlp.problem.body import Body
 
@@ -60,7 +60,7 @@ class Skeleton:
     @cached_property
     def edges(self) -> Index:
         """(3, elements) the edges of each element."""
-        beside = np.asarray(self.body.problem.mesh.t2f, dtype=np.int64)
+        beside = self.body.problem.mesh.t2f
         has = np.any(self.ends[:, None, beside] == self.triangles[None, :, None], axis=0)
         return np.take_along_axis(beside, np.argmin(has, axis=1), axis=0)  # of has: (vertex, edge, element)
 
@@ -78,7 +78,7 @@ class Skeleton:
     @cached_property
     def lengths(self) -> Array:
         """(edges,) lengths."""
-        return np.linalg.norm(np.diff(self.nodes[:, self.ends], axis=1)[:, 0], axis=0)
+        return lengths(self.nodes, self.ends)
 
     @cached_property
     def corners(self) -> Array:
@@ -161,8 +161,7 @@ def same_domain(problem: ContactProblem, nodes: Array) -> bool:
     """
     given, moved = (_moments(problem, skeleton_of(problem, x)) for x in (problem.mesh.p, nodes))
     return all(
-        np.max(np.abs(a - b)) <= PROVED * max(float(np.max(np.abs(a))), 1e-300)
-        for a, b in zip(given, moved, strict=True)
+        magnitude(a - b) <= PROVED * max(magnitude(a), 1e-300) for a, b in zip(given, moved, strict=True)
     )
 
 

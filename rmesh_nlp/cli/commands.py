@@ -86,7 +86,6 @@ def solve(
     out: Annotated[
         Path | None,
         Option(
-            "--out",
             metavar="DIR",
             help="Folder to write; default: results/<name of the solve>.",
             parser=o.folder_of,
@@ -126,7 +125,7 @@ def check(
     file: o.File,
     picture: Annotated[
         Path | None,
-        Option("--picture", metavar="FILE", help="Where to draw; default: beside the problem file."),
+        Option(metavar="FILE", help="Where to draw; default: beside the problem file."),
     ] = None,
     order: o.Order = None,
 ) -> None:
@@ -160,11 +159,11 @@ def advise(file: o.File, order: o.Order = None, json: o.Json = False) -> None:
 def remesh(
     file: o.File,
     nodes: Annotated[
-        int | None, Option("--nodes", min=3, metavar="N", help="Nodes of the new mesh; default: as many.")
+        int | None, Option(min=3, metavar="N", help="Nodes of the new mesh; default: as many.")
     ] = None,
     out: Annotated[
         Path,
-        Option("--out", metavar="MESH", help="The mesh to write, a file .msh: it keeps names."),
+        Option(metavar="MESH", help="The mesh to write, a file .msh: it keeps names."),
     ] = Path("mesh.msh"),
     order: o.Order = None,
 ) -> None:
@@ -199,7 +198,7 @@ def study(
     jobs: o.Jobs = 1,
     scheduler: Annotated[
         str | None,
-        Option("--scheduler", metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
+        Option(metavar="ADDRESS", help="A running dask scheduler: tls://host:8786."),
     ] = None,
     dry_run: Annotated[
         bool, Option("--dry-run", help="Print the plan and its time, at most or by its rows.")
@@ -238,7 +237,6 @@ def compare(
     formulations: Annotated[
         str,
         Option(
-            "--formulations",
             metavar="NAMES",
             help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
         ),
@@ -308,11 +306,11 @@ def mpcc(
         list[str] | None,
         Argument(metavar="FILE...", help="AMPL .nl, or .json with CasADi Functions as NOSBENCH writes them."),
     ] = None,
-    relaxation: Annotated[str, Option("--relaxation", metavar="NAME")] = "scholtes",
+    relaxation: Annotated[str, Option(metavar="NAME")] = "scholtes",
     time_limit: o.TimeLimit = None,
     max_iterations: o.MaxIterations = None,
     starts: Annotated[
-        int, Option("--starts", min=1, metavar="N", help="The lowest of N starts: the file's, random ones.")
+        int, Option(min=1, metavar="N", help="The lowest of N starts: the file's, random ones.")
     ] = 1,
     log: Annotated[bool, Option("--log", help="A line per nonlinear program.")] = False,
     json: o.Json = False,
@@ -364,7 +362,7 @@ def reproduce(
 @app.command()
 def export(
     folder: o.Folder,
-    parquet: Annotated[Path, Option("--parquet", metavar="FILE", help="The Parquet file to write.")],
+    parquet: Annotated[Path, Option(metavar="FILE", help="The Parquet file to write.")],
 ) -> None:
     """Write the rows of DIR, joined by key, as a Parquet file for pandas, DuckDB or R.
 
@@ -378,7 +376,7 @@ def export(
 def figures(
     folder: o.Folder,
     columns: o.Columns = 2,
-    format: Annotated[str, Option("--format", help="png, pdf or svg; the last two for papers.")] = "png",
+    format: Annotated[str, Option(help="png, pdf or svg; the last two for papers.")] = "png",
 ) -> None:
     """Make the figures of DIR again.
 

@@ -16,14 +16,11 @@ from rmesh_nlp.settings import from_texts
 
 Size = Annotated[
     str | None,
-    Option(
-        "--n", metavar="SIZE", help="Squares per side, 8, or columns by rows, 12x6. Default: the paper's."
-    ),
+    Option(metavar="SIZE", help="Squares per side, 8, or columns by rows, 12x6. Default: the paper's."),
 ]
 Delta = Annotated[
     str | None,
     Option(
-        "--delta",
         metavar="D[,D]",
         help="Move limits of the nodes, or two, along x and y; none for no limits. "
         "Default: the paper's, scaled with the mesh width.",
@@ -32,7 +29,6 @@ Delta = Annotated[
 Order = Annotated[
     int | None,
     Option(
-        "--order",
         min=1,
         max=2,
         metavar="1|2",
@@ -41,9 +37,7 @@ Order = Annotated[
 ]
 Seed = Annotated[
     int | None,
-    Option(
-        "--seed", min=0, metavar="NUMBER", help="Start from random node positions instead of the given mesh."
-    ),
+    Option(min=0, metavar="NUMBER", help="Start from random node positions instead of the given mesh."),
 ]
 
 
@@ -55,7 +49,6 @@ def parse_quadrature(text: str) -> str | int:
 Quadrature = Annotated[
     str | None,
     Option(
-        "--quadrature",
         metavar="RULE",
         parser=parse_quadrature,
         help="Rule for the load: midpoint, or a degree such as 6. Default: midpoint, the paper's; with "
@@ -65,7 +58,6 @@ Quadrature = Annotated[
 Objective = Annotated[
     str | None,
     Option(
-        "--objective",
         metavar="TERMS",
         help="Outer objective: energy (default), error-energy, error-l2, error-h1, contact, quality, "
         "compliance, area, a quantity such as 'mean(top, -uy)' or 'level-pressure(bottom)', or a sum such "
@@ -75,7 +67,6 @@ Objective = Annotated[
 Objectives = Annotated[
     list[str] | None,
     Option(
-        "--objective",
         metavar="TERMS",
         help="Outer objective, as for solve; given several times, all of them stand in one table.",
     ),
@@ -83,7 +74,6 @@ Objectives = Annotated[
 Seeds = Annotated[
     list[int] | None,
     Option(
-        "--seed",
         min=0,
         metavar="NUMBER",
         help="Start from random node positions; given several times, all of them stand in one table.",
@@ -92,7 +82,6 @@ Seeds = Annotated[
 Regularisation = Annotated[
     str | None,
     Option(
-        "--regularisation",
         metavar="W[,W...]",
         help="Weight of the distortion in the energy, relative to the error of the energy, or a schedule of "
         "weights such as 1,0.1,0.01: for relocation without move limits.",
@@ -106,42 +95,34 @@ Remesh = Annotated[
         "absolute move limits. Needs mmgpy.",
     ),
 ]
-Nodes = Annotated[int | None, Option("--nodes", min=3, metavar="N", help="--remesh with so many nodes.")]
+Nodes = Annotated[int | None, Option(min=3, metavar="N", help="--remesh with so many nodes.")]
 Starts = Annotated[
     int | None,
-    Option(
-        "--starts", min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."
-    ),
+    Option(min=1, metavar="N", help="As many random starts besides the given mesh; the best counts."),
 ]
 Relaxation = Annotated[
     str | None,
-    Option(
-        "--relaxation", metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."
-    ),
+    Option(metavar="NAME", help="Relaxation of complementarity in mpcc; scholtes by default."),
 ]
 TimeLimit = Annotated[
     float | None,
     Option(
-        "--time-limit",
         min=0.001,
         metavar="SECONDS",
         help="Of each solve; its best result so far then counts.",
     ),
 ]
-MaxIterations = Annotated[
-    int | None, Option("--max-iterations", min=1, metavar="N", help="Of each solve, likewise.")
-]
+MaxIterations = Annotated[int | None, Option(min=1, metavar="N", help="Of each solve, likewise.")]
 Tolerance = Annotated[
     float | None,
     Option(
-        "--tolerance",
         metavar="NUMBER",
         help="Largest first-order residual, relative to the given mesh, of what is called converged (1e-6).",
     ),
 ]
 Begin = Annotated[
     str | None,
-    Option("--start", metavar="NAME", help="given (default), or a formulation whose end is the start."),
+    Option(metavar="NAME", help="given (default), or a formulation whose end is the start."),
 ]
 Set = Annotated[
     list[str] | None,
@@ -151,12 +132,10 @@ Set = Annotated[
         help="Any option or setting by its name, such as tol=1e-8 or newton.forcing=0.2; repeat.",
     ),
 ]
-Jobs = Annotated[int, Option("--jobs", min=1, metavar="N", help="Processes that solve.")]
+Jobs = Annotated[int, Option(min=1, metavar="N", help="Processes that solve.")]
 Repeats = Annotated[
     int,
-    Option(
-        "--repeats", min=1, metavar="N", help="Solve each N times: tables show medians of times and ranges."
-    ),
+    Option(min=1, metavar="N", help="Solve each N times: tables show medians of times and ranges."),
 ]
 Quiet = Annotated[bool, Option("--quiet", "-q", help="Say nothing but errors.")]
 Verbose = Annotated[
@@ -167,9 +146,7 @@ Certify = Annotated[
     bool,
     Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
 ]
-Columns = Annotated[
-    int, Option("--columns", min=1, max=2, help="Width of the figures: columns of a printed page.")
-]
+Columns = Annotated[int, Option(min=1, max=2, help="Width of the figures: columns of a printed page.")]
 Folder = Annotated[Path, Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 File = Annotated[Path, Argument(metavar="FILE", help="A problem file.")]
 
@@ -181,7 +158,7 @@ def folder_of(text: str) -> Path:
     return Path(text)
 
 
-Out = Annotated[Path, Option("--out", metavar="DIR", help="Folder to write.", parser=folder_of)]
+Out = Annotated[Path, Option(metavar="DIR", help="Folder to write.", parser=folder_of)]
 Figures = Annotated[
     bool,
     Option("--figures/--no-figures", help="Draw to DIR/figures; rmesh figures DIR does it later."),

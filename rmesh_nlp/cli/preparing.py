@@ -113,7 +113,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
         ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
         ("energy", f"{figure(made.state.energy)}, on the given mesh {figure(first.state.energy)}"),
         ("error of the energy, estimated", f"{figure(made.error)}, on the given mesh {figure(first.error)}"),
-        ("least angle", f"{np.min(least_angles(np.asarray(mesh.p), made.problem.triangles)):.3g} degrees"),
+        ("least angle", f"{np.min(least_angles(mesh.p, made.problem.triangles)):.3g} degrees"),
     ]
     Console().print(rich_table(f"wrote {out}", rows))
 

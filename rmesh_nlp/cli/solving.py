@@ -100,7 +100,7 @@ def _of_file(
     return plan, Series(problem, most=max(2, SERIES_NODES // DisplacementSpace(problem).n_nodes))
 
 
-def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | None = None) -> Done:
+def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | None) -> Done:
     """A solve with its progress shown, and its iterates noted."""
 
     def watch(step: Step) -> None:

@@ -53,7 +53,7 @@ def study(
     return Exit.SUCCESS if good + refused == len(ours) and good else Exit.NO_SUCCESS
 
 
-def dry_run(path: Path, out: Path, jobs: int, voice: str = "text") -> None:
+def dry_run(path: Path, out: Path, jobs: int, voice: str) -> None:
     """Print what a study would do, as JSON with its keys or in short."""
     stated = read_study(path)
     plan = make_plan(stated, path)

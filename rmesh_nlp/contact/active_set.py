@@ -32,6 +32,7 @@ from rmesh_nlp.contact.coulomb import newton
 from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, rank, single_change
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import magnitude
 from rmesh_nlp.optimize.status import Status
 
 MAX_ITERATIONS = 100
@@ -67,7 +68,7 @@ def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) ->
         if next_set(system, last, state.active)[1] == 0:
             return replace(last, iterations=spent)
         change = system.bound(state.normal_force) - bound
-        size = float(np.max(np.abs(change)))
+        size = magnitude(change)
         part = part if size < before else part / 2
         bound, before = bound + part * change, size
     return replace(last, status=Status.CYCLED, iterations=spent)
@@ -122,7 +123,7 @@ def check_load(system: ContactSystem) -> None:
     if system.rigid is None:
         return
     work, gaps = system.rigid.T @ system.load, system.normals @ system.rigid
-    work = work / max(float(np.max(np.abs(work))), 1e-12 * system.force_scale)
+    work = work / max(magnitude(work), 1e-12 * system.force_scale)
     rows = np.vstack([-gaps, -work])
     for goal in np.vstack([np.eye(work.size), -np.eye(work.size)]):
         answer = linprog(goal, rows, np.zeros(len(rows)), bounds=[(-1, 1)] * work.size)
@@ -138,7 +139,7 @@ def check_unique(system: ContactSystem, state: Equilibrium) -> None:
     """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion."""
     if system.rigid is None:
         return
-    length = np.max(np.abs(system.offset), initial=0.0) + np.max(np.abs(state.u), initial=0.0)
+    length = magnitude(system.offset) + magnitude(state.u)
     rounding = 1e-12 * length * np.max(system.stiffness.diagonal(), initial=0.0)
     pressing = state.normal_force > max(1e-9 * np.max(state.normal_force, initial=0.0), rounding)
     if rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:

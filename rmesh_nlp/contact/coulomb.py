@@ -73,7 +73,7 @@ class Laws:
 
     def __init__(self, system: ContactSystem) -> None:
         self._system, self._slips = system, system.rotated.slips
-        self._c = np.asarray(abs(system.normals) @ system.stiffness.diagonal())
+        self._c = abs(system.normals) @ system.stiffness.diagonal()
 
     def __call__(self, state: Equilibrium) -> tuple[float, ActiveSet]:
         """The sum of squares of the residuals over c, and the active set of the next linear system."""

@@ -12,8 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import SuperLU, splu
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import Index
+from rmesh_nlp.evaluation import Array, Index
 
 try:
     from sksparse.cholmod import CholmodError, cholesky
@@ -34,12 +33,12 @@ def factorised(K: sp.csc_array) -> Solve:
             return cholesky(sp.csc_matrix(K))
         except CholmodError:  # not positive definite: an element is inverted
             pass
-    return _by_superlu(sp.csc_array(K), "MMD_AT_PLUS_A").solve
+    return _by_superlu(K, "MMD_AT_PLUS_A").solve
 
 
 def factorised_lu(K: sp.csc_array) -> Solve:
     """Sparse factorisation of a matrix that is not symmetric."""
-    return splu(sp.csc_array(K), permc_spec="COLAMD").solve
+    return splu(K, permc_spec="COLAMD").solve
 
 
 def condensed(K: sp.csc_array, load: Array, last: Index) -> tuple[Array, Array]:

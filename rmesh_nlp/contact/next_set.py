@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Mask, magnitude
 
 PATIENCE = 3
 """Full steps without progress: of blocks that leave as many violations, before single changes begin, and with
@@ -17,8 +16,8 @@ fails for 4 with 3, 4 or 8 such steps, for 16 with none."""
 def next_set(system: ContactSystem, state: Equilibrium, active: ActiveSet) -> tuple[ActiveSet, int]:
     """The active set that the signs of gaps and forces ask for, and how many signs are wrong."""
     # rounding of the linear solve must not make a node that just touches flicker
-    small_force = 1e-13 * max(system.force_scale, float(np.max(np.abs(state.normal_force), initial=0.0)))
-    small_gap = 1e-13 * max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
+    small_force = 1e-13 * max(system.force_scale, magnitude(state.normal_force))
+    small_gap = 1e-13 * max(magnitude(state.u), 1e-300)
     gap = system.normals @ state.u + system.offset
     touching = np.where(active.touching, state.normal_force >= -small_force, gap < -small_gap)
     sliding = active.sliding
@@ -67,6 +66,6 @@ def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, propos
     return ActiveSet(touching, proposal.sliding)
 
 
-def rank(gaps: Array, rows: NDArray[np.bool_]) -> int:
+def rank(gaps: Array, rows: Mask) -> int:
     """Rank of the chosen rows of the gaps of rigid motions (gaps, motions)."""
     return int(np.linalg.matrix_rank(gaps[rows], tol=ROUNDING)) if np.any(rows) else 0

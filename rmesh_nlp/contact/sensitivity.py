@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Mask, magnitude
 from rmesh_nlp.optimize.activity import both_vanish
 
 
@@ -48,13 +47,13 @@ class TangentResponse:
         return rotated.back(w), normal, tangential
 
 
-def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_]:
+def weakly_active(system: ContactSystem, state: Equilibrium) -> Mask:
     """Contact nodes where strict complementarity fails: there u(X) has one-sided derivatives only.
 
     Gap and normal force both vanish, or slip vanishes while the friction is at its bound.
     """
     force = system.force_scale
-    length = max(float(np.max(np.abs(state.u), initial=0.0)), 1e-300)
+    length = max(magnitude(state.u), 1e-300)
     gap = system.normals @ state.u + system.offset
     weak = both_vanish(gap / length, state.normal_force / force)
     if system.slip_bound.size:
@@ -62,4 +61,4 @@ def weakly_active(system: ContactSystem, state: Equilibrium) -> NDArray[np.bool_
         reserve = system.bound(state.normal_force) - np.abs(state.tangential_force)
         acts = True if system.frictional is None else system.frictional
         weak |= acts & both_vanish(slip / length, reserve / force)
-    return np.asarray(weak)
+    return weak

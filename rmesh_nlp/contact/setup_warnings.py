@@ -13,7 +13,7 @@ import numpy as np
 from rmesh_nlp.contact.penetration import Penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, largest_side, magnitude
 from rmesh_nlp.fem.edge_gaps import holds_along_edges
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
@@ -88,7 +88,7 @@ def _contact(
     if holds_along_edges(problem, part.obstacle) or space.order == 2:
         offset = part.obstacle.distances(space.points(problem.mesh.p)[:, part.nodes])
     name, n, unit = _name(part), touching.size, after(problem.units.length)
-    scale = _extent(problem) if problem.components == 2 else max(float(np.max(np.abs(u))), 1e-300)
+    scale = _extent(problem) if problem.components == 2 else max(magnitude(u), 1e-300)
     inside = offset < -1e-9 * scale
     if np.any(inside):
         text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
@@ -112,7 +112,7 @@ def _open(
     offset, change = system.offset[part.rows], (system.normals @ state.u)[part.rows]
     least, unit = float(np.min(offset + change)), after(problem.units.length)
     text = f"contact on {_name(part)} never closes: under the load its gap is {least:.3g}{unit} or more"
-    nearest, moved = float(np.min(offset)), float(np.max(np.abs(change), initial=0.0))
+    nearest, moved = float(np.min(offset)), magnitude(change)
     if problem.components == 2 and nearest > _extent(problem):
         return SetupWarning("open", f"{text}; the foundation is farther off than the body is long")
     if moved > 0 and np.min(change) >= -1e-3 * moved:
@@ -144,19 +144,19 @@ def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
 
 def _turns(problem: ContactProblem, name: str) -> Array:
     """Angles in radians by which a boundary turns at its inner nodes."""
-    edges = problem.mesh.facets[:, np.asarray(problem.mesh.boundaries[name])]
+    edges = problem.mesh.facets[:, problem.mesh.boundaries[name]]
     along = problem.mesh.p[:, edges[1]] - problem.mesh.p[:, edges[0]]
     outward = np.hstack([along, -along]) / np.tile(np.linalg.norm(along, axis=0), 2)  # from each end
     order = np.argsort(edges.ravel())
     _, first, count = np.unique(edges.ravel()[order], return_index=True, return_counts=True)
     a, b = (outward[:, order[first[count == 2] + side]] for side in range(2))
-    return np.asarray(np.pi - np.arccos(np.clip(np.sum(a * b, axis=0), -1, 1)))
+    return np.pi - np.arccos(np.clip(np.sum(a * b, axis=0), -1, 1))
 
 
 def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:
     if problem.components == 1:
         return
-    largest, extent = float(np.max(np.abs(u))), _extent(problem)
+    largest, extent = magnitude(u), _extent(problem)
     unit = after(problem.units.length)
     said = f"the largest displacement is {largest:.2g}{unit} and the body {extent:.2g}{unit} long"
     if largest > extent:
@@ -182,7 +182,7 @@ def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | Non
 
 
 def _extent(problem: ContactProblem) -> float:
-    return float(np.max(np.ptp(problem.mesh.p[:, np.unique(problem.mesh.t)], axis=1)))
+    return largest_side(problem.mesh.p[:, np.unique(problem.mesh.t)])
 
 
 def _name(part: ContactSet) -> str:

@@ -145,7 +145,7 @@ class ContactSolver:
     @cached_property
     def given(self) -> Equilibrium:
         """The contact solution on the mesh as given, from nothing; whoever needs it shares it."""
-        return self.solve(np.asarray(self.problem.mesh.p))
+        return self.solve(self.problem.mesh.p)
 
     def strain_and_friction(self, nodes: Array, u: Array) -> tuple[float, float]:
         """Strain energy and friction energy of a displacement at vertex positions."""
@@ -159,7 +159,7 @@ class ContactSolver:
         """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""
         turns = self._curved and self.problem.frictional
         tangents = self._directions.rows(nodes, self._named(design))[1] if turns else self.tangents
-        return np.asarray(tangents @ u)
+        return tangents @ u
 
     def _named(self, design: Array | None) -> dict[str, float]:
         """Design variables by their names."""

@@ -14,13 +14,12 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
-from rmesh_nlp.problem.body import Body, Index
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
 
 SAMPLES = 128
@@ -67,7 +66,7 @@ class Cells:
         if held.size == 0:
             return held
         gap = self.shares.T @ given[self.nodes[:, held]] + self.distance[held].T
-        size = ROUNDING * (np.max(np.abs(self.distance)) + np.max(np.abs(given), initial=0.0))
+        size = ROUNDING * (magnitude(self.distance) + magnitude(given))
         return held[np.min(gap, axis=0) < -size]
 
     @cached_property
@@ -78,7 +77,7 @@ class Cells:
     def along(self, displacement: Array) -> Array:
         """(m, k) components of a displacement (components, nodes) along the normals at the points."""
         u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
-        return np.asarray(np.sum(self.normals * u, axis=0))
+        return np.sum(self.normals * u, axis=0)
 
     def gaps(self, displacement: Array) -> Array:
         """(m, k) least gaps about the points."""
@@ -101,7 +100,7 @@ class Cells:
         lack = self._needed(-self.gaps(displacement).T, np.zeros(self.rows.shape))
         return np.maximum(np.where(np.isfinite(lack), lack, 0.0), 0.0)
 
-    def pressed(self, force: Array) -> NDArray[np.bool_]:
+    def pressed(self, force: Array) -> Mask:
         """(m,) cells of which a free node presses on the foundation with a force of (gaps,)."""
         return np.any((self.rows >= 0) & (force[self.rows] > 0), axis=0)
 
@@ -118,7 +117,7 @@ class Cells:
         short = height - self.shares.T @ held
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = np.where(share > ROUNDING, short / share, -np.inf)
-        return np.asarray(np.max(ratio, axis=0, initial=-np.inf))
+        return np.max(ratio, axis=0, initial=-np.inf)
 
 
 def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Iterator[Cells]:

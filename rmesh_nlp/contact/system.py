@@ -17,8 +17,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.contact.factorisation import Solve, condensed, factorised, factorised_lu
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.space import Index
+from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
 from rmesh_nlp.optimize.status import Status
 
 
@@ -51,7 +50,7 @@ class ContactSystem:
     tangents: sp.csr_array
     offset: Array
     slip_bound: Array
-    frictional: NDArray[np.bool_] | None = None
+    frictional: Mask | None = None
     rigid: Array | None = None
     coulomb: Array | None = None
 
@@ -59,7 +58,7 @@ class ContactSystem:
         """(gaps,) the largest tangential force under contact forces (gaps,); empty without friction."""
         if self.coulomb is None:
             return self.slip_bound
-        return np.asarray(self.slip_bound + self.coulomb * np.maximum(normal, 0.0))
+        return self.slip_bound + self.coulomb * np.maximum(normal, 0.0)
 
     def friction(self, state: Equilibrium) -> tuple[Array, Array, Array]:
         """(gaps,) slip magnitudes s, and multipliers mu-, mu+ of ``s - u_t >= 0`` and ``s + u_t >= 0``."""
@@ -115,7 +114,7 @@ class ContactSystem:
     @property
     def force_scale(self) -> float:
         """Unit of nodal forces: the largest applied one, or the force that an initial overlap would take."""
-        applied = max(np.max(np.abs(self.load), initial=0.0), np.max(self.slip_bound, initial=0.0))
+        applied = max(magnitude(self.load), np.max(self.slip_bound, initial=0.0))
         if applied == 0:
             overlap = -np.min(self.offset, initial=0.0)
             applied = overlap * np.max(self.stiffness.diagonal(), initial=0.0)
@@ -126,7 +125,7 @@ class ContactSystem:
 class ActiveSet:
     """Which contact nodes touch, and how they slide: -1, +1, or 0 for stick."""
 
-    touching: NDArray[np.bool_]
+    touching: Mask
     sliding: NDArray[np.int8]
 
     def key(self) -> bytes:
@@ -184,13 +183,13 @@ class RotatedSystem:
 
     def turned(self, force: Array) -> Array:
         """Forces (m,) or (m, k) in these coordinates."""
-        return force if self.basis is None else np.asarray(self.basis.T @ force)
+        return force if self.basis is None else (self.basis.T @ force)
 
     def back(self, w: Array) -> Array:
         """Displacements u of these coordinates w."""
-        return w if self.basis is None else np.asarray(self.basis @ w)
+        return w if self.basis is None else (self.basis @ w)
 
-    def sticking(self, active: ActiveSet) -> NDArray[np.bool_]:
+    def sticking(self, active: ActiveSet) -> Mask:
         """Nodes whose slip the active set holds."""
         return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
 
@@ -229,7 +228,7 @@ class RotatedSystem:
     def combined(self, active: ActiveSet, force: Array) -> Array:
         """``force + C force``, see :meth:`coupling`."""
         pull = self.coupling(active)
-        return force if pull is None else np.asarray(force + pull @ force)
+        return force if pull is None else (force + pull @ force)
 
 
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:
@@ -238,7 +237,7 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, I
     They are -1 where T u is given, or no friction acts. A gap takes the place of the component of u nearest
     to the normal, a slip that of the other one.
     """
-    N, T, n = sp.csr_array(system.normals), sp.csr_array(system.tangents), system.load.size
+    N, T, n = system.normals, system.tangents, system.load.size
     gaps = np.arange(N.shape[0])
     normal, tangent, taken = np.zeros(gaps.size, np.int64), np.full(gaps.size, -1), np.zeros(n, dtype=bool)
     best, other = _columns(N, gaps)

@@ -22,7 +22,7 @@ from itertools import combinations
 import numpy as np
 
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 
 
 def contraction(system: ContactSystem, state: Equilibrium) -> float:
@@ -54,7 +54,7 @@ def condensed(system: ContactSystem) -> Array:
     inside, solve = rotated.factor(ActiveSet(every, np.zeros(every.size, dtype=np.int8)))
     held = np.append(rotated.normal, rotated.tangent[rotated.slips])
     columns = rotated.K[:, held].toarray()
-    return np.asarray(columns[held] - columns[inside].T @ solve(columns[inside]))
+    return columns[held] - columns[inside].T @ solve(columns[inside])
 
 
 def spectral_radius(system: ContactSystem, stiffness: Array, active: ActiveSet) -> float:
@@ -71,4 +71,4 @@ def spectral_radius(system: ContactSystem, stiffness: Array, active: ActiveSet) 
     force[slip, np.arange(slides.size)] = -active.sliding[slides]
     change = np.linalg.solve(stiffness[np.ix_(free, free)], force[free])
     normal = stiffness[np.ix_(slides, free)] @ change
-    return float(np.max(np.abs(np.linalg.eigvals(system.coulomb[slides, None] * normal))))
+    return magnitude(np.linalg.eigvals(system.coulomb[slides, None] * normal))

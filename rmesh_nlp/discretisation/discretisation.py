@@ -12,11 +12,11 @@ from functools import cached_property
 import numpy as np
 
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.contact_terms import gap_field, slip_field
 from rmesh_nlp.fem.energy import displacement_field
 from rmesh_nlp.fem.fields import Field, Fields, Forces
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping.mesh_map import MeshMap, VertexParameters
 from rmesh_nlp.mapping.validity import Validity, validity
 from rmesh_nlp.problem import ContactProblem
@@ -96,12 +96,12 @@ class Discretisation:
     @property
     def n_contact(self) -> int:
         """Number of gaps."""
-        return int(self.space.contact_nodes.size)
+        return self.space.contact_nodes.size
 
     @property
     def n_s(self) -> int:
         """Number of slip magnitudes."""
-        return int(self.friction_rows.size)
+        return self.friction_rows.size
 
     @cached_property
     def validity(self) -> Validity:

@@ -29,6 +29,7 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
+from rmesh_nlp.problem.coefficients import POSITION
 from rmesh_nlp.problem.conditions import as_tuple
 
 Size = int | tuple[int, int] | str
@@ -87,7 +88,7 @@ def exact_displacement_61(x: Expression, y: Expression) -> Expression:
 
 def negative_laplacian(u: PositionFunction) -> PositionFunction:
     """``-Laplace(u)`` by symbolic differentiation, as a function of position."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    x, y = POSITION
     value = u(x, y)
     function = ca.Function(
         "source", [x, y], [-ca.jacobian(ca.jacobian(value, x), x) - ca.jacobian(ca.jacobian(value, y), y)]

@@ -15,10 +15,9 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, constant_of, sparsity_of
 from rmesh_nlp.fem.element import PointSums, differentiated, local_symbols
 from rmesh_nlp.fem.fields import ElementGroup, Field, constant_field, plain_field
-from rmesh_nlp.fem.space import Index
 from rmesh_nlp.fem.straightened import straightened
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import Derivatives
@@ -105,9 +104,7 @@ def _picking(index: Index, scale: Array, n: int) -> ca.DM:
     """What takes n values to those of this index (length, elements), one element after the other."""
     numbers, factors = index.ravel(order="F"), scale.ravel(order="F")
     used = np.flatnonzero(numbers >= 0)
-    matrix = sp.csc_matrix((factors[used], (used, numbers[used])), shape=(numbers.size, n))
-    matrix.sort_indices()  # CasADi ends the process where they are not
-    return ca.DM(matrix)
+    return constant_of(sp.csc_array((factors[used], (used, numbers[used])), shape=(numbers.size, n)))
 
 
 class Entries(NamedTuple):
@@ -268,10 +265,7 @@ class _Summed(PythonFunction):
 
     def __init__(self, name: str, inputs: list[ca.MX], sums: Sums, chosen: slice) -> None:
         self._sums, self._chosen = sums, chosen
-        outputs = [
-            ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist())
-            for pattern in sums.patterns[chosen]
-        ]
+        outputs = [sparsity_of(pattern) for pattern in sums.patterns[chosen]]
         super().__init__(name, [symbol.sparsity() for symbol in inputs], outputs)
         self.function = ca.Function(name, inputs, self.call(inputs))
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression, Kind
+from rmesh_nlp.evaluation import Expression, Kind, cross, kind_of
 from rmesh_nlp.fem.bernstein import SIDES, size, slopes
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.coefficients import OPEN
@@ -171,7 +171,7 @@ class Blended(Cell):
         x = self._apex + r * (chord - self._apex) + r * part * (arc - chord)
         across = chord - self._apex + self.order * part * (arc - chord)  # x_r
         along = part * along + (1 - part) * (b - a)  # x_s / r
-        det = across[0] * along[1] - across[1] * along[0]
+        det = cross(across, along)
         by_rs = np.array([[1 - s, -1.0], [s, 1.0], [-1.0, 0.0]])
         rise = self.u @ ca.DM(slopes(self.order, shares) @ by_rs)  # u_r, u_s / r
         turn = ca.vertcat(ca.horzcat(along[1], -along[0]), ca.horzcat(-across[1], across[0]))
@@ -183,7 +183,7 @@ class ArcPoints:
 
     def __init__(self, curve: Curve, t: Expression = None, kind: Kind | None = None) -> None:
         self._curve = curve
-        self.kind = kind or kind_of(curve)
+        self.kind = kind or kind_of(*curve.functions)
         self.t = self.kind.sym("t", 2) if t is None else t
         self._way = self.t[1] - self.t[0]
         if curve.closed:  # the short way round
@@ -205,11 +205,6 @@ def _along_curves(degree: int | str) -> int:
     return DEGREE if isinstance(degree, str) else max(degree, DEGREE)
 
 
-def kind_of(curve: Curve) -> Kind:
-    """Kind of CasADi's symbols that the functions of a curve take."""
-    return ca.SX if all(function.is_a("SXFunction") for function in curve.functions) else ca.MX
-
-
 def shape_functions(order: int, shares: Expression) -> Expression:
     """Values (functions,) at barycentric coordinates, which may be expressions; see :mod:`.bernstein`."""
     if order == 1:
@@ -225,6 +220,6 @@ def affine(X: Expression, u: Expression) -> tuple[Expression, Expression]:
     quadratic density of the gradient is so divided by ``det`` once, at the end.
     """
     edges = ca.horzcat(X[:, 1] - X[:, 0], X[:, 2] - X[:, 0])
-    det = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
+    det = cross(edges[:, 0], edges[:, 1])
     adjugate = ca.vertcat(ca.horzcat(edges[1, 1], -edges[0, 1]), ca.horzcat(-edges[1, 0], edges[0, 0]))
     return det, ca.horzcat(u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]) @ adjugate

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, largest_side
 from rmesh_nlp.fem.contact_terms import bounds, given_gaps, gradient_group
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional, as_row
@@ -53,7 +53,7 @@ class ConstraintRows:
     @property
     def size(self) -> int:
         """Number of rows."""
-        return int(self.lower.size)
+        return self.lower.size
 
     @property
     def sums(self) -> tuple[list[ElementGroup], ...]:
@@ -123,7 +123,7 @@ def is_constrained(problem: ContactProblem) -> bool:
 def _given_gaps(fields: Fields, first: int) -> tuple[list[ElementGroup], Array, float]:
     """The gaps that a design changes and displacements do not, their first values, and their unit."""
     problem = fields.problem
-    unit = float(np.max(np.ptp(problem.mesh.p, axis=1)))
+    unit = largest_side(problem.mesh.p)
     if not problem.design:
         return [], np.zeros(0), unit
     gaps = [problem.given_gaps(part)[1] for part in problem.contact_sets]
@@ -152,9 +152,9 @@ def _pressure_rows(
     space, forces = fields.space, fields.forces
     assert forces is not None
     part = contact_on(space, boundary)
-    weights = space.weights(np.asarray(space.problem.mesh.p))[part.rows]
+    weights = space.weights(space.problem.mesh.p)[part.rows]
     size = float(level if is_number(level) else at_design(level, space.problem.start))
-    unit = float(np.mean(weights)) * (abs(size) or 1.0)
+    unit = np.mean(weights) * (abs(size) or 1.0)
     normal = forces.normal.component(part.number)
     value, rows = ca.SX.sym("lambda"), first + np.arange(part.nodes.size)[None]
     function = ca.Function("pressure", [value], [0, value / unit])

@@ -17,12 +17,12 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.cells import Cell, Straight
 from rmesh_nlp.fem.edge_gaps import edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Obstacle, at
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient
 from rmesh_nlp.problem.data import ContactSet
@@ -49,6 +49,11 @@ def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
     return ca.vec(X), *ca.vertsplit(X @ shares)
 
 
+def _forces(shares: Array) -> tuple[ca.SX, ...]:
+    """The same, and the forces there: pressure, minus and plus."""
+    return *_node(shares), *map(ca.SX.sym, ("lambda", "mu_minus", "mu_plus"))
+
+
 def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Function:
     """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X).
 
@@ -72,8 +77,7 @@ def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
 
 def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda[, mu-, mu+]) -> (0, -lambda n + (mu- - mu+) t)`` of one contact node."""
-    X, x, y = _node(shares)
-    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    X, x, y, pressure, minus, plus = _forces(shares)
     force = -pressure * obstacle.direction(x, y)
     if not obstacle.frictional:
         return ca.Function("contact_force", [X, pressure], [0, force], OPEN)
@@ -196,8 +200,7 @@ def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
 
 def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda, mu-, mu+) -> (0, F(X) lambda - mu- - mu+)`` of one contact node."""
-    X, x, y = _node(shares)
-    pressure, minus, plus = ca.SX.sym("lambda"), ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
+    X, x, y, pressure, minus, plus = _forces(shares)
     value = at(obstacle.coulomb, x, y) * pressure - minus - plus
     return ca.Function("bound_force", [X, pressure, minus, plus], [0, value], OPEN)
 

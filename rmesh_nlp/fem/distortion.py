@@ -24,11 +24,12 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Array, Expression, cross
 from rmesh_nlp.fem.cells import affine
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import determinants
 
 Density = Callable[[Expression, Expression], Expression]
 
@@ -55,7 +56,7 @@ They are linear in the first one.
 def reference_shapes(problem: ContactProblem) -> Array:
     """(2, 3, elements) vertices of the triangles that the elements are compared with."""
     if problem.reference is None:
-        return np.asarray(problem.mesh.p[:, problem.triangles])
+        return problem.mesh.p[:, problem.triangles]
     if problem.reference.shape != (2, 3, problem.mesh.t.shape[1]):
         raise ValueError(
             f"the reference has the shape {problem.reference.shape}, and the mesh "
@@ -70,11 +71,9 @@ def distortion_group(on: Fields, name: str) -> ElementGroup:
     X, X0, total = ca.SX.sym("X", 2, 3), ca.SX.sym("X0", 2, 3), ca.SX.sym("total")
     det0, scaled = affine(X0, X)
     A = scaled / det0  # the gradient of the map
-    det = A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0]
+    det = cross(A[:, 0], A[:, 1])
     value = ca.if_else(det > 0, DISTORTIONS[name](ca.sumsqr(A), det), float("nan")) * det0 / (2 * total)
-    a, b = shapes[:, 1] - shapes[:, 0], shapes[:, 2] - shapes[:, 0]
-    det_e = a[0] * b[1] - a[1] * b[0]
-    area = float(np.sum(det_e) / 2)
+    area = float(np.sum(determinants(shapes)) / 2)
     local = (
         on.positions.at(triangles),
         constant_field(shapes.transpose(1, 0, 2).reshape(6, -1)),

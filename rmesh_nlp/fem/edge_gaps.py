@@ -29,11 +29,11 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Expression
+from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, kind_of, magnitude
 from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
-from rmesh_nlp.fem.cells import ArcPoints, kind_of
+from rmesh_nlp.fem.cells import ArcPoints
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields, constant_field
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Body
@@ -91,7 +91,7 @@ def _largest(body: Body, obstacle: Obstacle) -> tuple[float, float]:
     at_nodes = distance[:, [0, SAMPLES, SAMPLES // 2][: size(order, 2)]]
     shares = functions(order, np.stack([1 - s, s]))
     height = at_nodes @ to_coefficients(order, 2).T @ shares - distance
-    return float(np.max(height, initial=0.0)), float(np.max(np.abs(distance), initial=0.0))
+    return float(np.max(height, initial=0.0)), magnitude(distance)
 
 
 def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
@@ -106,7 +106,7 @@ def edge_gaps(on: Fields, part: ContactSet, rows: Index) -> Iterator[ElementGrou
     space, problem = on.space, on.problem
     at_start = at_design(part.obstacle, problem.start)
     where = space.points(problem.mesh.p)[:, part.nodes]
-    unit = float(np.max(np.abs(at_start.distances(where)), initial=0.0)) or 1.0
+    unit = magnitude(at_start.distances(where)) or 1.0
     highest, _ = _largest(Body(problem.at_design(), problem.mesh.p), at_start)
     least = max(TINY, SMOOTH[space.order] * highest / unit)
     free = np.zeros(space.n_nodes)
@@ -176,7 +176,7 @@ def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
     """(nodes,) the displacement along the normal that is given; zero where none is."""
     held, value = space.given()
     normals = obstacle.normals(space.points(space.problem.mesh.p))
-    return np.asarray(np.sum(normals * np.where(held, value, 0.0), axis=0))
+    return np.sum(normals * np.where(held, value, 0.0), axis=0)
 
 
 def _gap_function(
@@ -189,7 +189,7 @@ def _gap_function(
     height in units of ``unit``. Edges on the last one of the patch's curves are arcs of ``curve``.
     """
     order, cells, interior = space.order, patch.cells, obstacle.boundary is Place.INTERIOR
-    kind = ca.SX if curve is None else kind_of(curve)
+    kind = ca.SX if curve is None else kind_of(*curve.functions)
     n, corners, vertices = len(cells), len(cells[0]), len(patch.vertices)
     nodes, shares = size(order, corners), _samples(corners, interior)
     X, t, u = kind.sym("X", 2, vertices), kind.sym("t", vertices), kind.sym("u", space.problem.components)

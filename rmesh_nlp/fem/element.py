@@ -17,7 +17,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Array, Expression, kind_of
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
 from rmesh_nlp.vectorised import Columns, columnwise
 
@@ -154,7 +154,7 @@ def _kept(sums: PointSums) -> list[Any]:
 def _derivatives(text: str, count: int, n: int) -> Columns:
     """``(x, y) ->`` value, derivatives by x and y, and by xx, yx, xy and yy, up to ``count``, at n points."""
     value = ca.Function.deserialize(text)
-    kind = ca.SX if value.is_a("SXFunction") else ca.MX
+    kind = kind_of(value)
     x, y = kind.sym("x"), kind.sym("y")
     results = [value(x, y)]
     for _ in range(1, count):
@@ -193,7 +193,7 @@ def with_design(function: ca.Function, at_points: PointSums | None) -> tuple[ca.
 
 def local_symbols(function: ca.Function) -> list[Expression]:
     """Symbols for the arguments of a local function, of the kind that it is made of."""
-    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    kind = kind_of(function)
     return [kind.sym(f"a{i}", function.size1_in(i)) for i in range(function.n_in())]
 
 

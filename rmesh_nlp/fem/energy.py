@@ -103,7 +103,7 @@ def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field]]]:
     problem, order = on.problem, on.space.order
     vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], NONE)
     for number, name in enumerate(problem.motion.curves):
-        sides = sides_on(problem, np.asarray(problem.mesh.boundaries[name], dtype=np.int64))
+        sides = sides_on(problem, problem.mesh.boundaries[name])
         elements, first = np.unique(sides.element, return_index=True)
         new = owner[elements] == NONE
         elements, apex = elements[new], 3 - sides.ends[:, first[new]].sum(axis=0)

@@ -11,11 +11,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Expression, Kind
+from rmesh_nlp.evaluation import Array, Expression, Index, Kind, slope_of
 from rmesh_nlp.fem.cells import Arc, Cell, Density, Straight
 from rmesh_nlp.fem.element import PointSums, local_symbols, plain, with_design
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.fem.space import Index as Index
 from rmesh_nlp.meshes.curves import on_values
 from rmesh_nlp.problem import ContactProblem
 
@@ -36,9 +35,7 @@ class Bends:
 
     @cached_property
     def _slopes(self) -> tuple[ca.Function, ...]:
-        symbols = [local_symbols(function)[0] for function in self.functions]
-        pairs = zip(self.functions, symbols, strict=True)
-        return tuple(ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function, t in pairs)
+        return tuple(map(slope_of, self.functions))
 
     def applied(self, t: Array, *, slopes: bool = False) -> Array:
         """Values of the field where its affine part has the values ``t``, or their derivatives by that."""

@@ -20,13 +20,12 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, is_finite
 from rmesh_nlp.fem.cells import Straight, affine, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.reach import corners, least_areas
-from rmesh_nlp.fem.space import Index
 from rmesh_nlp.problem import signed_areas
 
 __all__ = ["fit", "fit_file"]
@@ -50,7 +49,7 @@ class Measurements:
         if self.points.shape != (2, n) or self.values.shape[1:] != (n,) or self.weights.shape != (n,):
             shapes = f"{self.points.shape}, {self.values.shape} and {self.weights.shape}"
             raise ValueError(f"expected points (2, n), values (components, n) and weights (n,), got {shapes}")
-        if not np.all(np.isfinite(self.points)) or np.any(np.isinf(self.values)):
+        if not is_finite(self.points) or np.any(np.isinf(self.values)):
             raise ValueError("points and measured values must be finite")
         if not np.all((self.weights > 0) & np.isfinite(self.weights)):
             raise ValueError("weights must be positive and finite")
@@ -137,7 +136,7 @@ def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
         function = _misfit(components, on.space.order)
         return [on.group(function, [*local, constant_field(data)])]
 
-    return Objective(((1.0, Term(name, quantity, minimised_only=True)),))
+    return Term(name, quantity, minimised_only=True).alone
 
 
 def _misfit(components: int, order: int) -> ca.Function:
@@ -179,4 +178,4 @@ def _least_parts(limits: Array, triangles: Index, x: Array) -> Array:
     own, (a, b, c) = np.full(triangles.shape[1], limits.shape[2]), triangles
     limits = np.concatenate([limits, np.broadcast_to(x[:, None, None], (2, 4, 1))], axis=2)
     parts = (least_areas(limits, np.stack(part)) for part in ((own, b, c), (a, own, c), (a, b, own)))
-    return np.asarray(np.min(list(parts), axis=0))
+    return np.min(list(parts), axis=0)

@@ -24,7 +24,7 @@ from math import comb
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Array, Expression, cross
 from rmesh_nlp.problem.laws import Elastic, Law
 from rmesh_nlp.problem.quadrature import triangle_rule
 
@@ -52,10 +52,15 @@ def errors(law: Law, triangles: Expression, derivatives: Expression) -> Expressi
     return (_of_linear if len(derivatives[0]) == 3 else _of_quadratic)(law, triangles, derivatives)
 
 
-def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expression:
-    (x, y), total = triangles, 0.0
+def _edges(triangles: Expression) -> tuple[list[Expression], Expression]:
+    """Edges from vertex i + 1 to i + 2, and twice the area."""
+    x, y = triangles
     edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]
-    area = (edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]) / 2
+    return edges, cross(edges[0], edges[1])
+
+
+def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expression:
+    (edges, double), total = _edges(triangles), 0.0
     for i in range(3):
         cx, cy = edges[i]
         w = [_along(H, edges[i - 1], edges[i - 2]) for H in second]
@@ -64,13 +69,11 @@ def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expressio
             total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[1] * cx - w[0] * cy) ** 2
         else:
             total += law.conductivity * size
-    return total / (96 * area)  # area / 3 * 1/4 * 1/2 / (2 area)^2
+    return total / (48 * double)  # area / 3 * 1/4 * 1/2 / (2 area)^2
 
 
 def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Expression:
-    x, y = triangles
-    edges = [(x[i - 1] - x[i - 2], y[i - 1] - y[i - 2]) for i in range(3)]  # from vertex i + 1 to i + 2
-    double = edges[0][0] * edges[1][1] - edges[0][1] * edges[1][0]
+    edges, double = _edges(triangles)
     bubbles = []
     for D in third:
         along = [_along(D, edge, edge, edge) / 12 for edge in edges]
@@ -176,7 +179,7 @@ def least_errors(law: Law, derivatives: Array, stretch: Array, angle: Array) -> 
     ]
     derivatives = np.tile(derivatives, len(starts))
     _, phi = _descended(value, np.hstack(starts), LARGEST_ASPECT, repeats=2)
-    return np.asarray(phi.reshape(len(starts), -1).min(axis=0))
+    return phi.reshape(len(starts), -1).min(axis=0)
 
 
 def isotropic_errors(law: Law, derivatives: Array) -> Array:

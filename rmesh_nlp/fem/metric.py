@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT, best_shapes
 from rmesh_nlp.fem.recovery import Recovered
-from rmesh_nlp.fem.space import Index
 from rmesh_nlp.meshes.geometry import signed_areas
 
 EQUILATERAL = np.sqrt(3) / 4
@@ -64,7 +63,7 @@ class Metric:
         size = np.hypot(a, b)  # c is -a
         rate = np.divide(np.sinh(size), size, out=np.ones_like(size), where=size > 0)
         unit = np.stack([np.cosh(size) + rate * a, rate * b, np.cosh(size) + rate * c])
-        return np.asarray(unit * (EQUILATERAL * self.density))
+        return unit * (EQUILATERAL * self.density)
 
 
 def best_metric(nodes: Array, regions: Sequence[Recovered], largest_aspect: float = LARGEST_ASPECT) -> Metric:

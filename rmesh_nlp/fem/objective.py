@@ -45,6 +45,11 @@ class Term:
     minimised_only: bool = False
     level_of: str | None = None
 
+    @property
+    def alone(self) -> Objective:
+        """The objective of this term."""
+        return Objective(((1.0, self),))
+
     def on(self, fields: Fields) -> Functional:
         """Its value on these fields."""
         value = self.groups(fields)

@@ -35,6 +35,7 @@ import numpy as np
 from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.expressions import FUNCTIONS, value_of
+from rmesh_nlp.fem.fit import DISPLACEMENTS
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import TERMS
 from rmesh_nlp.fem.quantities import (
@@ -55,7 +56,6 @@ from rmesh_nlp.fem.quantities import (
 from rmesh_nlp.problem import ContactProblem, Traction
 from rmesh_nlp.problem.design import symbol
 
-DISPLACEMENTS = {1: ("u",), 2: ("ux", "uy")}
 SLOPES = {1: ("u_x", "u_y"), 2: ("ux_x", "ux_y", "uy_x", "uy_y")}
 NORMAL = {1: ("nx", "ny"), 2: ("nx", "ny")}
 
@@ -121,7 +121,7 @@ def _weighted(part: str, whole: str) -> Objective:
 
 def _term(text: str, whole: str) -> Objective:
     if text in TERMS:
-        return Objective(((1.0, TERMS[text]),))
+        return TERMS[text].alone
     kind, bracket, rest = text.partition("(")
     if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
         return _quantity(kind.strip(), rest[:-1], text)
@@ -140,7 +140,7 @@ def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) ->
             return value_of(expression, names)
 
     def density(x: Expression, y: Expression, u: Expression, extra: Expression = None) -> Expression:
-        n = int(u.shape[0])
+        n = u.shape[0]
         values = [x, y, *ca.vertsplit(u), *([] if extra is None else ca.vertsplit(ca.vec(extra.T)))]
         return read(dict(zip(("x", "y", *DISPLACEMENTS[n], *more.get(n, ())), values, strict=True)))
 

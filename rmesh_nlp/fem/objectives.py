@@ -21,13 +21,14 @@ from typing import Any
 import casadi as ca
 
 from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.fem.cells import affine
 from rmesh_nlp.fem.contact_terms import friction
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.energy import loads, strain
 from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import scaled_group
-from rmesh_nlp.fem.objective import Groups, Objective, Term
+from rmesh_nlp.fem.objective import Groups, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN
@@ -61,8 +62,7 @@ def _compliance(on: Fields) -> list[ElementGroup]:
 
 def _area(on: Fields) -> list[ElementGroup]:
     X = ca.SX.sym("X", 2, 3)
-    a, b = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0]
-    function = ca.Function("area", [ca.vec(X)], [(a[0] * b[1] - a[1] * b[0]) / 2, NO_ROWS])
+    function = ca.Function("area", [ca.vec(X)], [affine(X, X)[0] / 2, NO_ROWS])
     return [on.group(function, [on.positions.at(on.problem.triangles)])]
 
 
@@ -177,4 +177,4 @@ def _terms() -> dict[str, Term]:
 TERMS: dict[str, Term] = _terms()
 """The named terms."""
 
-ENERGY = Objective(((1.0, TERMS["energy"]),))
+ENERGY = TERMS["energy"].alone

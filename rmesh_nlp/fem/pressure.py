@@ -13,9 +13,8 @@ from functools import reduce
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Expression
+from rmesh_nlp.evaluation import ROUNDING, Expression, Mask
 from rmesh_nlp.fem.bernstein import size
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
@@ -23,7 +22,7 @@ from rmesh_nlp.fem.fields import ElementGroup, Fields, Forces
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.problem import ContactProblem, Obstacle
+from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
 
@@ -42,7 +41,7 @@ def level_pressure(boundary: str, *, name: str = "level pressure") -> Objective:
         length = _groups(on, boundary, lambda share, _: share)
         return Functional(squares, (total, length), lambda s: -(s[0] ** 2) / s[1])
 
-    return Objective(((1.0, Term(name, quantity, minimised_only=True)),))
+    return Term(name, quantity, minimised_only=True).alone
 
 
 def resultant(boundary: str, *, name: str = "resultant") -> Objective:
@@ -67,7 +66,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
         local = (field.component(part.number).at(free[None]) for field in forces[1:])
         return [on.group(function, list(local))]
 
-    return Objective(((1.0, Term(name, quantity)),))
+    return Term(name, quantity).alone
 
 
 LARGEST = "max-pressure"
@@ -94,7 +93,7 @@ def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Object
         each = [[group.some(np.array([k]))] for group in groups for k in range(group.size)]
         return Functional([], tuple(each), lambda s: reduce(ca.fmax, ca.vertsplit(s)))
 
-    return Objective(((1.0, Term(name, quantity, minimised_only=True, level_of=boundary)),))
+    return Term(name, quantity, minimised_only=True, level_of=boundary).alone
 
 
 def contact_length(boundary: str, reference: float, *, name: str = "contact length") -> Objective:
@@ -139,18 +138,22 @@ def peak_pressure(
         raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
 
     def quantity(on: Fields) -> list[ElementGroup]:
-        length = _length(on.problem, contact_on(on.space, boundary).obstacle)
+        length = float(
+            lengths(
+                on.problem.mesh.p, contact_edges(on.problem, contact_on(on.space, boundary).obstacle)
+            ).sum()
+        )
 
         def value(share: Expression, force: Expression) -> Expression:
             return share / length * (force / (share * reference)) ** exponent
 
         return _groups(on, boundary, value)
 
-    return Objective(((1.0, Term(name, quantity)),))
+    return Term(name, quantity).alone
 
 
 def _sum(name: str, boundary: str, value: Callable[[Expression, Expression], Expression]) -> Objective:
-    return Objective(((1.0, Term(name, lambda on: _groups(on, boundary, value))),))
+    return Term(name, lambda on: _groups(on, boundary, value)).alone
 
 
 def _groups(
@@ -168,12 +171,12 @@ def _groups(
     return groups
 
 
-def _may_slip(space: DisplacementSpace, part: ContactSet) -> NDArray[np.bool_]:
+def _may_slip(space: DisplacementSpace, part: ContactSet) -> Mask:
     """(nodes,) Whether some displacement along the tangent is free."""
     given, _ = space.given()
     obstacle = space.problem.first_obstacles[part.number]
     normals = obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
-    return np.asarray(np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > ROUNDING), axis=0))
+    return np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > ROUNDING), axis=0)
 
 
 def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
@@ -192,12 +195,6 @@ def _forces_on(on: Fields, boundary: str) -> Forces:
     if on.forces is None:
         raise ValueError(f"the forces on {boundary!r} are not known here")
     return on.forces
-
-
-def _length(problem: ContactProblem, obstacle: Obstacle) -> float:
-    """Of a contact boundary on the initial mesh."""
-    p, (a, b) = problem.mesh.p, contact_edges(problem, obstacle)
-    return float(np.linalg.norm(p[:, b] - p[:, a], axis=0).sum())
 
 
 def _check_reference(name: str, reference: float) -> None:

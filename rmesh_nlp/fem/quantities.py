@@ -19,7 +19,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.errors import located
-from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.element import NO_ROWS
 from rmesh_nlp.fem.fields import ElementGroup, Fields, constant_field
@@ -34,8 +34,8 @@ from rmesh_nlp.fem.pressure import (
     resultant,
     shear,
 )
-from rmesh_nlp.fem.space import Index, outward_edges
-from rmesh_nlp.meshes.geometry import node_at
+from rmesh_nlp.fem.space import outward_edges
+from rmesh_nlp.meshes.geometry import lengths, members_of, node_at
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in, substituted, symbol
 from rmesh_nlp.problem.switches import HIGH
@@ -60,7 +60,7 @@ __all__ = [
 
 def _quantity(name: str) -> Callable[[Groups], Objective]:
     """Makes an objective of the element groups of one term."""
-    return lambda groups: Objective(((1.0, Term(name, groups)),))
+    return lambda groups: Term(name, groups).alone
 
 
 def _integral(
@@ -96,7 +96,7 @@ def body_integral(
     def quantity(on: Fields) -> list[ElementGroup]:
         triangles = on.problem.triangles
         if subdomain is not None:
-            triangles = triangles[:, _named(on.problem, "subdomain", subdomain)]
+            triangles = triangles[:, members_of("subdomain", subdomain, on.problem.mesh.subdomains)]
         return _integral(on, name, triangles, degree, density)
 
     return quantity
@@ -242,24 +242,15 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
         barrier=of.has_barrier,
         minimised_only=True,
     )
-    return Objective(((1.0, term),))
+    return term.alone
 
 
 def boundary_length(problem: ContactProblem, name: str) -> float:
     """Length of a named boundary on the initial mesh; a ValueError if it is none, or an interface."""
-    facets, p = _named(problem, "boundary", name), problem.mesh.p
+    facets = members_of("boundary", name, problem.mesh.boundaries)
     if np.any(problem.mesh.f2t[1, facets] >= 0):
         raise ValueError(f"{name!r} is an interface inside the body, not a boundary")
-    a, b = problem.mesh.facets[:, facets]
-    return float(np.linalg.norm(p[:, b] - p[:, a], axis=0).sum())
-
-
-def _named(problem: ContactProblem, kind: str, name: str) -> Index:
-    """Numbers of the facets of a boundary, or of the elements of a subdomain."""
-    groups = (problem.mesh.boundaries if kind == "boundary" else problem.mesh.subdomains) or {}
-    if name not in groups:
-        raise ValueError(f"the mesh has no {kind} {name!r}: choose from {', '.join(groups) or 'none'}")
-    return np.asarray(groups[name])
+    return float(lengths(problem.mesh.p, problem.mesh.facets[:, facets]).sum())
 
 
 def _scalar(value: Expression, name: str) -> Expression:

@@ -6,9 +6,8 @@ from itertools import product
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.fields import NONE, Field
-from rmesh_nlp.fem.space import Index
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.vectorised import CHUNK
 
@@ -42,5 +41,5 @@ def least_areas(limits: Array, triangles: Index) -> Array:
     for part in np.array_split(limited, range(CHUNK, limited.size, CHUNK)):
         a, b, c = (limits[:, :, vertices] for vertices in triangles[:, part])
         b, c = b[:, None, :, None] - a[:, :, None, None], c[:, None, None] - a[:, :, None, None]
-        least[part] = np.min(b[0] * c[1] - b[1] * c[0], axis=(0, 1, 2)) / 2
+        least[part] = np.min(cross(b, c), axis=(0, 1, 2)) / 2
     return least

@@ -16,12 +16,11 @@ from math import comb, factorial
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.interpolation_error import errors
 from rmesh_nlp.fem.sampling import points_of
-from rmesh_nlp.fem.space import DisplacementSpace, Index
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.vectorised import CHUNK
 
@@ -72,7 +71,7 @@ class Recovered:
     @property
     def in_elements(self) -> Array:
         """(components, degree + 1, m) means over the vertices of each element."""
-        return np.asarray(self.derivatives[:, :, self.triangles].mean(axis=2))
+        return self.derivatives[:, :, self.triangles].mean(axis=2)
 
 
 def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tuple[Recovered, ...]:
@@ -104,7 +103,7 @@ class _Fits:
 
     def __init__(self, points: Array, values: Array, centres: Index, degree: int) -> None:
         self._points, self._values, self._centres, self._degree = points, values, centres, degree
-        self._least = ROUNDING * np.max(np.abs(values), initial=0.0)
+        self._least = ROUNDING * magnitude(values)
 
     def over(self, triangles: Index, nodes: Index) -> Array:
         """Derivatives (components, degree + 1, centres), by triangles and their nodes (per triangle, m)."""
@@ -112,10 +111,10 @@ class _Fits:
         place = np.repeat(triangles, len(nodes), axis=0).ravel(), np.tile(nodes, (3, 1)).ravel()
         around = sp.csr_array((np.ones(place[0].size), place), shape=(n, self._points.shape[1]))
         around.sum_duplicates()
-        near = sp.csr_array(around[:, self._centres])
+        near = around[:, self._centres]
         result, todo, reach = np.zeros((self._values.shape[0], self._degree + 1, n)), np.arange(n), near
         for _ in range(RINGS - 1):
-            patch, failed = sp.csr_array(reach @ around), []
+            patch, failed = reach @ around, []
             for first in range(0, todo.size, CHUNK):
                 chunk = todo[first : first + CHUNK]
                 good, derivatives = self._fit(self._centres[chunk], patch[first : first + CHUNK])
@@ -125,10 +124,10 @@ class _Fits:
             todo = todo[rest]
             if todo.size == 0:
                 break
-            reach = sp.csr_array(reach[np.flatnonzero(rest)] @ near)
+            reach = reach[np.flatnonzero(rest)] @ near
         return result
 
-    def _fit(self, nodes: Index, patch: sp.csr_array) -> tuple[NDArray[np.bool_], Array]:
+    def _fit(self, nodes: Index, patch: sp.csr_array) -> tuple[Mask, Array]:
         """Whether polynomials around nodes are determined, and their derivatives (c, degree + 1, nodes).
 
         Each patch is mapped to one of unit second moments first, so that flat ones are as well-conditioned.
@@ -139,7 +138,7 @@ class _Fits:
         row = np.repeat(np.arange(nodes.size), count)
 
         def total(v: Array) -> Array:
-            return np.asarray(np.add.reduceat(v, first, axis=-1))
+            return np.add.reduceat(v, first, axis=-1)
 
         dx, dy = p[:, of] - p[:, nodes[row]]
         xx, xy, yy = (total(v) / count for v in (dx**2, dx * dy, dy**2))

@@ -9,15 +9,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body
-
-Index = NDArray[np.int64]
 
 ALONG = {2: 1, 3: 8}
 """Straight pieces in which an edge is drawn, by the number of its nodes."""
@@ -47,7 +44,7 @@ class Pieces(NamedTuple):
     @property
     def centres(self) -> Array:
         """(3, pieces) barycentric coordinates of their centres."""
-        return np.asarray(self.shares[:, self.triangles].mean(axis=1))
+        return self.shares[:, self.triangles].mean(axis=1)
 
 
 def pieces(cells: Index) -> Pieces:
@@ -60,7 +57,7 @@ def sampled(cells: Index, values: Array, shares: Array) -> Array:
     """(..., cells, points) values of a field (..., nodes) at barycentric coordinates in cells or edges."""
     order = 1 if len(cells) == len(shares) else 2
     weights = functions(order, shares).T @ to_coefficients(order, len(shares))
-    return np.asarray(np.einsum("...nc,pn->...cp", values[..., cells], weights))
+    return np.einsum("...nc,pn->...cp", values[..., cells], weights)
 
 
 def edges_of(cells: Index, *, outer: bool = False) -> Index:
@@ -72,7 +69,7 @@ def edges_of(cells: Index, *, outer: bool = False) -> Index:
     edges = np.hstack([cells[[a, b, *inner]] for (a, b), inner in zip(SIDES[3], middle, strict=True)])
     edges[:2] = np.sort(edges[:2], axis=0)
     _, first, times = np.unique(edges[:2], axis=1, return_index=True, return_counts=True)
-    return np.asarray(edges[:, first[times == 1] if outer else first])
+    return edges[:, first[times == 1] if outer else first]
 
 
 def along(edges: Index, values: Array, parts: int | None = None) -> Array:

@@ -9,14 +9,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, numbers_of
 from rmesh_nlp.fem.bernstein import SIDES
+from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +42,7 @@ class DisplacementSpace:
     @property
     def n_vertices(self) -> int:
         """Number of vertices of the mesh."""
-        return int(self.problem.mesh.p.shape[1])
+        return self.problem.mesh.p.shape[1]
 
     @cached_property
     def elements(self) -> Index:
@@ -62,7 +61,7 @@ class DisplacementSpace:
         """Nodes (n,) at the edges between vertices (n,), of order 2."""
         names, order = self._edge_names
         place = np.searchsorted(names, _names(first, second, self.n_vertices), sorter=order)
-        return np.asarray(self.n_vertices + order[place])
+        return self.n_vertices + order[place]
 
     def kinds(self, nodes: Index) -> Iterator[tuple[Index, Index, Array]]:
         """Nodes by the vertices that carry them: ``(which, vertices, shares)`` for each kind of node.
@@ -73,7 +72,7 @@ class DisplacementSpace:
         yield np.flatnonzero(at_vertex), nodes[at_vertex][None], np.ones(1)
         if not np.all(at_vertex):
             facets = self.problem.mesh.facets[:, nodes[~at_vertex] - self.n_vertices]
-            yield np.flatnonzero(~at_vertex), facets.astype(np.int64), np.full(2, 0.5)
+            yield np.flatnonzero(~at_vertex), facets, np.full(2, 0.5)
 
     def points(self, X: Array) -> Array:
         """(2, nodes) where the nodes are at vertex positions (2, vertices).
@@ -101,7 +100,7 @@ class DisplacementSpace:
             result[:, self.n_vertices :] += of_ends * (given[:, a] + given[:, b])
         return result
 
-    def given(self) -> tuple[NDArray[np.bool_], Array]:
+    def given(self) -> tuple[Mask, Array]:
         """Where displacement components have no unknown, and their coefficients: both (components, nodes)."""
         held, value = self.problem.held
         held = held.copy()
@@ -111,7 +110,7 @@ class DisplacementSpace:
             held, value = (np.hstack(pair) for pair in zip((held, value), of_edges, strict=True))
         return held, value
 
-    def _given_at_edges(self, at_vertices: Array) -> tuple[NDArray[np.bool_], Array]:
+    def _given_at_edges(self, at_vertices: Array) -> tuple[Mask, Array]:
         """The same at edges, by the values at vertices."""
         problem, shape = self.problem, (self.problem.components, self.problem.mesh.facets.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -148,18 +147,17 @@ class DisplacementSpace:
         nodes = self.n_vertices + facets
         held, _ = self.given()
         seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > ROUNDING
-        return np.asarray(nodes[np.any(~held[:, nodes] & seen, axis=0)])
+        return nodes[np.any(~held[:, nodes] & seen, axis=0)]
 
     @cached_property
     def contact_nodes(self) -> Index:
         """(gaps,) the node of every gap; a node of two obstacles is there twice."""
-        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
+        return numbers_of(part.nodes for part in self.contact_sets)
 
     @cached_property
     def friction_rows(self) -> Index:
         """(n_s,) numbers of the gaps at which friction may act."""
-        rows = [part.rows for part in self.contact_sets if part.obstacle.frictional]
-        return np.concatenate([np.zeros(0, np.int64), *rows])
+        return numbers_of(part.rows for part in self.contact_sets if part.obstacle.frictional)
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.
@@ -173,7 +171,7 @@ class DisplacementSpace:
                 cells, length = self.problem.triangles, signed_areas(X, self.problem.triangles)
             else:
                 cells = contact_edges(self.problem, part.obstacle)
-                length = np.linalg.norm(X[:, cells[1]] - X[:, cells[0]], axis=0)
+                length = lengths(X, cells)
             nodes = self.nodes_of(cells)
             share = np.tile(length / len(nodes), len(nodes))
             whole = np.bincount(nodes.ravel(), share, self.n_nodes)
@@ -196,14 +194,14 @@ def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:
     """(2, edges) vertices of the edges of a contact boundary; none for an obstacle in the interior."""
     if isinstance(obstacle.boundary, Place):
         return np.zeros((2, 0), np.int64)
-    facets = np.asarray(problem.mesh.boundaries[obstacle.boundary])
-    return np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
+    facets = problem.mesh.boundaries[obstacle.boundary]
+    return problem.mesh.facets[:, facets]
 
 
 def outward_edges(problem: ContactProblem, boundary: str) -> Index:
     """(2, edges) vertices of the edges of a boundary, the body on their left."""
-    facets = np.asarray(problem.mesh.boundaries[boundary])
-    edges = np.asarray(problem.mesh.facets[:, facets], dtype=np.int64)
+    facets = problem.mesh.boundaries[boundary]
+    edges = problem.mesh.facets[:, facets]
     triangles = problem.triangles[:, problem.mesh.f2t[0, facets]]
     after = (np.argmax(triangles == edges[0], axis=0) + 1) % 3
     forward = triangles[after, np.arange(facets.size)] == edges[1]

@@ -7,9 +7,8 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression, Kind
+from rmesh_nlp.evaluation import Expression, Index, kind_of
 from rmesh_nlp.fem.fields import NONE, Bends, ElementGroup, constant_field
-from rmesh_nlp.fem.space import Index
 
 
 def straightened(group: ElementGroup) -> list[ElementGroup]:
@@ -36,8 +35,7 @@ def straightened(group: ElementGroup) -> list[ElementGroup]:
 def _composed(group: ElementGroup, sort: list[Index]) -> ElementGroup:
     """The group as a function of the affine values behind its arguments, and of amplitudes of motions."""
     curves = [function for f in group.arguments if f.bends is not None for function in f.bends.functions]
-    is_scalar = all(function.is_a("SXFunction") for function in (group.plain, *curves))
-    kind: Kind = ca.SX if is_scalar else ca.MX
+    kind = kind_of(group.plain, *curves)
     columns = [kind.sym(f"a{i}", field.shape[0]) for i, field in enumerate(group.arguments)]
     arguments, inputs, values = list(group.arguments), list(columns), []
     for field, column, row in zip(group.arguments, columns, sort, strict=True):

@@ -9,6 +9,7 @@ from rmesh_nlp.fem.bernstein import slopes
 from rmesh_nlp.fem.sampling import pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.body import gradients as of_shares
 from rmesh_nlp.problem.laws import Laplace
 
 CENTRE = np.full(3, 1 / 3)
@@ -23,12 +24,8 @@ def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Ar
         np.einsum("cne,nv...->cve...", space.coefficients(values)[:, space.elements], turn)
         for values in (points_of(space, X), displacement)
     )
-    edges = np.stack([x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]], axis=1)  # (2, edge, elements, ...)
-    difference = np.stack([u[:, 1] - u[:, 0], u[:, 2] - u[:, 0]], axis=1)
-    (a, b), (c, d) = edges  # x and y of the first and of the second edge
     with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
-        inverse = np.array([[d, -b], [-c, a]]) / (a * d - b * c)
-    return np.asarray(np.einsum("cke...,kje...->cje...", difference, inverse))
+        return np.einsum("cv...,vj...->cj...", u, of_shares(x)[0])
 
 
 def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Array = CENTRE) -> Array:
@@ -60,7 +57,7 @@ def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Arr
 def von_mises(stress: Array) -> Array:
     """Equivalent stress (elements, ...) of stresses (4, elements, ...)."""
     xx, yy, xy, zz = stress
-    return np.asarray(np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * xy**2))
+    return np.sqrt(((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2) / 2 + 3 * xy**2)
 
 
 def size_of_stress(problem: ContactProblem, X: Array, displacement: Array) -> Array:

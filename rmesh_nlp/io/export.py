@@ -20,7 +20,7 @@ from rmesh_nlp.io.folder import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, file_mesh, three
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.solving.parts import Step
@@ -67,12 +67,12 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     error, on the relocated and on the given mesh, and ``equilibrated_flux`` or ``equilibrated_stress`` (xx,
     yy, xy) is the mean of the field that proves it.
     """
-    problem, nodes, certificate = solution.problem, np.asarray(solution.mesh.p), solution.certificate
+    problem, nodes, certificate = solution.problem, solution.mesh.p, solution.certificate
     stress = stresses(problem, nodes, solution.displacement)
     triangles = problem.triangles
     areas = signed_areas(nodes, triangles)
     data: dict[str, Array] = {
-        "area_ratio": areas / solution.initial_areas,
+        "area_ratio": areas / signed_areas(solution.initial_nodes, triangles),
         "least_angle": least_angles(nodes, triangles),
         "zone": element_zones(problem.mesh).astype(np.int32),
     }
@@ -125,12 +125,12 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
     triangles = counter_clockwise(mesh.p, mesh.t)
     names: dict[str, Array] = {}
     lines, line_tags = [np.zeros((0, 2), int)], []
-    for name, facets in _user_names(mesh.boundaries):
+    for name, facets in named_by_user(mesh.boundaries).items():
         names[name] = np.array((len(names) + 1, 1))
-        lines.append(np.asarray(mesh.facets[:, facets]).T)
+        lines.append(mesh.facets[:, facets].T)
         line_tags += [len(names)] * len(facets)
     tags = np.zeros(triangles.shape[1], int)
-    for name, elements in _user_names(mesh.subdomains):
+    for name, elements in named_by_user(mesh.subdomains).items():
         names[name] = np.array((len(names) + 1, 2))
         elements = np.arange(tags.size)[elements]
         tags[elements[tags[elements] == 0]] = len(names)  # a triangle is written once, under its first name
@@ -139,7 +139,7 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
         blocks.append(("line", np.vstack(lines)))
         numbers.append(np.array(line_tags))
     cell_data = {"gmsh:physical": numbers, "gmsh:geometrical": numbers}
-    target = meshio.Mesh(three(np.asarray(mesh.p)), blocks, cell_data=cell_data, field_data=names)
+    target = meshio.Mesh(three(mesh.p), blocks, cell_data=cell_data, field_data=names)
     target.write(path, file_format="gmsh22", binary=False)
 
 
@@ -190,7 +190,7 @@ class Series:
             points = points_of(space, nodes)
             fields = {
                 "displacement": u[0] if u.shape[0] == 1 else three(u),
-                "motion": three(points - points_of(space, np.asarray(self.problem.mesh.p))),
+                "motion": three(points - points_of(space, self.problem.mesh.p)),
             }
             write_whole(folder / file, file_mesh(points, space.elements, fields).write)
             entries.append(f'    <DataSet timestep="{step.iteration}" file={quoteattr(file)}/>')
@@ -210,7 +210,7 @@ class Series:
 
 def node_table(solution: Solution) -> pd.DataFrame:
     """The fields of the nodes as a pandas table, one row per node, vectors by component."""
-    x, y = points_of(DisplacementSpace(solution.problem), np.asarray(solution.mesh.p))
+    x, y = points_of(DisplacementSpace(solution.problem), solution.mesh.p)
     return _table({"x": x, "y": y, **point_data(solution)})
 
 
@@ -233,7 +233,3 @@ def _table(data: dict[str, Any]) -> pd.DataFrame:
             for axis, column in zip(axes[values.shape[1]], values.T, strict=False):
                 columns[f"{name}_{axis}"] = column
     return pd.DataFrame(columns)
-
-
-def _user_names(groups: Any) -> list[tuple[str, Any]]:
-    return [(name, value) for name, value in (groups or {}).items() if not name.startswith("gmsh:")]

@@ -104,8 +104,8 @@ def _fitted(curve: str, mesh: MeshTri, name: str) -> Curve:
     """The circle or the spline through the nodes of a boundary."""
     edges = mesh.facets[:, members_of("boundary", name, mesh.boundaries)]
     if curve == "circle":
-        return fitted_circle(np.asarray(mesh.p[:, np.unique(edges)]))
-    return spline_through(np.asarray(mesh.p), edges)
+        return fitted_circle(mesh.p[:, np.unique(edges)])
+    return spline_through(mesh.p, edges)
 
 
 def _design(table: ProblemTable) -> tuple[DesignVariable | Shape, ...]:

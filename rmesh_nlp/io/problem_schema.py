@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from inspect import Parameter, signature
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, TypeVar, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_type_hints
 
 from pydantic import (
     AfterValidator,
@@ -39,7 +39,6 @@ from rmesh_nlp.io.problem_values import (
     Seed,
     Text,
     Vector,
-    among,
     as_list,
     source_of,
 )
@@ -186,7 +185,7 @@ class MeshTable(Table):
 
     either = ("file", "shape")
     file: Text | None = None
-    shape: Annotated[str, among(SHAPES)] | None = None
+    shape: Literal[tuple(SHAPES)] | None = None  # type: ignore[valid-type]
 
     def made(self, folder: Path) -> MeshTri:
         """The mesh; its file is relative to a folder."""
@@ -203,7 +202,7 @@ class MeshTable(Table):
 class MaterialTable(Table):
     """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
-    law: Annotated[str, among(LAWS)]
+    law: Literal[tuple(LAWS)]  # type: ignore[valid-type]
 
     def made(self) -> Law:
         """The law."""
@@ -239,7 +238,7 @@ class ContactTable(Table):
     interior: Scalar | None = None
     friction: Scalar | None = None
     coulomb: Scalar | None = None
-    gap: Annotated[str, among(GAPS)] = "node"
+    gap: Literal[GAPS] = "node"  # type: ignore[valid-type]
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeAlias
 
 import casadi as ca
@@ -38,19 +38,6 @@ def expected(text: str) -> WrapValidator:
             raise ValueError(own or f"expected {text}") from None
 
     return WrapValidator(check)
-
-
-def among(names: Iterable[str]) -> BeforeValidator:
-    """One of some names, or an error with all of them."""
-    choices = list(names)
-
-    def check(value: object) -> object:
-        if value not in choices:
-            *first, last = map(repr, choices)
-            raise ValueError(f"expected {', '.join(first)} or {last}")
-        return value
-
-    return BeforeValidator(check)
 
 
 def source_of(info: ValidationInfo) -> Source:

@@ -15,6 +15,7 @@ from pydantic_core import from_json
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import safe_name
+from rmesh_nlp.io.problem_messages import as_text
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import EVERY, Count, Number, Seconds
 
@@ -97,8 +98,7 @@ def _first(error: ValidationError) -> str:
     name = repr(item["loc"][0])
     if item["type"] == "missing":
         return f"it has no {name}"
-    value = repr(item["input"])
-    return f"{name} = {value if len(value) <= 60 else value[:57] + '...'}: {message}"
+    return f"{name} = {as_text(item['input'])}: {message}"
 
 
 def parse_json(text: str, where: str) -> Any:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, one_line
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, is_finite
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
@@ -75,7 +75,7 @@ def state_of(
 class Fields:
     """What a VTU file holds: the states before and after relocation, and what limits the motion."""
 
-    triangles: NDArray[np.int64]  # (nodes per element, elements), the vertices first
+    triangles: Index  # (nodes per element, elements), the vertices first
     given: MeshState  # of a design the first one
     final: MeshState
     mobility: NDArray[np.int32]  # (nodes,) of vertices, -1 at middles of edges
@@ -122,7 +122,7 @@ def three(points: Array) -> Array:
 
 def file_mesh(
     points: Array,
-    elements: NDArray[np.int64],
+    elements: Index,
     point_data: Mapping[str, Array],
     cell_data: Mapping[str, Array] | None = None,
 ) -> meshio.Mesh:
@@ -135,7 +135,7 @@ def file_mesh(
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
     problem, final, multipliers = solution.problem, solution.assessment.final, solution.multipliers
-    space, X = DisplacementSpace(problem), np.asarray(problem.mesh.p)
+    space, X = DisplacementSpace(problem), problem.mesh.p
     vertices = slice(space.n_vertices)
     mobility = np.full(space.n_nodes, -1, np.int32)
     mobility[vertices] = MeshMap.of(problem).mobility
@@ -156,7 +156,7 @@ def fields_of(solution: Solution) -> Fields:
 
 def _of_state(state: State) -> MeshState:
     stresses = state.pressure, state.tangential_stress
-    return state_of(state.problem, np.asarray(state.mesh.p), state.displacement, *stresses)
+    return state_of(state.problem, state.mesh.p, state.displacement, *stresses)
 
 
 def read_vtu(path: Path) -> Fields:
@@ -212,7 +212,7 @@ def _check(fields: Fields) -> None:
     for state in (fields.given, fields.final):
         for name in ("nodes", "displacement", "pressure"):
             values = getattr(state, name)
-            if values.shape[-1] != count or not np.all(np.isfinite(values)):
+            if values.shape[-1] != count or not is_finite(values):
                 raise ValueError(f"{name} has not a finite value at each of {count} nodes")
     if fields.triangles.size == 0 or fields.triangles.min() < 0 or fields.triangles.max() >= count:
         raise ValueError("a triangle has a node that is not there")

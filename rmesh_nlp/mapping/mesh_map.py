@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.fields import NONE, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, lengths
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import on_curve, sliding_directions
 from rmesh_nlp.problem.motion import Relative
@@ -51,7 +51,7 @@ class MeshMap:
         Curve number k owns the functions 2 k (x) and 2 k + 1 (y) of ``positions.bends``.
     """
 
-    mobility: NDArray[np.int64]
+    mobility: Index
     positions: Field
     n: int
     lower: Array
@@ -70,7 +70,7 @@ class MeshMap:
 
     def clipped(self, q: Array) -> Array:
         """The nearest outer variables within their limits."""
-        return np.asarray(np.clip(q, self.lower, self.upper))
+        return np.clip(q, self.lower, self.upper)
 
     def q_of(self, nodes: Array, design: Array | None = None) -> Array:
         """The unknowns q that give these positions (2, nodes), in the least-squares sense.
@@ -186,7 +186,7 @@ class VertexParameters:
         return np.concatenate(parts)
 
 
-def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64], Array]:
+def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
     """Mobility of every node and unit tangent (2, nodes) of those that may slide."""
     mesh, motion = problem.mesh, problem.motion
     on_line, tangent = sliding_directions(problem)
@@ -228,9 +228,12 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[NDArray[np.int64
         if node == leader or leader in tied:
             raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
         if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:
-            (a, b), (c, d) = tangent[:, node], tangent[:, leader]
             both_slide = mobility[node] == mobility[leader] == Mobility.SLIDING
-            if not (both_slide and along[leader] < 0 and abs(a * d - b * c) < SEVEN_DIGITS):
+            if not (
+                both_slide
+                and along[leader] < 0
+                and abs(cross(tangent[:, node], tangent[:, leader])) < SEVEN_DIGITS
+            ):
                 raise ValueError(
                     f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
                 )
@@ -246,7 +249,7 @@ def _units(problem: ContactProblem) -> Array:
     if delta is not None and not isinstance(delta, Relative) and not problem.motion.is_fixed:
         return np.broadcast_to(np.asarray(delta, dtype=float)[:, None], mesh.p.shape)
     a, b = mesh.facets
-    length = np.linalg.norm(mesh.p[:, a] - mesh.p[:, b], axis=0)
+    length = lengths(mesh.p, mesh.facets)
     shortest = np.full(mesh.p.shape[1], np.inf)
     np.minimum.at(shortest, a, length)
     np.minimum.at(shortest, b, length)

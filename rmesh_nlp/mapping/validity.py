@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Expression
+from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, cross
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
 from rmesh_nlp.fem.reach import corners, least_areas
@@ -39,7 +39,7 @@ class Validity:
         Lower bounds of the rows.
     """
 
-    elements: NDArray[np.int64]
+    elements: Index
     group: ElementGroup
     bound: Array
     n_q: int
@@ -47,7 +47,7 @@ class Validity:
     @property
     def size(self) -> int:
         """Number of rows."""
-        return int(self.bound.size)
+        return self.bound.size
 
     @property
     def rows_per_element(self) -> int:
@@ -116,7 +116,7 @@ def validity(problem: ContactProblem, free: MeshMap) -> Validity:
 def area_ratios(problem: ContactProblem, nodes: Array) -> Array:
     """Signed element areas at ``nodes`` (2, nodes) over those of the mesh as given."""
     triangles = problem.triangles
-    return np.asarray(signed_areas(nodes, triangles) / signed_areas(problem.mesh.p, triangles))
+    return signed_areas(nodes, triangles) / signed_areas(problem.mesh.p, triangles)
 
 
 def least_area_ratio(problem: ContactProblem, nodes: Array) -> float:
@@ -154,23 +154,25 @@ def least_angles(nodes: Array, triangles: NDArray) -> Array:
     angles = []
     for i in range(3):
         a, b = p[:, (i + 1) % 3] - p[:, i], p[:, (i + 2) % 3] - p[:, i]
-        angles.append(np.arctan2(np.abs(a[0] * b[1] - a[1] * b[0]), np.sum(a * b, axis=0)))
+        angles.append(np.arctan2(np.abs(cross(a, b)), np.sum(a * b, axis=0)))
     return np.rad2deg(np.min(angles, axis=0))
 
 
 def _rows(angle: float) -> ca.Function:
     X, area0 = ca.SX.sym("X", 2, 3), ca.SX.sym("area0")
     sides = [(X[:, (i + 1) % 3] - X[:, i], X[:, (i + 2) % 3] - X[:, i]) for i in range(3)]
-    cross = [a[0] * b[1] - a[1] * b[0] for a, b in sides]
-    rows = [cross[0]]
+    products = [cross(a, b) for a, b in sides]
+    rows = [products[0]]
     if angle > 0:
-        rows += [c * np.cos(angle) - ca.dot(*ab) * np.sin(angle) for c, ab in zip(cross, sides, strict=True)]
+        rows += [
+            c * np.cos(angle) - ca.dot(*ab) * np.sin(angle) for c, ab in zip(products, sides, strict=True)
+        ]
     return ca.Function("validity", [ca.vec(X), area0], [0, ca.vertcat(*(row / (2 * area0) for row in rows))])
 
 
-def _shaped(free: MeshMap) -> NDArray[np.bool_]:
+def _shaped(free: MeshMap) -> Mask:
     """(nodes,) Whether a shape moves a node."""
     modes = free.positions.modes
     if modes is None:
         return np.zeros(free.positions.index.shape[1], dtype=bool)
-    return np.asarray(np.any(modes.motions != 0, axis=(0, 1)))
+    return np.any(modes.motions != 0, axis=(0, 1))

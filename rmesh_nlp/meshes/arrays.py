@@ -16,11 +16,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.evaluation import ROUNDING, Index, largest_side
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
-
-Index = NDArray[np.int64]
 
 
 class MeshRepairWarning(UserWarning):
@@ -92,7 +90,7 @@ def _checked(p: NDArray, t: NDArray) -> tuple[NDArray, Index]:
 
 def _without_duplicates(p: NDArray, t: Index) -> tuple[NDArray, Index, Index]:
     """Nodes at one place merged; also the new number of each old node."""
-    pairs = cKDTree(p.T).query_pairs(ROUNDING * float(np.max(np.ptp(p, axis=1))), output_type="ndarray")
+    pairs = cKDTree(p.T).query_pairs(ROUNDING * largest_side(p), output_type="ndarray")
     number = np.arange(p.shape[1])
     for a, b in pairs[np.argsort(pairs[:, 1])]:
         number[b] = number[a]

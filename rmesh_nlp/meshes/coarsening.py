@@ -16,11 +16,9 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask
 from rmesh_nlp.meshes.delaunay import Measured, delaunay
-
-Index = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from rmesh_nlp.meshes.geometry import sides
 
 LEAST_QUALITY = 0.2
 """Shape in the metric (1 for an equilateral triangle, 0 for a flat one) that a merger must leave."""
@@ -81,8 +79,7 @@ def staying(measured: Measured, triangles: NDArray, lines: Lines, draw: Index) -
     n = draw.size
     on_line = lines.nodes(n)
     on_lines = _grown(measured, _graph(lines.edges, n), lines.kept, on_line, draw)
-    sides = np.hstack([triangles[[0, 1]], triangles[[1, 2]], triangles[[2, 0]]])
-    return _grown(measured, _graph(sides, n), on_lines, ~on_line, draw)
+    return _grown(measured, _graph(sides(triangles), n), on_lines, ~on_line, draw)
 
 
 def _graph(edges: NDArray, n: int) -> sp.csr_array:
@@ -149,7 +146,7 @@ def _merges(measured: Measured, t: NDArray, line_edges: NDArray, on_line: Mask, 
     Only nodes of positive ``priority`` (nodes,) are merged.
     """
     n = priority.size
-    edges = np.hstack([t[[i, j]] for i in range(3) for j in range(3) if i != j])
+    edges = np.hstack([sides(t), sides(t[::-1])])
     best = np.zeros(n)
     np.maximum.at(best, edges[0], priority[edges[1]])
     chosen = priority > best
@@ -174,7 +171,7 @@ def _on_short_lines(along: NDArray, n: int) -> Mask:
     Two nodes of a line may be taken out at once, so that five leave three at least.
     """
     piece = connected_components(sp.coo_array((np.ones(along.shape[1]), along), shape=(n, n)))[1]
-    return np.asarray(np.bincount(piece)[piece] <= 4)
+    return np.bincount(piece)[piece] <= 4
 
 
 def _worst(measured: Measured, t: NDArray, pairs: NDArray) -> Array:
@@ -185,4 +182,4 @@ def _worst(measured: Measured, t: NDArray, pairs: NDArray) -> Array:
     corner = t[:, around.indices]
     vanishes = np.any(corner == kept, axis=0)
     value = np.where(vanishes, 1.0, measured.flatness(np.where(corner == merged, kept, corner)))
-    return np.asarray(np.maximum.reduceat(value, around.indptr[:-1]))
+    return np.maximum.reduceat(value, around.indptr[:-1])

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite, magnitude, slope_of
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
 SAMPLES = 4000
@@ -48,11 +48,11 @@ class Curve(ABC):
 
     @cached_property
     def _first(self) -> Pair:
-        return _derivatives(self.functions)
+        return _slopes(self.functions)
 
     @cached_property
     def _second(self) -> Pair:
-        return _derivatives(self._first)
+        return _slopes(self._first)
 
     def at(self, t: Array) -> Array:
         """Points (2, n) at parameters (n,)."""
@@ -66,7 +66,7 @@ class Curve(ABC):
         """Parameters (n,) of the points of the curve nearest to ``points`` (2, n)."""
         low, high = self.interval
         samples = np.linspace(low, high, SAMPLES)
-        t = samples[cKDTree(self.at(samples).T).query(np.asarray(points).T)[1]]
+        t = samples[cKDTree(self.at(samples).T).query(points.T)[1]]
         step = (high - low) / SAMPLES
         for _ in range(20):
             off = self.at(t) - points
@@ -77,9 +77,9 @@ class Curve(ABC):
             move = -slope / np.where(curvature > 0.1 * square, curvature, square)
             move = np.clip(move, -step, step)
             t = t + move if self.closed else np.clip(t + move, low, high)
-            if np.max(np.abs(move), initial=0.0) < 1e-15 * (high - low):
+            if magnitude(move) < 1e-15 * (high - low):
                 break
-        return np.asarray(t)
+        return t
 
     def near(self, points: Array, t: Array) -> Array:
         """Parameters of the nearest points, without a jump of whole turns from ``t``."""
@@ -97,13 +97,11 @@ def on_values(function: ca.Function, t: Array) -> Array:
         return np.zeros(t.size)
     if is_vectorisable(function):  # ten to a hundred times faster
         return Vectorised(function, t.size)([t.reshape(1, -1)])[0].ravel()
-    return np.asarray(function(ca.DM(t).T).full(), dtype=float).ravel()
+    return function(ca.DM(t).T).full().ravel()
 
 
-def _derivatives(functions: Pair) -> Pair:
-    t = (ca.SX if functions[0].is_a("SXFunction") else ca.MX).sym("t")
-    dx, dy = (ca.Function("slope", [t], [ca.jacobian(function(t), t)]) for function in functions)
-    return dx, dy
+def _slopes(functions: Pair) -> Pair:
+    return slope_of(functions[0]), slope_of(functions[1])
 
 
 @dataclass(frozen=True)
@@ -115,7 +113,7 @@ class Circle(Curve):
 
     def __post_init__(self) -> None:
         values = [*self.centre, self.radius]
-        if len(values) != 3 or not np.all(np.isfinite(values)) or not self.radius > 0:
+        if len(values) != 3 or not is_finite(values) or not self.radius > 0:
             raise ValueError(
                 f"a circle needs a finite centre and a positive radius, got {self.centre}, {self.radius}"
             )
@@ -130,7 +128,7 @@ class Circle(Curve):
         return ca.Function("x", [t], [x + r * ca.cos(t)]), ca.Function("y", [t], [y + r * ca.sin(t)])
 
     def nearest(self, points: Array) -> Array:  # noqa: D102
-        return np.asarray(np.arctan2(points[1] - self.centre[1], points[0] - self.centre[0]))
+        return np.arctan2(points[1] - self.centre[1], points[0] - self.centre[0])
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,7 @@ class Spline(Curve):
 
     def __post_init__(self) -> None:
         p = np.asarray(self.points, dtype=float)
-        if p.ndim != 2 or p.shape[0] < 4 or p.shape[1] != 2 or not np.all(np.isfinite(p)):
+        if p.ndim != 2 or p.shape[0] < 4 or p.shape[1] != 2 or not is_finite(p):
             raise ValueError("a spline needs four or more points of two finite numbers each")
         if not np.all(np.any(np.diff(self._through, axis=0) != 0, axis=1)):
             raise ValueError("two points of a spline that follow each other are the same")
@@ -208,10 +206,10 @@ class Parametrised(Curve):
         if not (np.isfinite(low) and np.isfinite(high) and low < high):
             raise ValueError(f"the interval of a curve must increase and be finite, got {self.interval}")
         points = self.at(np.linspace(low, high, 50))
-        if not np.all(np.isfinite(points)):
+        if not is_finite(points):
             raise ValueError("a curve must be finite over its interval")
         ends = points[:, [0, -1]]
-        if self.closed and np.max(np.abs(ends[:, 0] - ends[:, 1])) > 1e-9 * np.max(np.abs(ends) + 1e-300):
+        if self.closed and magnitude(ends[:, 0] - ends[:, 1]) > 1e-9 * np.max(np.abs(ends) + 1e-300):
             raise ValueError("a closed curve must end where it begins")
 
     @cached_property

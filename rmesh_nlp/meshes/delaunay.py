@@ -7,10 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index
 from rmesh_nlp.meshes.geometry import signed_areas
-
-Index = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -44,7 +42,7 @@ class Measured:
         corner, metric = self.nodes[:, triangles], self.metric[:, triangles].mean(axis=1)
         edges = _squared(metric[:, None], corner - np.roll(corner, 1, axis=1)).sum(axis=0)
         area = signed_areas(self.nodes, triangles) * np.sqrt(metric[0] * metric[2] - metric[1] ** 2)
-        return np.asarray(edges / (4 * np.sqrt(3) * np.maximum(area, 1e-300)))
+        return edges / (4 * np.sqrt(3) * np.maximum(area, 1e-300))
 
     def squared_lengths(self, at: NDArray, vectors: Array) -> Array:
         """Of vectors (2, n) in the metric at nodes (n,)."""
@@ -53,7 +51,7 @@ class Measured:
 
 def _squared(metric: Array, vectors: Array) -> Array:
     x, y = vectors
-    return np.asarray(metric[0] * x**2 + 2 * metric[1] * x * y + metric[2] * y**2)
+    return metric[0] * x**2 + 2 * metric[1] * x * y + metric[2] * y**2
 
 
 def delaunay(measured: Measured, triangles: NDArray, fixed: NDArray) -> Index:

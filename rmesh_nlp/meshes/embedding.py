@@ -16,18 +16,15 @@ from collections.abc import Iterator
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, counter_clockwise, signed_areas
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, cross, largest_side
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, counter_clockwise, lengths, sides, signed_areas
 
 INSIDE = np.array([0.2113, 0.3517, 0.4370])
 """Barycentric coordinates of a point of an element; with these it is hardly ever on an edge of another."""
-
-Index = NDArray[np.int64]
 
 
 def fault(mesh: MeshTri) -> str | None:
@@ -40,14 +37,14 @@ def _flat(mesh: MeshTri) -> str | None:
     corner = mesh.p[:, mesh.t]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0).max(axis=0)
     areas = np.abs(signed_areas(mesh.p, mesh.t))
-    flat = np.flatnonzero(~(areas > ROUNDING * longest * np.max(np.ptp(mesh.p, axis=1))))
+    flat = np.flatnonzero(~(areas > ROUNDING * longest * largest_side(mesh.p)))
     return f"element {flat[0]} has no area" if flat.size else None
 
 
 def _folded(mesh: MeshTri) -> str | None:
     """An edge that two counter-clockwise elements run along in the same direction."""
     t = counter_clockwise(mesh.p, mesh.t)
-    edges = np.hstack([t[[0, 1]], t[[1, 2]], t[[2, 0]]])
+    edges = sides(t)
     _, first, count = np.unique(edges[0] * (t.max() + 1) + edges[1], return_index=True, return_counts=True)
     for a, b in edges[:, first[count > 1]].T:
         return f"elements overlap at the edge between nodes {a} and {b}"
@@ -59,12 +56,12 @@ def _hanging(mesh: MeshTri) -> str | None:
     ends, element = _boundary(mesh)
     nodes = np.unique(ends)
     a, b = mesh.p[:, ends[0]], mesh.p[:, ends[1]]
-    length = np.linalg.norm(b - a, axis=0)
+    length = lengths(mesh.p, ends)
     tangent = (b - a) / length
     for edges, chosen in _near(a, b, mesh.p[:, nodes], np.zeros(nodes.size)):
         d, size = mesh.p[:, nodes[chosen]] - a[:, edges], length[edges]
         position = np.sum(d * tangent[:, edges], axis=0)
-        on_line = np.abs(_cross(tangent[:, edges], d)) <= SEVEN_DIGITS * size
+        on_line = np.abs(cross(tangent[:, edges], d)) <= SEVEN_DIGITS * size
         for which in np.flatnonzero(
             on_line & (position > SEVEN_DIGITS * size) & (position < (1 - SEVEN_DIGITS) * size)
         ):
@@ -81,7 +78,7 @@ def _crossing(mesh: MeshTri) -> str | None:
     """Two boundary edges that cross."""
     ends, element = _boundary(mesh)
     a, b = mesh.p[:, ends[0]], mesh.p[:, ends[1]]
-    length = np.linalg.norm(b - a, axis=0)
+    length = lengths(mesh.p, ends)
     for edge, other in _near(a, b, 0.5 * (a + b), 0.5 * length):
         apart = ~np.any(ends[:, None, edge] == ends[None, :, other], axis=(0, 1))
         edge, other = edge[apart], other[apart]
@@ -102,7 +99,7 @@ def _covered(mesh: MeshTri) -> str | None:
     corner = mesh.p[:, counter_clockwise(mesh.p, mesh.t)]
     for element in np.unique(piece, return_index=True)[1]:
         off = (corner[:, :, element] @ INSIDE)[:, None, None] - corner
-        inside = np.all(_cross(np.roll(corner, -1, axis=1) - corner, off) > 0, axis=0)
+        inside = np.all(cross(np.roll(corner, -1, axis=1) - corner, off) > 0, axis=0)
         for other in np.flatnonzero(inside & (piece != piece[element])):
             return f"elements {element} and {other} overlap: a piece lies on another"
     return None
@@ -111,7 +108,7 @@ def _covered(mesh: MeshTri) -> str | None:
 def _boundary(mesh: MeshTri) -> tuple[Index, Index]:
     """Ends (2, edges) of the boundary edges, and the element of each."""
     facets = np.flatnonzero(mesh.f2t[1] < 0)
-    return np.asarray(mesh.facets[:, facets]), np.asarray(mesh.f2t[0, facets])
+    return mesh.facets[:, facets], mesh.f2t[0, facets]
 
 
 def _near(a: Array, b: Array, points: Array, radius: Array) -> Iterator[tuple[Index, Index]]:
@@ -133,12 +130,8 @@ def _near(a: Array, b: Array, points: Array, radius: Array) -> Iterator[tuple[In
             yield members[np.concatenate(neighbours).astype(np.int64)], np.repeat(small, count)
 
 
-def _separated(a: Array, b: Array, c: Array, d: Array, far: Array) -> NDArray[np.bool_]:
+def _separated(a: Array, b: Array, c: Array, d: Array, far: Array) -> Mask:
     """Whether c and d lie on different sides of the lines through a and b, farther than ``far`` from them."""
     tangent = (b - a) / np.linalg.norm(b - a, axis=0)
-    first, second = _cross(tangent, c - a), _cross(tangent, d - a)
-    return np.asarray((first * second < 0) & (np.minimum(np.abs(first), np.abs(second)) > far))
-
-
-def _cross(a: Array, b: Array) -> Array:
-    return np.asarray(a[0] * b[1] - a[1] * b[0])
+    first, second = cross(tangent, c - a), cross(tangent, d - a)
+    return (first * second < 0) & (np.minimum(np.abs(first), np.abs(second)) > far)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 
 from rmesh_nlp.errors import Place, ProblemError, unknown
+from rmesh_nlp.evaluation import Index, cross, largest_side
 
 NAMELESS = (
     'the mesh names none: name groups in gmsh, such as Physical Curve("left") = {1};, '
@@ -28,10 +29,10 @@ def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:
     ``nodes`` is (2, nodes), ``triangles`` (3, elements).
     """
     a, b, c = (nodes[:, vertex] for vertex in triangles)
-    return 0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1]))
+    return 0.5 * cross(b - a, c - a)
 
 
-def counter_clockwise(nodes: NDArray, triangles: NDArray) -> NDArray[np.int64]:
+def counter_clockwise(nodes: NDArray, triangles: NDArray) -> Index:
     """The triangles (3, elements), clockwise ones turned."""
     t = np.array(triangles, dtype=np.int64)
     clockwise = signed_areas(nodes, t) < 0
@@ -44,9 +45,7 @@ def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
     return replace(mesh, doflocs=np.ascontiguousarray(nodes))
 
 
-def members_of(
-    kind: str, name: str, groups: Mapping[str, Any] | None, place: Place = ("mesh",)
-) -> NDArray[np.int64]:
+def members_of(kind: str, name: str, groups: Mapping[str, Any] | None, place: Place = ("mesh",)) -> Index:
     """Numbers of the facets of a boundary, or of the elements of a subdomain, by its name.
 
     If the mesh has no such name, a ProblemError says so of a place of the problem.
@@ -56,7 +55,7 @@ def members_of(
     return np.asarray(groups[name])
 
 
-def nodes_of(mesh: MeshTri, name: str) -> NDArray[np.int64]:
+def nodes_of(mesh: MeshTri, name: str) -> Index:
     """Sorted numbers of the nodes on a named boundary; a ProblemError if there is none of this name."""
     return np.unique(mesh.facets[:, members_of("boundary", name, mesh.boundaries)]).astype(np.int64)
 
@@ -65,7 +64,27 @@ def node_at(mesh: MeshTri, place: tuple[float, float]) -> int:
     """The node at a place, to seven digits of the extent of the mesh; else a ValueError names the nearest."""
     distance = np.linalg.norm(mesh.p - np.array(place)[:, None], axis=0)
     node = int(np.argmin(distance))
-    if not distance[node] <= SEVEN_DIGITS * float(np.max(np.ptp(mesh.p, axis=1))):
+    if not distance[node] <= SEVEN_DIGITS * largest_side(mesh.p):
         x, y = mesh.p[:, node]
         raise ValueError(f"no node at {list(place)}; the nearest is node {node} at [{x:.6g}, {y:.6g}]")
     return node
+
+
+def have_same_mesh(a: MeshTri, b: MeshTri) -> bool:
+    """Whether they have the same nodes and triangles."""
+    return a is b or (np.array_equal(a.p, b.p) and np.array_equal(a.t, b.t))
+
+
+def lengths(nodes: NDArray, edges: NDArray) -> NDArray:
+    """Of edges, numbers (2, m) of their ends."""
+    return np.linalg.norm(nodes[:, edges[1]] - nodes[:, edges[0]], axis=0)
+
+
+def sides(triangles: NDArray) -> NDArray:
+    """The three edges of each triangle, (2, 3 m)."""
+    return np.hstack([triangles[[i, (i + 1) % 3]] for i in range(3)])
+
+
+def named_by_user(groups: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Boundaries or subdomains without those that gmsh makes of itself."""
+    return {name: part for name, part in (groups or {}).items() if not name.startswith("gmsh:")}

@@ -20,11 +20,9 @@ from scipy.sparse import csgraph
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise
-
-Index = NDArray[np.int64]
+from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
 
@@ -79,7 +77,7 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
     work.set_corners(fixed.astype(np.int32))
     work.set_required_vertices(fixed.astype(np.int32))
     work["tensor"] = np.ascontiguousarray(tensors.T)
-    size = float(np.max(np.ptp(mesh.p, axis=1)))
+    size = largest_side(mesh.p)
     try:
         with _own_signals():  # sizes change as fast as the metric says
             work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size)
@@ -140,7 +138,7 @@ def _pieces(mesh: MeshTri, lines: Index) -> Index:
     a, b = mesh.f2t[:, np.setdiff1d(np.flatnonzero(mesh.f2t[1] >= 0), lines)]
     n = mesh.t.shape[1]
     beside = sp.coo_array((np.ones(a.size), (a, b)), shape=(n, n))
-    return np.asarray(csgraph.connected_components(beside, directed=False)[1], dtype=np.int64)
+    return csgraph.connected_components(beside, directed=False)[1]
 
 
 def _marks(
@@ -150,7 +148,7 @@ def _marks(
 
     There is one for every combination of names and number of a ``piece`` (chosen,).
     """
-    named = {name: np.asarray(part) for name, part in (groups or {}).items() if not name.startswith("gmsh:")}
+    named = named_by_user(groups)
     member = np.array([np.isin(chosen, part) for part in named.values()]).reshape(len(named), chosen.size)
     pieces = np.zeros(chosen.size, dtype=np.int64) if piece is None else piece
     kinds, mark = np.unique(np.vstack([member, pieces]).T, axis=0, return_inverse=True)

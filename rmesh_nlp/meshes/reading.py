@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.errors import one_line
+from rmesh_nlp.evaluation import ROUNDING, Index
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.geometry import counter_clockwise, sides
 
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """Longest time of the processor to read a file: meshio takes about 2e-7 seconds per byte of text."""
@@ -73,7 +74,7 @@ def _reason(error: BaseException, said: str) -> str:
     """One line for people on why a reader of meshio gave up, and what to do."""
     if isinstance(error, ModuleNotFoundError):
         return f"this format needs the package {error.name}: pip install {error.name}"
-    text = " ".join(str(error).split())
+    text = one_line(error)
     if isinstance(error, SystemExit):  # its reason was printed
         lines = [line for line in said.splitlines() if re.match(r"\s*[A-Za-z]", line)]
         text = lines[-1].strip() if lines else "its content is in another format"
@@ -171,7 +172,7 @@ def _mesh(file: meshio.Mesh) -> MeshTri:
 
 def _outer_edges(triangles: NDArray, sets: Mapping[str, Any]) -> dict[str, NDArray]:
     """The outer edges between the nodes of each set, as pairs of nodes; sets without any are left out."""
-    edges = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    edges = np.sort(sides(triangles.T).T, axis=1)
     edges, counts = np.unique(edges, axis=0, return_counts=True)
     outer = edges[counts == 1]
     named = {name: outer[np.all(np.isin(outer, nodes), axis=1)] for name, nodes in sets.items()}
@@ -214,7 +215,7 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
     return {kind: {name: np.concatenate(arrays) for name, arrays in parts[kind].items()} for kind in parts}
 
 
-def _members(name: Any, chosen: Any, position: int) -> NDArray[np.int64]:
+def _members(name: Any, chosen: Any, position: int) -> Index:
     """Numbers of the cells of a set in one block."""
     try:
         members = np.asarray([] if chosen[position] is None else chosen[position], dtype=np.int64)

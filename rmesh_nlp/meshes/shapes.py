@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.settings import check_positive
@@ -44,7 +44,7 @@ def rectangle(
         if not isinstance(n, (int, np.integer)) or n < 1:
             raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
     for name, ends in (("x", x), ("y", y)):
-        if len(ends) != 2 or not (np.all(np.isfinite(ends)) and ends[0] < ends[1]):
+        if len(ends) != 2 or not (is_finite(ends) and ends[0] < ends[1]):
             raise ValueError(f"{name} must be two increasing numbers, got {ends}")
     _affordable(2 * nx * ny)
     if diagonal not in DIAGONALS:
@@ -129,7 +129,7 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
     default edge i is called ``edge-i``.
     """
     check_positive(h=h)
-    if len(points) < 3 or not np.all(np.isfinite(points)):
+    if len(points) < 3 or not is_finite(points):
         raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
     if crossing := _crossing_edges(np.asarray(points, dtype=float)):
         raise ValueError("edges {} and {} of the polygon cross".format(*crossing))

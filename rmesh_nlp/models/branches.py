@@ -26,11 +26,11 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, constant_of, is_finite, magnitude
 from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.models.kkt_point import KKTConditions, KKTPoint
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.mpcc.lifting import IntArray, lift
+from rmesh_nlp.mpcc.lifting import lift
 from rmesh_nlp.mpcc.lpec import descent, linearise
 from rmesh_nlp.mpcc.stationarity import stationarity
 from rmesh_nlp.optimize.activity import ZERO
@@ -60,7 +60,7 @@ class BranchLabel:
     b_stationary: bool | None
     rate: float
     direction: Array
-    pairs: IntArray
+    pairs: Index
 
 
 class Branches:
@@ -84,7 +84,7 @@ class Branches:
         if direction is None:
             return BranchLabel(result.label, result.b_stationary, 0.0, still, at.pairs)
         step, decrease = direction.step[: point.q.size], direction.decrease
-        size = float(np.max(np.abs(step), initial=0.0)) or 1.0
+        size = magnitude(step) or 1.0
         return BranchLabel(result.label, result.b_stationary, decrease / size, step / size, at.pairs)
 
 
@@ -108,7 +108,7 @@ def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     constraints = sp.vstack([sp.csr_array(total(at.jacobian[first + own].toarray())), areas])
     slope = total(at.slope)
     second = total(at.jacobian[program.n_g + program.n_pairs + at.pairs].toarray())
-    if not all(np.all(np.isfinite(part)) for part in (slope, second, constraints.data)):
+    if not all(is_finite(part) for part in (slope, second, constraints.data)):
         return None
     # the members a and b in units of their changes for changes of d of one
     by_q, by_a = np.sum(np.abs(second[:, :n]), axis=1), np.abs(second[:, n:])
@@ -129,7 +129,7 @@ def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     return MPCC(
         x=x,
         f=ca.dot(ca.DM(np.append(slope * scale / unit, np.zeros(k))), x),
-        g=_casadi(sp.csc_array(every)) @ x,
+        g=constant_of(every) @ x,
         G=a,
         H=b,
         lbx=np.append(np.where(q - free.lower <= tolerance, 0.0, -np.inf), -unlimited),
@@ -137,8 +137,3 @@ def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
         lbg=np.zeros(k + rows.size),
         ubg=np.append(np.zeros(k), np.where((low & high)[rows], 0.0, np.inf)),
     )
-
-
-def _casadi(matrix: sp.csc_array) -> ca.DM:
-    pattern = ca.Sparsity(*matrix.shape, matrix.indptr.tolist(), matrix.indices.tolist())
-    return ca.DM(pattern, matrix.data.tolist())

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, cross
 from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced
@@ -81,7 +81,7 @@ def node_widths(relocation: Relocation, q: Array) -> Array:
     np.maximum.at(steps, index[moving], np.abs(positions.slopes(q))[moving])
     room = np.full(q.size, np.inf)
     np.minimum.at(room, index[moving], np.broadcast_to(least, index.shape)[moving])
-    return np.asarray(room / np.maximum(steps, 1e-300))
+    return room / np.maximum(steps, 1e-300)
 
 
 def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
@@ -94,9 +94,9 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
     move = (relocation.nodes(q + step) - nodes)[:, triangles]
     X = nodes[:, triangles]
     a, b, u, v = X[:, 1] - X[:, 0], X[:, 2] - X[:, 0], move[:, 1] - move[:, 0], move[:, 2] - move[:, 0]
-    constant = (1 - KEPT) * (a[0] * b[1] - a[1] * b[0])
-    linear = a[0] * v[1] - a[1] * v[0] + u[0] * b[1] - u[1] * b[0]
-    square = u[0] * v[1] - u[1] * v[0]
+    constant = (1 - KEPT) * cross(a, b)
+    linear = cross(a, v) + cross(u, b)
+    square = cross(u, v)
     discriminant = linear**2 - 4 * square * constant
     with np.errstate(all="ignore"):
         middle = -0.5 * (linear + np.where(linear >= 0, 1.0, -1.0) * np.sqrt(discriminant))

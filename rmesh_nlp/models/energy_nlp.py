@@ -20,10 +20,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Block, Symmetric
+from rmesh_nlp.evaluation import Array, Block, Index, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import gaps, slips
-from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Index
+from rmesh_nlp.fem.fields import ElementGroup, Field, Fields
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY, energy
 from rmesh_nlp.mapping import MeshMap

@@ -20,12 +20,11 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.constraints import ConstraintRows, constraint_rows
 from rmesh_nlp.fem.contact_terms import (
@@ -38,7 +37,7 @@ from rmesh_nlp.fem.contact_terms import (
     slips,
 )
 from rmesh_nlp.fem.energy import loads, strain
-from rmesh_nlp.fem.fields import Field, Index, unknown_field
+from rmesh_nlp.fem.fields import Field, unknown_field
 from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
@@ -69,7 +68,7 @@ class ContactPoint:
     equilibrium: Equilibrium
 
     @property
-    def weak(self) -> NDArray[np.bool_]:
+    def weak(self) -> Mask:
         """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
         return weakly_active(self.system, self.equilibrium)
 
@@ -164,7 +163,7 @@ class Bilevel:
     def pair_rows(self, pairs: Index) -> Index:
         """The gaps of complementarity pairs: those of contact, then two of friction each where it may act."""
         every = np.concatenate([np.arange(self.n_contact), self.friction_rows, self.friction_rows])
-        return np.asarray(every[pairs])
+        return every[pairs]
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
@@ -202,7 +201,7 @@ def in_units_of(parts: Discretisation, objective: Objective, start: ContactPoint
     return bilevel(
         parts,
         objective,
-        length=float(np.max(np.abs(start.equilibrium.u), initial=0.0)) or 1.0,
+        length=magnitude(start.equilibrium.u) or 1.0,
         force=start.system.force_scale,
         value=abs(objective.on(parts.fields()).evaluate()(x)) or 1.0,
         start=x,

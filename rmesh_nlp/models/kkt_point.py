@@ -20,13 +20,11 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.contact.system import ActiveSet
-from rmesh_nlp.evaluation import Array, Block, Symmetric
+from rmesh_nlp.evaluation import Array, Block, Index, Mask, Symmetric, is_finite
 from rmesh_nlp.fem.assembly import Sums
-from rmesh_nlp.fem.fields import Index
 from rmesh_nlp.models.kkt_model import Bilevel, ContactPoint
 from rmesh_nlp.optimize.activity import ZERO
 
@@ -78,7 +76,7 @@ class KKTPoint:
     slope: Array
     rows: Array
     jacobian: sp.csr_array
-    held: NDArray[np.bool_] | None
+    held: Mask | None
     zero: float = 0.0
 
     def over_branches(self, zero: float) -> KKTPoint:
@@ -91,7 +89,7 @@ class KKTPoint:
         return self.conditions.program
 
     @cached_property
-    def members(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    def members(self) -> tuple[Mask, Mask]:
         """Of which pairs G is held, else H; and which pairs are biactive."""
         G, H = np.split(self.rows[self.program.n_g :], 2)
         return held_members(self.program, self.jacobian, G, H, self.zero, self.held)
@@ -112,12 +110,12 @@ class KKTPoint:
     @cached_property
     def of_q(self) -> sp.csr_array:
         """C_q."""
-        return sp.csr_array(self.jacobian[self.equations][:, : self.program.n_q])
+        return self.jacobian[self.equations][:, : self.program.n_q]
 
     @cached_property
     def factors(self) -> SuperLU | None:
         """Of C_y; None where it is singular or not defined."""
-        if not np.all(np.isfinite(self.jacobian.data)):
+        if not is_finite(self.jacobian.data):
             return None
         try:
             return splu(sp.csc_array(self.jacobian[self.equations][:, self.program.n_q :]))
@@ -190,7 +188,7 @@ class ObjectiveHessian:
             return np.full(d.shape, np.nan)
         y = -self._factors.solve(self._of_q @ d)
         nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
-        return np.asarray(self.qq @ d + self._qy @ y + self._of_q_t @ nu)
+        return self.qq @ d + self._qy @ y + self._of_q_t @ nu
 
 
 def positive(diagonal: Array) -> Array:
@@ -199,15 +197,15 @@ def positive(diagonal: Array) -> Array:
     return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
 
 
-def held_by(program: Bilevel, active: ActiveSet) -> NDArray[np.bool_]:
+def held_by(program: Bilevel, active: ActiveSet) -> Mask:
     """The pairs whose first member an active set holds at zero: contact, stick, one side of what slides."""
     sliding = active.sliding[program.friction_rows] if active.sliding.size else np.zeros(0)
     return np.concatenate([active.touching, sliding >= 0, sliding <= 0])
 
 
 def held_members(
-    program: Bilevel, jacobian: sp.csr_array, G: Array, H: Array, zero: float, held: NDArray[np.bool_] | None
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    program: Bilevel, jacobian: sp.csr_array, G: Array, H: Array, zero: float, held: Mask | None
+) -> tuple[Mask, Mask]:
     """Which members of the pairs determine the contact solution, and which pairs are biactive.
 
     The first is True where G is held, else H is; with them the KKT conditions are a regular system. Without
@@ -219,9 +217,7 @@ def held_members(
     """
     n_c, n_s, n_u = program.n_contact, program.friction_rows.size, program.n_u
     of_u = abs(jacobian[program.n_g : program.n_g + G.size, program.n_q : program.n_q + n_u])
-    moves = (
-        np.asarray(of_u.max(axis=1).todense()).ravel() > ZERO if G.size and n_u else np.zeros(G.size, bool)
-    )
+    moves = of_u.max(axis=1).toarray().ravel() > ZERO if G.size and n_u else np.zeros(G.size, bool)
     zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
     biactive = zero_G & zero_H & (zero >= G)
     held = np.array(zero_G if held is None else held)

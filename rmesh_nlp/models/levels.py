@@ -12,8 +12,7 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.fem.space import Index
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, cross, magnitude
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
@@ -85,7 +84,7 @@ def _on(problem: ContactProblem, mesh: MeshTri, nodes: Index, least: int) -> Con
     return coarser if Body(coarser, coarser.mesh.p).is_upright() else None  # too coarse for its curves
 
 
-def _turning(curve: Curve, nodes: NDArray[np.int64], points: Array) -> NDArray[np.int64]:
+def _turning(curve: Curve, nodes: Index, points: Array) -> Index:
     """Some of the nodes on a curve, between which it turns by little more than ``TURN``."""
     t = curve.nearest(points[:, nodes])
     order = np.argsort(t)
@@ -113,11 +112,11 @@ def _decimated(problem: ContactProblem) -> tuple[MeshTri, Index]:
     number[nodes], place[result.element] = np.arange(nodes.size), np.arange(result.element.size)
     boundaries = {}
     for name, facets in (mesh.boundaries or {}).items():
-        ends = result.into[mesh.facets[:, np.asarray(facets)]]
+        ends = result.into[mesh.facets[:, facets]]
         boundaries[name] = number[np.unique(np.sort(ends[:, ends[0] != ends[1]], axis=0), axis=1)].T
     subdomains = {}
     for name, elements in (mesh.subdomains or {}).items():
-        members = place[np.asarray(elements)]
+        members = place[elements]
         subdomains[name] = members[members >= 0]
     coarse = from_arrays(mesh.p[:, nodes].T, number[result.triangles].T, boundaries, subdomains)
     return coarse, nodes
@@ -134,10 +133,10 @@ def interpolated(nodes: Array, triangles: NDArray, values: Array, points: Array)
     element that it is least outside of.
     """
     vertices, weights = located(nodes, triangles, points)
-    return np.asarray(np.einsum("cvk,vk->ck", values[:, vertices], weights))
+    return np.einsum("cvk,vk->ck", values[:, vertices], weights)
 
 
-def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[NDArray[np.int64], Array]:
+def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[Index, Array]:
     """Vertices (3, points) of the element around each point and its barycentric coordinates there."""
     corner = nodes[:, triangles]
     tree = cKDTree(corner.mean(axis=1).T)
@@ -159,9 +158,6 @@ def located(nodes: Array, triangles: NDArray, points: Array) -> tuple[NDArray[np
 def _barycentric(corner: Array, point: Array) -> Array:
     a, b, c = corner[:, 0], corner[:, 1], corner[:, 2]
 
-    def cross(u: Array, v: Array) -> Array:
-        return u[0] * v[1] - u[1] * v[0]
-
     whole = cross(b - a, c - a)
     parts = [cross(b - point, c - point), cross(c - point, a - point), cross(a - point, b - point)]
     return np.stack(parts) / whole
@@ -181,6 +177,6 @@ def prolonged(
     q = mesh_map.clipped(mesh_map.q_of(X0 + interpolated(coarse_nodes, coarse_triangles, shift, X0)))
     while not np.all(signed_areas(mesh_map.positions.values(q), triangles) > least):
         q = 0.9 * q
-        if np.max(np.abs(q), initial=0.0) < 1e-6:
+        if magnitude(q) < 1e-6:
             return np.zeros_like(q)
     return q

@@ -127,7 +127,7 @@ class ReducedEnergy:
         forces = np.zeros(rel.n_rows)
         forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
         _, gradient, _, rows = rel.assembled.first(x, None)
-        return np.asarray(gradient[: rel.n_q] - self._rows(rows).T @ forces)
+        return gradient[: rel.n_q] - self._rows(rows).T @ forces
 
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""

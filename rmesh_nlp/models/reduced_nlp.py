@@ -28,8 +28,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.fields import Index
+from rmesh_nlp.evaluation import Array, Index, magnitude, sparsity_of
 from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
@@ -131,7 +130,7 @@ def _dense(function: ReducedObjective) -> tuple[ca.Sparsity, Values]:
         product = conditions.at(function(q)).hessian(factor * conditions.program.value, multiples)
         hessian = product(np.eye(n))
         hessian = 0.5 * (hessian + hessian.T)  # symmetric up to rounding
-        return np.asarray((hessian if rows is None else hessian + rows)[at])
+        return (hessian if rows is None else hessian + rows)[at]
 
     return upper, values
 
@@ -151,7 +150,7 @@ def _lifted(function: ReducedEnergy) -> tuple[ca.Sparsity, Values]:
             raise RuntimeError("the lifted Hessian has entries outside its pattern")
         return np.asarray(np.bincount(place[inside], data[inside], entries.size), dtype=float)
 
-    return ca.Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist()), values
+    return sparsity_of(pattern), values
 
 
 def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[Index, Array]:
@@ -160,7 +159,7 @@ def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[I
     The first is times a factor. Places may come several times.
     """
     outer = factor * hessian.outer if rows is None else factor * hessian.outer + rows
-    size = float(np.max(np.abs(outer.data), initial=0.0)) or 1.0
+    size = magnitude(outer.data) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
     unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free
     # unknowns that contact determines

@@ -17,10 +17,10 @@ from skfem import MeshTri
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.evaluation import Index, largest_side
 from rmesh_nlp.fem.interpolation_error import LARGEST_ASPECT
 from rmesh_nlp.fem.metric import Metric, best_metric
 from rmesh_nlp.fem.recovery import Recovered, interpolation_error, recovered
-from rmesh_nlp.fem.space import Index
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes.mmg import remeshed
@@ -75,12 +75,12 @@ class Solved:
     def regions(self) -> tuple[Recovered, ...]:
         """The derivatives that the displacement lacks."""
         displacement, space = self.solver.displacement.values(self.state.u), self.solver.discretisation.space
-        return recovered(space, np.asarray(self.problem.mesh.p), displacement)
+        return recovered(space, self.problem.mesh.p, displacement)
 
     @cached_property
     def error(self) -> float:
         """Estimated error of the energy: that of interpolation."""
-        return interpolation_error(np.asarray(self.problem.mesh.p), self.problem.triangles, self.regions)
+        return interpolation_error(self.problem.mesh.p, self.problem.triangles, self.regions)
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
         if budget.is_over():
             break
     best = min(done, key=lambda solved: solved.state.energy)
-    counts = tuple(int(solved.problem.mesh.p.shape[1]) for solved in done)
+    counts = tuple(solved.problem.mesh.p.shape[1] for solved in done)
     return MetricStart(best, counts, tuple(solved.state.energy for solved in done))
 
 
@@ -141,7 +141,6 @@ def remeshed_problem(
     regions: Sequence[Recovered],
     nodes: int,
     ratio: float = float("nan"),
-    tolerance: float = EXACT,
     off: float | None = None,
 ) -> tuple[ContactProblem, float]:
     """The problem on a mesh of a number of nodes, the best for derivatives recovered on its own.
@@ -151,14 +150,14 @@ def remeshed_problem(
     the mesh of the problem.
     """
     off = sagitta(problem) if off is None else off
-    X, angle, aspect, even = np.asarray(problem.mesh.p), problem.motion.min_angle, LARGEST_ASPECT, 1.0
+    X, angle, aspect, even = problem.mesh.p, problem.motion.min_angle, LARGEST_ASPECT, 1.0
     if angle > 0:  # the least angle of an equilateral triangle that is stretched across an edge
         aspect = min(aspect, 1 / (np.sqrt(3) * np.tan(np.radians(angle) / 2)))
     metric = best_metric(X, regions, aspect)
     if np.isnan(ratio):
         ratio = problem.mesh.t.shape[1] / X.shape[1]
     while True:
-        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, tolerance, off)
+        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off)
         if angle == 0 or np.min(least_angles(candidate.mesh.p, candidate.triangles)) >= angle:
             return candidate, ratio
         if even == 0:
@@ -174,15 +173,15 @@ def remeshed_problem(
 
 
 def _with_nodes(
-    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, tolerance: float, off: float
+    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, off: float
 ) -> tuple[ContactProblem, float]:
     """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
     candidates: list[tuple[int, float, ContactProblem]] = []
     for _ in range(TRIALS):
         made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
-        count = int(made.mesh.p.shape[1])
+        count = made.mesh.p.shape[1]
         candidates.append((abs(count - nodes), ratio, made))
-        if abs(count - nodes) <= tolerance * nodes:
+        if abs(count - nodes) <= EXACT * nodes:
             break
         ratio = ratio * nodes / count
     off, ratio, best = min(candidates, key=lambda candidate: candidate[0])
@@ -197,7 +196,7 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactPro
     mesh, motion = problem.mesh, problem.motion
     fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
     numbers = np.array([*motion.numbers, *(load.node for load in problem.point_loads)], dtype=np.int64)
-    fixed, size = np.union1d(fixed, numbers), float(np.max(np.ptp(mesh.p, axis=1)))
+    fixed, size = np.union1d(fixed, numbers), largest_side(mesh.p)
     for closer in CLOSER if off else CLOSER[:1]:
         new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off)
         try:
@@ -205,7 +204,7 @@ def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactPro
         except ProblemError as error:
             said = f"no problem on Mmg's mesh of {new.p.shape[1]} nodes: {error}"
             continue
-        if Body(carried, np.asarray(carried.mesh.p)).is_upright() and sagitta(carried) <= off + 1e-9 * size:
+        if Body(carried, carried.mesh.p).is_upright() and sagitta(carried) <= off + 1e-9 * size:
             return carried
         said = f"Mmg's mesh of {new.p.shape[1]} nodes is too coarse for the curves: take more"
     raise BadInputError(said)
@@ -222,6 +221,6 @@ def sagitta(problem: ContactProblem) -> float:
     """The largest height of an arc over its edge; 0 without curves."""
     heights, mesh = [], problem.mesh
     for name, curve in problem.motion.curves.items():
-        middle = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].mean(axis=1)
+        middle = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]].mean(axis=1)
         heights.append(np.linalg.norm(curve.at(curve.nearest(middle)) - middle, axis=0).max())
     return max(map(float, heights), default=0.0)

@@ -21,9 +21,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.models.energy_nlp import Relocation
@@ -46,7 +45,7 @@ class OuterResidual:
         self, energy: ReducedEnergy, given: ReducedPoint, constraints: ReducedConstraints | None = None
     ) -> None:
         self._energy, self._constraints = energy, constraints
-        largest = float(np.max(np.abs(released(energy, given.q, given.gradient).rest), initial=0.0))
+        largest = magnitude(released(energy, given.q, given.gradient).rest)
         self.unit = max(largest, ZERO * size_of(given)) or 1.0
 
     def __call__(self, point: ReducedPoint) -> float:
@@ -81,7 +80,7 @@ class Released:
 
     def residual(self, unit: float) -> float:
         """The residual in a unit of gradients; infinite if the gradient is not finite."""
-        if not np.all(np.isfinite(self.rest)):
+        if not is_finite(self.rest):
             return float("inf")
         natural = np.abs(self.q - self.relocation.mesh_map.clipped(self.q - self.rest / unit))
         pairs = np.abs(np.minimum(self.slack, self.fitted / unit))
@@ -116,7 +115,7 @@ def released(
         return Released(relocation, q, gradient, np.zeros(0), np.zeros(0))
     free, every = relocation.mesh_map, stacked(rows)
     fitted = np.zeros(every.slack.size)
-    if np.all(np.isfinite(gradient)):
+    if is_finite(gradient):
         fitted = every.fitted(gradient, is_inside(q, free.lower, free.upper))
     return Released(relocation, q, gradient - every.jacobian.T @ fitted, every.slack, fitted)
 
@@ -142,7 +141,7 @@ class Multipliers:
     angle: Array
 
 
-def _by_node(free: MeshMap, q: Array, rest: Array, stopped: NDArray[np.bool_]) -> Array:
+def _by_node(free: MeshMap, q: Array, rest: Array, stopped: Mask) -> Array:
     """Multipliers of move limits, as energy per length, at the nodes that own the outer variables."""
     pull = np.where(stopped, np.maximum(-rest * np.sign(q), 0.0), 0.0)
     index, scale = free.positions.index, free.positions.slopes(q)
@@ -156,4 +155,4 @@ def _by_node(free: MeshMap, q: Array, rest: Array, stopped: NDArray[np.bool_]) -
         bent = free.positions.bends.which[0] != NONE
         length = np.linalg.norm(scale, axis=0)
         rate[:, bent] = pull[index[0, bent]] / length[bent]
-    return np.asarray(np.where(slanted, rate.min(axis=0), rate.sum(axis=0)))
+    return np.where(slanted, rate.min(axis=0), rate.sum(axis=0))

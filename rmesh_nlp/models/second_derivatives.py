@@ -21,8 +21,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.contact.sensitivity import TangentResponse
-from rmesh_nlp.evaluation import Array, Block, Symmetric
-from rmesh_nlp.fem.fields import Index
+from rmesh_nlp.evaluation import Array, Block, Index, Symmetric
 from rmesh_nlp.models.kkt_point import ObjectiveHessian, positive
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
 
@@ -117,8 +116,7 @@ class Hessian:
             outer = outer + friction @ self._slip + (friction @ self._slip).T
         if rotated.basis is not None:
             mixed = rotated.basis.T @ mixed
-        mixed = sp.csr_array(mixed)
-        held, follows = self._respond.held, sp.csr_array(self._respond.held_by(self._gap, slip))
+        held, follows = self._respond.held, self._respond.held_by(self._gap, slip)
         inside, _ = rotated.factor(active)
         stiffness = sp.csr_array(rotated.K)
         coupled = follows.T @ mixed[held]
@@ -133,7 +131,7 @@ class Hessian:
             return self._products(d)
         if self._whole is None:
             self._whole = self._products(np.eye(d.size))
-        return np.asarray(self._whole @ d)
+        return self._whole @ d
 
     def _products(self, d: Array) -> Array:
         sliding = self._sliding if d.ndim == 1 else self._sliding[:, None]
@@ -147,7 +145,7 @@ class Hessian:
         if sliding.size:
             result += self._qs @ (sliding * (self._tangents @ u + slip[self._rows]))
             result += self._slip.T @ (bound - tangential[self._rows])
-        return np.asarray(result)
+        return result
 
 
 def curvature_of(function: Reduced) -> Callable[[ReducedPoint], Hessian | ObjectiveHessian]:

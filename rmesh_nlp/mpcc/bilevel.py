@@ -78,8 +78,7 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     # in pure symbols, so that CasADi can derive it
     pure_y, pure_p = kind.sym("y", below.n_x), kind.sym("p", below.p.shape[0])
     f, g = oracle.call([pure_y, pure_p], True, False)
-    lbx, ubx, lbg, ubg = (np.asarray(bound) for bound in (below.lbx, below.ubx, below.lbg, below.ubg))
-    level = LowerLevel(NLP(pure_y, pure_p, f, g, lbx, ubx, lbg, ubg), above.n_x)
+    level = LowerLevel(NLP(pure_y, pure_p, f, g, below.lbx, below.ubx, below.lbg, below.ubg), above.n_x)
     sides, n_sides, n_y = level.sides, level.sides.entry.size, below.n_x
     shape, n_pairs = (n_y + below.n_g, n_sides), int(np.sum(~sides.equal))
     signs = ca.DM.triplet(sides.entry.tolist(), list(range(n_sides)), ca.DM(sides.sign), *shape)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.lower_level import MOST, directions, least_critical, least_eigenvalue
 from rmesh_nlp.mpcc.multipliers import columns_of
@@ -30,9 +30,9 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
         return "not tested", None
     own, columns = stationarity.multipliers, columns_of(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows)
-    if not np.all(np.isfinite(hessian)):
+    if not is_finite(hessian):
         return "not tested", None
-    flat = ZERO * float(np.max(np.abs(hessian), initial=0.0))
+    flat = ZERO * magnitude(hessian)
     gradients = columns.matrix.T.toarray()
     one_sided = (columns.may_fall ^ columns.may_rise) | columns.corner
     strong = ~one_sided | (np.abs(columns.gathered(own)) > run.options.stationarity * lin.scale)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.evaluation import Array, flat, is_finite
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.names import FEW, in_short, named
 from rmesh_nlp.mpcc.problem import MPCC
@@ -23,12 +23,12 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
     values, derivatives = flat(ca.vertcat(f, column)), ca.vertcat(gradient.T, jacobian)
     rows, columns = (np.asarray(part) for part in derivatives.sparsity().get_triplet())
     slopes = np.asarray(derivatives.nonzeros())
-    if not np.all(np.isfinite(values)):
+    if not is_finite(values):
         row = int(np.argmin(np.isfinite(values)))
         unknowns = columns[(rows == row) & (slopes != 0)]
         at = ", ".join(f"{named(mpcc.x, int(j))} = {x[j]:g}" for j in unknowns[:FEW])
         return f"{places[row]} is {values[row]} at {at}{', ...' if unknowns.size > FEW else ''}."
-    if not np.all(np.isfinite(slopes)):
+    if not is_finite(slopes):
         k = int(np.argmin(np.isfinite(slopes)))
         j = int(columns[k])
         return f"The derivative of {places[rows[k]]} is {slopes[k]} at {named(mpcc.x, j)} = {x[j]:g}."
@@ -37,9 +37,8 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
 
 def largest_residual(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> str:
     """The constraint or pair that is farthest from holding, with its residual; nothing if all hold."""
-    lbx, ubx, lbg, ubg = (np.asarray(bound) for bound in (mpcc.lbx, mpcc.ubx, mpcc.lbg, mpcc.ubg))
     pairs = np.max([-G, -H, np.minimum(np.abs(G), np.abs(H))], axis=0)
-    apart = [np.maximum(lbx - x, x - ubx), np.maximum(lbg - g, g - ubg), pairs]
+    apart = [np.maximum(mpcc.lbx - x, x - mpcc.ubx), np.maximum(mpcc.lbg - g, g - mpcc.ubg), pairs]
     kind = int(np.argmax([np.max(part, initial=0.0) for part in apart]))
     if np.max(apart[kind], initial=0.0) <= 0.0:
         return ""

@@ -13,8 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
@@ -108,7 +107,7 @@ def pivot(run: Run, point: Finish) -> Finish:
     return replace(point, status=Status.ITERATION_LIMIT)
 
 
-def _by_signs(run: Run, z: Array, zero: BoolArray, warm: NLPResult | None) -> NLPResult | None:
+def _by_signs(run: Run, z: Array, zero: Mask, warm: NLPResult | None) -> NLPResult | None:
     """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
 
     The branch next to ``z`` if none is. Where the pairs determine the rest (a lower level with one solution)

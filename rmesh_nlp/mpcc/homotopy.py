@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Mask, is_finite
 from rmesh_nlp.mpcc.finish import Finish, finish, proved
-from rmesh_nlp.mpcc.lifting import BoolArray
 from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
@@ -75,7 +74,7 @@ def follow(
     t, t_final = t0, options.t_final
     warm = None if first is None else run.padded(first)
     z, is_first, clear = z0, True, None
-    sides: BoolArray | None = None
+    sides: Mask | None = None
     while True:
         result = run.relaxed(z, t, warm, first=is_first, dependent=dependent)
         if not result.converged:
@@ -104,7 +103,7 @@ def follow(
         z, is_first, warm = result.x, False, result if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)
     z = path.relaxed.x
-    if np.all(np.isfinite(z)) and (path.finish is None or path.failure is None):
+    if is_finite(z) and (path.finish is None or path.failure is None):
         path.keep(finish(run, z, search=clear is not None, warm=clear))
 
 
@@ -124,5 +123,5 @@ def _at_the_limit(finished: float, expected: float) -> bool:
     return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
-def _settled(before: BoolArray, sides: BoolArray) -> bool:
+def _settled(before: Mask, sides: Mask) -> bool:
     return bool(np.count_nonzero(before != sides) <= _UNSETTLED * sides.size)

@@ -14,17 +14,14 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Block, Evaluator, numbered
+from rmesh_nlp.evaluation import Array, Block, Evaluator, Index, Mask, magnitude, numbered
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
-BoolArray = NDArray[np.bool_]
-IntArray = NDArray[np.int64]
 _DENSE = 0.1  # part of the entries of a Jacobian that are not zero, from which on it counts as dense
 
 
@@ -53,27 +50,27 @@ class Lifted:
 
     source: MPCC
     nlp: NLP
-    pairs: IntArray
-    rows: IntArray
+    pairs: Index
+    rows: Index
     base: Derivatives
     value: Evaluator
     jacobian: Evaluator
     source_values: Evaluator
 
     @cached_property
-    def member(self) -> BoolArray:
+    def member(self) -> Mask:
         """Whether an unknown is a member of a pair."""
         return np.isin(np.arange(self.nlp.n_x), self.pairs)
 
     @cached_property
-    def pattern(self) -> tuple[IntArray, IntArray]:
+    def pattern(self) -> tuple[Index, Index]:
         """Row and column of each nonzero of the Jacobian, in the order of the Evaluator."""
         rows, columns = self.jacobian.function.sparsity_out(1).get_triplet()
         return np.asarray(rows, dtype=np.int64), np.asarray(columns, dtype=np.int64)
 
-    def smaller(self, z: Array) -> BoolArray:
+    def smaller(self, z: Array) -> Mask:
         """The smaller member of each pair, of equal ones the first."""
-        return on_side(np.asarray(z[self.pairs[0]] <= z[self.pairs[1]]))
+        return on_side(z[self.pairs[0]] <= z[self.pairs[1]])
 
     @cached_property
     def _rows(self) -> Block:
@@ -96,7 +93,7 @@ class Lifted:
         near = [x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)) for _ in range(2)]
         points = [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]
         p, slack = np.append(p, 1.0), np.zeros(self.nlp.n_x - x0.size)
-        slopes = [np.max(np.abs(self.value(np.append(x, slack), p)[1]), initial=0.0) for x in points]
+        slopes = [magnitude(self.value(np.append(x, slack), p)[1]) for x in points]
         largest = float(np.max(slopes, where=np.isfinite(slopes), initial=0.0))
         return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
 
@@ -114,7 +111,7 @@ class Lifted:
         return float(f[0]), gradient, rows, sp.csr_matrix(self._rows(nonzeros))
 
 
-def on_side(first: BoolArray) -> BoolArray:
+def on_side(first: Mask) -> Mask:
     """One member of each pair: the first where ``first``, else the second."""
     return np.array([first, ~first])
 
@@ -126,7 +123,7 @@ def lift(mpcc: MPCC) -> Lifted:
     """
     source = ca.Function("source", [mpcc.x, mpcc.p], [mpcc.f, ca.vertcat(mpcc.g, mpcc.G, mpcc.H)])
     base = mpcc.derivatives or _derivatives_of(source, type(mpcc.x))
-    n_x, n_g, lbx, ubx = mpcc.n_x, mpcc.n_g, np.asarray(mpcc.lbx), np.asarray(mpcc.ubx)
+    n_x, n_g, lbx, ubx = mpcc.n_x, mpcc.n_g, mpcc.lbx, mpcc.ubx
     plain = _plain_unknowns(base, n_x, n_g)
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
     room = np.append((ubx >= 0) & (lbx <= 0), False)
@@ -214,7 +211,7 @@ def _derivatives_of(function: ca.Function, kind: type[Symbolic]) -> Derivatives:
     return automatic_derivatives(x, p, *function.call([x, p], True, False))
 
 
-def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> IntArray:
+def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> Index:
     """For each row of (G, H) the unknown it equals, or -1.
 
     A row equals ``x_j`` if its Jacobian has the single structural entry j, with value 1 at two random

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.linalg import eigh, null_space
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Evaluator
+from rmesh_nlp.evaluation import ROUNDING, Array, Evaluator, Index, Mask, magnitude
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -31,18 +31,16 @@ _FACES = 6  # most weakly active constraints for that
 DENSE = 1000
 """Most variables of a lower level that is checked after each solve, by dense matrices: within a second."""
 
-BoolArray = NDArray[np.bool_]
-
 
 class Sides(NamedTuple):
     """One multiplier each: lower bounds of (y, g), then upper ones, then equal ones."""
 
-    entry: NDArray[np.int64]
+    entry: Index
     """Entry of (y, g)."""
     sign: Array
     """-1 for lower bounds, else 1: its multiplier in CasADi's signs is ``sign * multiplier``."""
     bound: Array
-    equal: BoolArray
+    equal: Mask
 
 
 @dataclass(frozen=True)
@@ -194,16 +192,16 @@ class LowerLevel:
         np.add.at(lam, entry, sign * multiplier)
         f, slope, g, jacobian, hessian = self._derivatives(y, parameters, lam[n_y:])
         rows = np.vstack([np.eye(n_y), jacobian.reshape(n_g, n_y, order="F")])
-        unit = max(1.0, _largest(slope))
+        unit = max(1.0, magnitude(slope))
         room = sign * (bound - np.append(y, g)[entry]) / (1 + np.abs(bound))
-        terms = max(unit, _largest(np.abs(rows.T) @ np.abs(lam)))
+        terms = max(unit, magnitude(np.abs(rows.T) @ np.abs(lam)))
         kkt = [(slope + rows.T @ lam) / terms, np.where(equal, room, np.minimum(room, multiplier / unit))]
-        residual = _largest(np.concatenate(kkt))
+        residual = magnitude(np.concatenate(kkt))
         active = room <= BOUND_OF_AN_NLP
         strong = active & (equal | (multiplier > ZERO * unit))
         # curvatures have no sign below that of rounding, or below what they change by in a small step
         beside = self._derivatives(y + ZERO * (1 + np.abs(y)), parameters, lam[n_y:])[4]
-        flat = max(_largest(np.nan_to_num(beside - hessian)), ZERO * _largest(hessian))
+        flat = max(magnitude(np.nan_to_num(beside - hessian)), ZERO * magnitude(hessian))
         matrix, gradients = hessian.reshape(n_y, n_y, order="F"), sign[:, None] * rows[entry]
         low, _ = least_eigenvalue(matrix, directions(gradients[strong]))
         high, _, _ = least_critical(matrix, gradients[strong], gradients[active & ~strong])
@@ -248,15 +246,11 @@ class LowerLevel:
         return quadratic, linear
 
 
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values), initial=0.0))
-
-
 def directions(gradients: Array) -> Array:
     """Orthonormal columns that span the directions along which no constraint changes."""
     if not len(gradients):  # older versions of SciPy refuse a matrix without rows
         return np.eye(gradients.shape[1])
-    return np.asarray(null_space(gradients, rcond=ROUNDING))
+    return null_space(gradients, rcond=ROUNDING)
 
 
 def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:

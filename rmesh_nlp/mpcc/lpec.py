@@ -24,8 +24,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import Bounds, LinearConstraint, milp
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted, on_side
+from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
+from rmesh_nlp.mpcc.lifting import Lifted, on_side
 from rmesh_nlp.optimize.budget import LEAST_SECONDS, Budget
 
 STDOUT = 1  # its file descriptor
@@ -43,19 +43,19 @@ class Linearisation:
 
     gradient: Array
     jacobian: sp.csr_matrix
-    lower: BoolArray
-    upper: BoolArray
-    zero: BoolArray
+    lower: Mask
+    upper: Mask
+    zero: Mask
 
     @property
-    def biactive(self) -> IntArray:
+    def biactive(self) -> Index:
         """Pairs with both members at zero."""
-        return np.flatnonzero(np.all(self.zero, axis=0)).astype(np.int64)
+        return np.flatnonzero(np.all(self.zero, axis=0))
 
     @property
     def scale(self) -> float:
         """``max(1, |gradient|_inf)``: the unit of a stationarity residual."""
-        return max(1.0, float(np.max(np.abs(self.gradient), initial=0.0)))
+        return max(1.0, magnitude(self.gradient))
 
 
 def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: float) -> Linearisation:
@@ -68,7 +68,7 @@ def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: floa
     steep, nlp = steepness(jacobian), lifted.nlp
     values = np.append(rows / steep, z)
 
-    def active(of_rows: Array, of_unknowns: Array) -> BoolArray:
+    def active(of_rows: Array, of_unknowns: Array) -> Mask:
         bound = np.append(of_rows / steep, of_unknowns)
         finite = np.where(np.isfinite(bound), bound, 0.0)
         return np.isfinite(bound) & (np.abs(values - finite) <= tolerance * (1 + np.abs(finite)))
@@ -82,7 +82,7 @@ def steepness(jacobian: sp.csr_matrix) -> Array:
     """Largest entry of each row, at least 1."""
     if jacobian.shape[1] == 0:
         return np.ones(jacobian.shape[0])
-    return np.asarray(np.maximum(1.0, abs(jacobian).max(axis=1).toarray().ravel()))
+    return np.maximum(1.0, abs(jacobian).max(axis=1).toarray().ravel())
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class Direction:
 
     decrease: float
     step: Array
-    zero: BoolArray
+    zero: Mask
     proven: bool = True
 
 
@@ -118,7 +118,7 @@ def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) ->
 
 def nearest_branch(
     lifted: Lifted, z: Array, p: Array, radius: float, slope: Array, budget: Budget | None = None
-) -> tuple[Array, BoolArray] | None:
+) -> tuple[Array, Mask] | None:
     """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
     Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
@@ -132,7 +132,7 @@ def nearest_branch(
     at = lifted.pairs[zero & ~is_open]
     lower[at] = upper[at] = 0.0
     eye, elastic = sp.identity(m, format="csr"), np.zeros(2 * m)
-    weight = 1e3 * max(1.0, float(np.max(np.abs(slope), initial=0.0)))
+    weight = 1e3 * max(1.0, magnitude(slope))
     rows = LinearConstraint(
         sp.hstack([jacobian, eye, -eye], format="csr"),
         (nlp.lbg - values) / radius,
@@ -141,7 +141,7 @@ def nearest_branch(
     direction = _milp(
         np.append(slope, elastic + weight), rows, np.append(lower, elastic),
         np.append(upper, elastic + np.inf), lifted, zero[0],
-        np.flatnonzero(is_open).astype(np.int64), members, budget,
+        np.flatnonzero(is_open), members, budget,
     )  # fmt: skip
     return None if direction is None else (z + radius * direction.step, direction.zero)
 
@@ -176,8 +176,8 @@ def _milp(
     lower: Array,
     upper: Array,
     lifted: Lifted,
-    on_G: BoolArray,
-    pairs: IntArray,
+    on_G: Mask,
+    pairs: Index,
     members: Array,
     budget: Budget | None,
 ) -> Direction | None:

@@ -118,7 +118,7 @@ class _Solve(PythonFunction):
         self.error: BaseException | None = None
         self.is_called = False  # by a user with numbers, who is shown the error itself
         self.sizes = {
-            name.format(part): int(getattr(mpcc, part).shape[0])
+            name.format(part): getattr(mpcc, part).shape[0]
             for part in _KEYS
             for name in ("{}", "{}0", "lb{}", "ub{}", "lam_{}", "lam_{}0")
         }

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, IntArray, Lifted
+from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
+from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.lpec import Linearisation
 
 
@@ -49,12 +49,12 @@ class Columns:
 
     lin: Linearisation
     matrix: sp.csc_matrix
-    active: IntArray
-    members: IntArray
-    unknowns: IntArray
-    corner: BoolArray
-    may_fall: BoolArray
-    may_rise: BoolArray
+    active: Index
+    members: Index
+    unknowns: Index
+    corner: Mask
+    may_fall: Mask
+    may_rise: Mask
 
     @property
     def n_rows(self) -> int:
@@ -112,5 +112,5 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
     distinct, first = np.unique(unknowns[order], return_index=True)
     values[n_rows + order[first]] = rest[distinct]
     values = columns.signed(values)
-    residual = np.max(np.abs(lin.gradient + columns.matrix @ values), initial=0.0)
+    residual = magnitude(lin.gradient + columns.matrix @ values)
     return columns.scattered(values) if residual <= tolerance * lin.scale else None

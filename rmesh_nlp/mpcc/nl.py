@@ -165,7 +165,7 @@ class _Reader:
         self.numbers.add(segment)
 
     def _segment(self, key: str) -> None:
-        rows, read, n, m = self.rows, self.records.read, int(self.rows.x.shape[0]), len(self.rows.bodies)
+        rows, read, n, m = self.rows, self.records.read, self.rows.x.shape[0], len(self.rows.bodies)
         match key:
             case "C":
                 number = _place(read("i")[0], m)
@@ -236,7 +236,7 @@ class _Reader:
                 return value, value
             case "5" if row is not None:
                 bits, unknown = read("ii")
-                self.rows.complements[row] = bits, _place(unknown - 1, int(self.rows.x.shape[0]))
+                self.rows.complements[row] = bits, _place(unknown - 1, self.rows.x.shape[0])
                 return -np.inf, np.inf
         raise ValueError(f"unknown bound type {kind}")
 

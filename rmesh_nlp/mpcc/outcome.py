@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish, is_below
@@ -43,9 +43,9 @@ def leave_saddles(run: Run, paths: list[Path]) -> None:
 
 def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
     """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
-    nlp, size = run.lifted.nlp, 1.0 + float(np.max(np.abs(saddle.z)))
+    nlp, size = run.lifted.nlp, 1.0 + magnitude(saddle.z)
     for length in _LENGTHS:
-        z = np.clip(saddle.z + length * size / np.max(np.abs(d)) * d, nlp.lbx, nlp.ubx)
+        z = np.clip(saddle.z + length * size / magnitude(d) * d, nlp.lbx, nlp.ubx)
         end = finish(run, z, search=False)
         if end.solved and is_below(end.f, saddle.f):
             return end
@@ -64,7 +64,7 @@ def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
     points = [path.relaxed.x for path in paths if path.relaxed is not None]
     for point in [z, *points, *(end.z for end in ends)]:
         f = run.measure(point)[0]
-        if f < -_HUGE or (np.all(np.isfinite(point)) and np.max(np.abs(point), initial=0.0) > _HUGE):
+        if f < -_HUGE or (is_finite(point) and magnitude(point) > _HUGE):
             return Finish(point, f, Status.UNBOUNDED)
     if run.is_infeasible and excess > 1.0:  # a local minimum of the violation was certified
         return Finish(z, f, Status.INFEASIBLE)

@@ -23,7 +23,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import plain_pairs
 from rmesh_nlp.mpcc.names import of_symbol
-from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
+from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic, longer
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +69,10 @@ class MPCC:
     g: Symbolic = None
     G: Symbolic = None
     H: Symbolic = None
-    lbx: ArrayLike = -np.inf
-    ubx: ArrayLike = np.inf
-    lbg: ArrayLike = -np.inf
-    ubg: ArrayLike = np.inf
+    lbx: Any = -np.inf
+    ubx: Any = np.inf
+    lbg: Any = -np.inf
+    ubg: Any = np.inf
     p: Symbolic = None
     derivatives: Derivatives | None = None
     n_added: int = 0
@@ -119,17 +119,17 @@ class MPCC:
     @cached_property
     def n_x(self) -> int:
         """Number of unknowns."""
-        return int(self.x.shape[0])
+        return self.x.shape[0]
 
     @cached_property
     def n_g(self) -> int:
         """Number of ordinary constraints."""
-        return int(self.g.shape[0])
+        return self.g.shape[0]
 
     @cached_property
     def n_pairs(self) -> int:
         """Number of complementarity pairs."""
-        return int(self.G.shape[0])
+        return self.G.shape[0]
 
     @property
     def n_own(self) -> int:
@@ -145,7 +145,7 @@ class MPCC:
 
     def parameters(self, p: ArrayLike) -> Array:
         """Return the values of ``p`` as a checked array."""
-        return _values("p", p, int(self.p.shape[0]), finite=True, symbols=self.p)
+        return _values("p", p, self.p.shape[0], finite=True, symbols=self.p)
 
     def extended(
         self,
@@ -177,23 +177,20 @@ class MPCC:
         new_x, new_p, new_g, new_G, new_H = (_column(name, part, kind) for name, part in new.items())
         kept = np.zeros(self.n_g + 2 * self.n_pairs)
         oracle = NLP(
-            self.x, self.p, self.f, ca.vertcat(self.g, self.G, self.H), np.asarray(self.lbx),
-            np.asarray(self.ubx), kept, kept, self.derivatives,
+            self.x, self.p, self.f, ca.vertcat(self.g, self.G, self.H), self.lbx,
+            self.ubx, kept, kept, self.derivatives,
         ).extended(x=new_x, p=new_p, f=f, g=ca.vertcat(new_g, new_G, new_H), lbx=lbx, ubx=ubx)  # fmt: skip
         columns = self.g, self.G, self.H, new_g, new_G, new_H
-        ends = np.cumsum([int(column.shape[0]) for column in columns])
+        ends = np.cumsum([column.shape[0] for column in columns])
         places = np.split(np.arange(ends[-1]), ends[:-1])
         ordered = oracle.extended(rows=np.concatenate([places[k] for k in (0, 3, 1, 4, 2, 5)]).tolist())
-
-        def longer(old: ArrayLike, new: ArrayLike) -> Array:
-            return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(new_g.shape[0]),)))
 
         n_added, completion = (self.n_added, self.completion) if new_x.is_empty() else (0, None)
         return replace(
             self, x=oracle.x, p=oracle.p, f=oracle.f, g=ca.vertcat(self.g, new_g),
             G=ca.vertcat(self.G, new_G), H=ca.vertcat(self.H, new_H), lbx=oracle.lbx, ubx=oracle.ubx,
-            lbg=longer(self.lbg, lbg), ubg=longer(self.ubg, ubg), derivatives=ordered.derivatives,
-            n_added=n_added, completion=completion,
+            lbg=longer(self.lbg, lbg, new_g), ubg=longer(self.ubg, ubg, new_g),
+            derivatives=ordered.derivatives, n_added=n_added, completion=completion,
         )  # fmt: skip
 
     @classmethod

@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, kind_of
 from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
@@ -153,7 +153,7 @@ def read_nosbench(path: Path) -> Problem:
     names = {"f": objective, "g": "g_fun", "G": "G_fun", "H": "H_fun"}
     functions = {key: _function(path, data, name) for key, name in names.items()}
     x0, p0 = (np.ravel(_numbers(path, data, name, default)) for name, default in (("w0", None), ("p0", ())))
-    kind = ca.SX if all(function.is_a("SXFunction") for function in functions.values()) else ca.MX
+    kind = kind_of(*functions.values())
     w, p = kind.sym("w", x0.size), kind.sym("p", p0.size)
     columns: dict[str, Any] = {}
     for key, function in functions.items():

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.homotopy import Path, follow, ran_out
 from rmesh_nlp.mpcc.lpec import nearest_branch
@@ -66,11 +66,11 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)
     z[lifted.pairs[lifted.smaller(z)]] = 0.0
-    size = 1.0 + float(np.max(np.abs(z), initial=0.0))
+    size = 1.0 + magnitude(z)
     tolerance, radius, only_violation = run.options.feasibility * size, size, False
     for _ in range(_STEPS):
         _, gradient, rows, jacobian = lifted.linearise(z, run.p)
-        if not all(np.all(np.isfinite(part)) for part in (z, gradient, rows, jacobian.data)):
+        if not all(is_finite(part) for part in (z, gradient, rows, jacobian.data)):
             break
         violation = _sum(rows, nlp.lbg, nlp.ubg)
         slope = 0.0 * gradient if only_violation else gradient
@@ -107,7 +107,7 @@ def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:
     An unknown is uniform between its bounds where these are near each other, else normal around x0 and, in
     turn, around 0: a given start may itself be far away from everything.
     """
-    lower, upper, random = np.asarray(mpcc.lbx), np.asarray(mpcc.ubx), np.random.default_rng(seed)
+    lower, upper, random = mpcc.lbx, mpcc.ubx, np.random.default_rng(seed)
     for centre in itertools.cycle((x0, np.zeros_like(x0))):
         unit = 1 + np.abs(centre)
         near = (upper - lower) <= _NEAR * unit

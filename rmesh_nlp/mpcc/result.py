@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.mpcc.lower_level import LowerLevelCheck
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.optimize.status import Status
@@ -100,14 +99,12 @@ class Residuals:
 def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> Residuals:
     """Largest violation of bounds, of g and of the signs of G and H; and how far the pairs are from zero."""
     violation = max(
-        excess(x, np.asarray(mpcc.lbx), np.asarray(mpcc.ubx)),
-        excess(g, np.asarray(mpcc.lbg), np.asarray(mpcc.ubg)),
+        excess(x, mpcc.lbx, mpcc.ubx),
+        excess(g, mpcc.lbg, mpcc.ubg),
         excess(np.append(G, H), 0.0, np.inf),
     )
     smaller = np.minimum(np.abs(G), np.abs(H))
-    return Residuals(
-        violation, float(np.max(smaller, initial=0.0)), float(np.max(np.abs(G * H), initial=0.0))
-    )
+    return Residuals(violation, float(np.max(smaller, initial=0.0)), magnitude(G * H))
 
 
 def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
@@ -227,7 +224,7 @@ class MPCCResult:
     g: Array
     G: Array
     H: Array
-    biactive: NDArray[np.int64]
+    biactive: Index
     history: tuple[Step, ...]
     counts: Mapping[str, int]
     seconds: Mapping[str, float]
@@ -238,7 +235,7 @@ class MPCCResult:
     @property
     def n_biactive(self) -> int:
         """Number of biactive pairs."""
-        return int(self.biactive.size)
+        return self.biactive.size
 
     @property
     def label(self) -> str:

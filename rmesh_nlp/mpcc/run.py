@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray
+from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Iterate, Residuals, Step, excess, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
@@ -85,7 +84,7 @@ class Run:
     def branch(
         self,
         z: Array,
-        zero: BoolArray,
+        zero: Mask,
         *,
         phase: str = "branch",
         free_signs: bool = False,
@@ -100,7 +99,7 @@ class Run:
         start = np.clip(z, lower, upper)
         return self.solve(phase, 0.0, solver, start, p=self.p, lbx=lower, ubx=upper, **_multipliers(warm))
 
-    def least_violation(self, z: Array, zero: BoolArray) -> NLPResult:
+    def least_violation(self, z: Array, zero: Mask) -> NLPResult:
         """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
 
         ``f`` is that sum.
@@ -114,7 +113,7 @@ class Run:
         bounds = {"lbx": np.append(lower, others), "ubx": np.append(upper, others + np.inf)}
         return self.solve("feasible", 0.0, solver, start, p=self.p, **bounds)
 
-    def _bounds(self, zero: BoolArray, free_signs: bool = False) -> tuple[Array, Array]:
+    def _bounds(self, zero: Mask, free_signs: bool = False) -> tuple[Array, Array]:
         """Bounds of the lifted unknowns with the given members at zero."""
         lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
         if free_signs:
@@ -194,8 +193,8 @@ class Run:
         G, H = np.split(np.abs(rows[source.n_g :]) / scale[source.n_g :], 2)
         worst = max(
             excess(rows / scale, lower / scale, upper / scale) / options.feasibility,
-            excess(x, np.asarray(source.lbx), np.asarray(source.ubx)) / options.feasibility,
-            float(np.max(np.minimum(G, H), initial=0.0)) / options.complementarity,
+            excess(x, source.lbx, source.ubx) / options.feasibility,
+            np.max(np.minimum(G, H), initial=0.0) / options.complementarity,
         )
         return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
 

@@ -22,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp import __version__
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.mpcc.nl import Rows
 from rmesh_nlp.mpcc.reading import Problem, mpcc_of
 from rmesh_nlp.mpcc.result import MPCCResult
@@ -76,8 +76,8 @@ def _duals(rows: Rows, result: MPCCResult) -> tuple[Array, Array]:
     multipliers back to the rows and unknowns of the file.
     """
     multipliers = np.concatenate([result.lam_g, result.lam_G, result.lam_H])
-    n, m = int(rows.x.shape[0]), len(rows.bodies)
-    if not (np.all(np.isfinite(multipliers)) and np.all(np.isfinite(result.lam_x))):
+    n, m = rows.x.shape[0], len(rows.bodies)
+    if not (is_finite(multipliers) and is_finite(result.lam_x)):
         return np.zeros(0), np.zeros(n)
     bodies = ca.SX.sym("row", m)
     linear = mpcc_of(replace(rows, bodies=ca.vertsplit(bodies) if m else [], f=ca.SX(0)), bodies)
@@ -97,7 +97,7 @@ def _options(rows: Rows, n_duals: int) -> list[str]:
     tolerance = options[k + 1 : k + 2] if options[2:3] == ["3"] else []  # of basic variables
     if tolerance:
         options[0] = str(k + 2)
-    n = int(rows.x.shape[0])
+    n = rows.x.shape[0]
     counts = [len(rows.bodies), n_duals, n, n]
     return ["Options", *options[: k + 1], *(str(count) for count in counts), *tolerance]
 

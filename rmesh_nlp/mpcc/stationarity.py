@@ -24,8 +24,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.lifting import BoolArray, Lifted
+from rmesh_nlp.evaluation import Array, Mask, is_finite
+from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, limits
 from rmesh_nlp.mpcc.multipliers import Multipliers, columns_of, proving
 from rmesh_nlp.optimize.budget import Budget
@@ -83,7 +83,7 @@ def stationarity(
     ``lam_rows``, multipliers of the rows at the end of a solve, decide if they prove S; else linear programs
     do, or nothing without ``search``.
     """
-    if not (np.all(np.isfinite(lin.gradient)) and np.all(np.isfinite(lin.jacobian.data))):
+    if not (is_finite(lin.gradient) and is_finite(lin.jacobian.data)):
         return Stationarity("")
     proof = None if lam_rows is None else proving(lifted, lin, lam_rows, tolerance)
     if proof is not None:
@@ -206,5 +206,5 @@ def _distance(value: float, within: Range) -> float:
     return float(max(within[0] - value, value - within[1], 0.0))
 
 
-def _inside(value: Array, within: Range, zero: float) -> BoolArray:
-    return np.asarray((value >= within[0] - zero) & (value <= within[1] + zero))
+def _inside(value: Array, within: Range, zero: float) -> Mask:
+    return (value >= within[0] - zero) & (value <= within[1] + zero)

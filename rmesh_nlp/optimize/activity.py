@@ -8,9 +8,8 @@ are needed because descents and active sets put a point onto a bound, and interi
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Mask
 
 ZERO = 1e-6
 """Distance below which a variable is at its bound, and a member of a complementarity pair is zero.
@@ -26,11 +25,11 @@ away than 1e-5 the multiplier is below 1e-6 and negligible. Validity rows with a
 multiplier. Whether the two agree is part of the first-order residual."""
 
 
-def is_inside(x: Array, lower: Array, upper: Array) -> NDArray[np.bool_]:
+def is_inside(x: Array, lower: Array, upper: Array) -> Mask:
     """Variables that are off their bounds."""
-    return np.asarray((x - lower > ZERO) & (upper - x > ZERO))
+    return (x - lower > ZERO) & (upper - x > ZERO)
 
 
-def both_vanish(first: Array, second: Array) -> NDArray[np.bool_]:
+def both_vanish(first: Array, second: Array) -> Mask:
     """Pairs at which strict complementarity fails: neither member has a sign to tell it."""
-    return np.asarray(np.maximum(np.abs(first), np.abs(second)) < ZERO)
+    return np.maximum(np.abs(first), np.abs(second)) < ZERO

@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear, nnls
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
 
 LARGEST_DENSE = 2_000_000
@@ -24,7 +23,7 @@ class Linearised:
     slack: Array
     jacobian: sp.csr_array
 
-    def fitted(self, gradient: Array, inside: NDArray[np.bool_]) -> Array:
+    def fitted(self, gradient: Array, inside: Mask) -> Array:
         """Multipliers of active rows: non-negative least squares for ``gradient = jacobian^T multipliers``.
 
         Only the variables ``inside`` their bounds count: the others have multipliers of their own.
@@ -39,11 +38,11 @@ class Linearised:
 def stacked(parts: Sequence[Linearised]) -> Linearised:
     """Several constraints, one after the other."""
     slack = np.concatenate([part.slack for part in parts])
-    return Linearised(slack, sp.csr_array(sp.vstack([part.jacobian for part in parts])))
+    return Linearised(slack, sp.vstack([part.jacobian for part in parts]))
 
 
 def nonnegative_fit(matrix: sp.sparray, right: Array) -> Array:
     """Least squares ``matrix @ x = right`` with x >= 0."""
     if matrix.shape[0] * matrix.shape[1] <= LARGEST_DENSE:
-        return np.asarray(nnls(matrix.toarray(), right, maxiter=30 * matrix.shape[1])[0])
-    return np.asarray(lsq_linear(matrix, right, bounds=(0, np.inf)).x)
+        return nnls(matrix.toarray(), right, maxiter=30 * matrix.shape[1])[0]
+    return lsq_linear(matrix, right, bounds=(0, np.inf)).x

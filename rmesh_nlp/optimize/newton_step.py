@@ -11,10 +11,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Mask, magnitude
 from rmesh_nlp.settings import Count, Factor, Part, Positive, Settings
 
 
@@ -129,9 +128,9 @@ class BoxStep:
     def _clip(self, s: Array) -> Array:
         return np.clip(s, self._lower, self._upper)
 
-    def _conjugate_gradients(self, residual: Array, free: NDArray[np.bool_]) -> Array:
+    def _conjugate_gradients(self, residual: Array, free: Mask) -> Array:
         """Steps over the free variables, until they converge or lead far out of the box."""
-        far = self._settings.grow * float(np.max(np.maximum(self._upper, -self._lower)))
+        far = self._settings.grow * np.max(np.maximum(self._upper, -self._lower))
         w, r = np.zeros_like(residual), -residual
         z = r / self.scale
         p, rz = z.copy(), float(r @ z)
@@ -140,12 +139,12 @@ class BoxStep:
             Hp = np.where(free, self._product(p), 0.0)
             curvature = float(p @ Hp)
             if curvature <= 0:
-                return w + far / max(float(np.max(np.abs(p))), 1e-300) * p
+                return w + far / max(magnitude(p), 1e-300) * p
             alpha = rz / curvature
             w, r = w + alpha * p, r - alpha * Hp
             z = r / self.scale
             rz, old = float(r @ z), rz
-            if rz <= target or np.max(np.abs(w)) > far:
+            if rz <= target or magnitude(w) > far:
                 break
             p = z + (rz / old) * p
         return w

@@ -92,12 +92,12 @@ class NLP:
     @cached_property
     def n_x(self) -> int:
         """Number of unknowns."""
-        return int(self.x.shape[0])
+        return self.x.shape[0]
 
     @cached_property
     def n_g(self) -> int:
         """Number of constraints."""
-        return int(self.g.shape[0])
+        return self.g.shape[0]
 
     def extended(
         self,
@@ -139,10 +139,10 @@ class NLP:
             p=ca.vertcat(self.p, new_p),
             f=weight * self.f + f,
             g=_rows(self.g, kept, terms),
-            lbx=_longer(self.lbx, lbx, new_x),
-            ubx=_longer(self.ubx, ubx, new_x),
-            lbg=_longer(self.lbg[kept], lbg, new_g),
-            ubg=_longer(self.ubg[kept], ubg, new_g),
+            lbx=longer(self.lbx, lbx, new_x),
+            ubx=longer(self.ubx, ubx, new_x),
+            lbg=longer(self.lbg[kept], lbg, new_g),
+            ubg=longer(self.ubg[kept], ubg, new_g),
             derivatives=None,
             _of=(0, 0),
         )
@@ -157,9 +157,9 @@ def _rows(old: Symbolic, kept: list[int], terms: Symbolic) -> Symbolic:
     return ca.densify(ca.vertcat(old[kept], type(old)(terms.shape[0] - len(kept), 1)) + terms)
 
 
-def _longer(old: Array, new: ArrayLike, column: Symbolic) -> Array:
+def longer(old: ArrayLike, new: ArrayLike, column: Symbolic) -> Array:
     """Bounds, and those of an appended column."""
-    return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (int(column.shape[0]),)))
+    return np.append(old, np.broadcast_to(np.asarray(new, dtype=float), (column.shape[0],)))
 
 
 def _identity(expression: Symbolic) -> int:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array, flat
+from rmesh_nlp.evaluation import Array, flat, is_finite
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
 from rmesh_nlp.optimize.nlp import NLP
@@ -33,24 +33,23 @@ COMMON = (
 """Options of Ipopt that people set, for the nearest name."""
 
 
-def refused_option(plugin: str, options: PluginOptions, error: RuntimeError) -> Exception:
+def refused_option(options: PluginOptions, error: RuntimeError) -> Exception:
     """The error that names the option which ``plugin`` refuses; ``error`` itself if none is refused.
 
     Each option is tried by itself on an NLP of one unknown.
     """
-    solver, x = plugin.capitalize(), ca.SX.sym("x")
-    quiet = {"print_level": 0, "sb": "yes"} if plugin == "ipopt" else {}
+    x = ca.SX.sym("x")
     for name, value in options.items():
-        own = {"print_time": False, plugin: {**quiet, name: value}}
+        own = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", name: value}}
         try:
             with redirect_stdout(StringIO()):  # Ipopt prints the description of the option
-                ca.nlpsol("probe", plugin, {"x": x, "f": x**2}, own)
+                ca.nlpsol("probe", "ipopt", {"x": x, "f": x**2}, own)
         except (RuntimeError, NotImplementedError) as refusal:
             if not re.search(r"[Nn]o such \w+ option", str(refusal)):
-                return ValueError(f"{solver} refuses {name} = {value!r}")
+                return ValueError(f"Ipopt refuses {name} = {value!r}")
             near = difflib.get_close_matches(name, COMMON, n=1)
             hint = f", did you mean {near[0]!r}?" if near else ""
-            return ValueError(f"{solver} has no option {name!r}{hint}")
+            return ValueError(f"Ipopt has no option {name!r}{hint}")
     return error
 
 
@@ -129,11 +128,11 @@ class Solver:
         At a call, if the user interrupts.
     """
 
-    def __init__(self, nlp: NLP, *, plugin: str = "ipopt", options: PluginOptions | None = None) -> None:
+    def __init__(self, nlp: NLP, *, options: PluginOptions | None = None) -> None:
         self.nlp = nlp
         # CasADi does not own its callbacks: the reference must be kept alive
-        self._callback = IterationCallback(nlp.n_x, nlp.n_g, int(nlp.p.shape[0]))
-        self._options = own = {**(IPOPT_OPTIONS if plugin == "ipopt" else {}), **(options or {})}
+        self._callback = IterationCallback(nlp.n_x, nlp.n_g, nlp.p.shape[0])
+        self._options = own = {**IPOPT_OPTIONS, **(options or {})}
         settings: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,
@@ -141,7 +140,7 @@ class Solver:
             "calc_lam_p": False,
             "show_eval_warnings": False,
             "iteration_callback": self._callback,
-            plugin: own,
+            "ipopt": own,
         }
         if nlp.derivatives is not None:
             settings |= {"grad_f": nlp.derivatives.grad_f, "jac_g": nlp.derivatives.jac_g}
@@ -150,9 +149,9 @@ class Solver:
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
         try:
             with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
-                self._function = ca.nlpsol("solver", plugin, problem, settings)
+                self._function = ca.nlpsol("solver", "ipopt", problem, settings)
         except RuntimeError as error:
-            raise refused_option(plugin, options or {}, error) from None
+            raise refused_option(options or {}, error) from None
 
     def __call__(
         self, x0: ArrayLike, *, p: ArrayLike = (), monitor: Monitor | None = None, **others: ArrayLike
@@ -165,7 +164,7 @@ class Solver:
         start = np.asarray(x0, dtype=float).ravel()
         if start.size != nlp.n_x:
             raise ValueError(f"x0 has length {start.size}, the problem has {nlp.n_x} unknowns")
-        if not np.all(np.isfinite(start)):
+        if not is_finite(start):
             raise ValueError(f"x0[{int(np.flatnonzero(~np.isfinite(start))[0])}] is not finite")
         bounds = {"lbx": nlp.lbx, "ubx": nlp.ubx, "lbg": nlp.lbg, "ubg": nlp.ubg}
         watch = Budget()

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.optimize.newton_step import BoxStep, Model, NewtonSettings, Scaled
 from rmesh_nlp.optimize.status import Status
 
@@ -102,7 +102,7 @@ def minimise(
         size = max(abs(current.value), 1e-300)
         g, model = current.gradient, current.model()
         downhill = np.clip(x - g / (unit or size), lower, upper)
-        stationary = np.max(np.abs(x - downhill), initial=0.0) <= tolerance
+        stationary = magnitude(x - downhill) <= tolerance
         # in units in which the trust region is a cube
         width = np.ones_like(x) if local is None else local.widths(x)
         low, high = (lower - x) / width, (upper - x) / width
@@ -110,7 +110,7 @@ def minimise(
             step = BoxStep(Scaled(model, width), width * g, use)
             if not radius:
                 gradient_step = np.clip(-g / step.scale, low, high) if local is None else 1.0
-                radius = use.first_radius * float(np.max(np.abs(gradient_step), initial=0.0))
+                radius = use.first_radius * magnitude(gradient_step)
             y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius))
             enough = stationary and predicted <= gain_tolerance * (reference - current.value)
             if enough or predicted <= np.finfo(float).eps * size:
@@ -124,7 +124,7 @@ def minimise(
             trial = evaluate(landed)
             ratio = -np.inf if trial is None else (current.value - trial.value) / max(predicted, 1e-300)
             if not ratio >= use.poor:
-                radius = use.shrink * part * float(np.max(np.abs(y)))
+                radius = use.shrink * part * magnitude(y)
             elif part < 1:
                 radius = part * radius
             elif ratio > use.good:

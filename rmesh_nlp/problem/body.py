@@ -19,15 +19,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.contact_problem import ContactProblem
 from rmesh_nlp.problem.obstacle import Obstacle, Place
-
-Index = NDArray[np.int64]
 
 
 class Sides(NamedTuple):
@@ -89,7 +86,7 @@ class Body:
     """
 
     def __init__(self, problem: ContactProblem, nodes: Array) -> None:
-        self.problem, self.nodes = problem, np.asarray(nodes, dtype=float)
+        self.problem, self.nodes = problem, nodes
         self.triangles = problem.triangles
         self.apex = np.zeros(self.triangles.shape[1], dtype=np.int64)
         self.is_curved = np.zeros(self.triangles.shape[1], dtype=bool)
@@ -137,7 +134,7 @@ class Body:
             x, slopes = self.at(elements, barycentric)
             return x, determinants(slopes)
         a, b, c = self.nodes[:, self.triangles[:, elements]].transpose(1, 0, 2)[..., None]
-        det = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        det = cross(b - a, c - a)
         return a * barycentric[0] + b * barycentric[1] + c * barycentric[2], det
 
     def is_upright(self) -> bool:
@@ -152,7 +149,7 @@ class Body:
 
     def edges(self, name: str) -> Edges:
         """The edges of a named boundary."""
-        return Edges(self, np.asarray(self.problem.mesh.boundaries[name], dtype=np.int64))
+        return Edges(self, self.problem.mesh.boundaries[name])
 
     def edges_of(self, obstacle: Obstacle) -> Edges:
         """The edges of a contact boundary; all edges for an interior contact set."""
@@ -168,7 +165,7 @@ _LOOK = np.array([(1 - r, r * (1 - s), r * s) for r in (0.5, 1.0) for s in np.li
 def determinants(slopes: Array) -> Array:
     """Twice the area per unit of the reference triangle (m, k), from the slopes of :meth:`Body.at`."""
     edge_1, edge_2 = slopes[:, 1] - slopes[:, 0], slopes[:, 2] - slopes[:, 0]
-    return np.asarray(edge_1[0] * edge_2[1] - edge_1[1] * edge_2[0])
+    return cross(edge_1, edge_2)
 
 
 def gradients(slopes: Array) -> tuple[Array, Array]:
@@ -184,12 +181,12 @@ class Edges:
 
     def __init__(self, body: Body, facets: Index) -> None:
         self.body, self.facets = body, facets
-        self.ends = np.asarray(body.problem.mesh.facets[:, facets], dtype=np.int64)
+        self.ends = body.problem.mesh.facets[:, facets]
 
     @property
     def size(self) -> int:
         """Number of edges."""
-        return int(self.facets.size)
+        return self.facets.size
 
     @property
     def are_straight(self) -> bool:

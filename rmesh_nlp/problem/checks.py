@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.errors import Place, ProblemError, contradicting
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, largest_side
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
@@ -204,7 +204,7 @@ def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
     worst = int(np.argmin(gap))
     least = -ROUNDING * scale
     if problem.numbers:  # of a design to which an interior point has brought it
-        least -= BOUND_OF_AN_NLP * float(np.max(np.ptp(problem.mesh.p, axis=1)))
+        least -= BOUND_OF_AN_NLP * largest_side(problem.mesh.p)
     if gap[worst] < least:
         x, y = problem.mesh.p[:, nodes[worst]]
         raise ProblemError(

@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.vectorised import columnwise
 
 PositionFunction = Callable[[Expression, Expression], Expression]
@@ -44,6 +44,8 @@ def once(make: Callable[P, T]) -> Callable[P, T]:
 
     return made
 
+
+POSITION = ca.SX.sym("x"), ca.SX.sym("y")
 
 BRANCH = (
     "a function of position cannot branch on x or y with if, and, or, min or max: use "
@@ -80,22 +82,28 @@ def where(condition: Expression, a: Expression, b: Expression) -> Expression:
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
     """Values (...) of a coefficient at ``points`` (2, ...); a ValueError if one is not finite."""
-    x, y = flat = points.reshape(2, -1)
-    if not callable(coefficient):
-        values = np.full(x.size, float(coefficient))
-    elif x.size == 0:
-        values = np.zeros(0)
+    if callable(coefficient):
+        values = evaluated(as_function(coefficient), points)[0]
     else:
-        values = columnwise(as_function(coefficient), x.size)([flat[:1], flat[1:]])[0].ravel()
+        values = np.full(points.shape[1:], float(coefficient))
+    x, y = points.reshape(2, -1)
     for bad in np.flatnonzero(~np.isfinite(values)):
-        raise ValueError(f"{what} is {values[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")
-    return values.reshape(points.shape[1:])
+        raise ValueError(f"{what} is {values.flat[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")
+    return values
+
+
+def evaluated(function: ca.Function, points: NDArray) -> Array:
+    """Values (outputs, ...) of a function of x and y at points (2, ...)."""
+    if points.size == 0:
+        return np.zeros((function.size1_out(0), *points.shape[1:]))
+    x, y = points.reshape(2, 1, -1)
+    return columnwise(function, x.size)([x, y])[0].reshape(-1, *points.shape[1:])
 
 
 @once
 def as_function(coefficient: Coefficient) -> ca.Function:
     """The graph ``(x, y) -> value`` of a coefficient."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    x, y = POSITION
     return ca.Function("coefficient", [x, y], [ca.densify(at(coefficient, x, y))])
 
 
@@ -126,7 +134,7 @@ class PiecewiseLinear:
         got = f"got x={self.x}, y={self.y}"
         if len(self.x) != len(self.y) or len(self.x) < 2:
             raise ValueError(f"a piecewise-linear function needs 2 or more points, {got}")
-        if not np.all(np.isfinite([*self.x, *self.y])):
+        if not is_finite([*self.x, *self.y]):
             raise ValueError(f"a piecewise-linear function must be finite, {got}")
         if np.any(np.diff(self.x) <= 0):
             raise ValueError(f"breakpoints must increase, got x={self.x}")

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.evaluation import ROUNDING, largest_side
 from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
 
@@ -112,7 +112,7 @@ def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
         If the boundary is not parallel to an axis of coordinates.
     """
     extent = np.ptp(mesh.p[:, nodes_of(mesh, boundary)], axis=1)
-    flat = extent <= ROUNDING * float(np.max(np.ptp(mesh.p, axis=1)))
+    flat = extent <= ROUNDING * largest_side(mesh.p)
     if not np.any(flat):
         raise ValueError(
             f"the boundary {boundary!r} is not parallel to an axis: symmetry needs one that is, turn the mesh"

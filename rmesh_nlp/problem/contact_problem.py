@@ -17,7 +17,7 @@ from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
 from rmesh_nlp.problem.checks import check, check_names
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
@@ -166,7 +166,7 @@ class ContactProblem(Shown, ProblemData):
         """Mesh, laws, loads, contact and motion, as (label, value) rows for people."""
         mesh = self.mesh
         (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
-        named = [(n, f) for n, f in (mesh.boundaries or {}).items() if not n.startswith("gmsh:")]
+        named = named_by_user(mesh.boundaries).items()
         rows = [
             ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
             ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
@@ -215,10 +215,7 @@ def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProble
     whole = np.isin(a * n + b, c * n + d)
     middle = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2)[1]
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
-    boundaries = {
-        name: pieces[:, np.asarray(facets)].T.reshape(-1, 2)
-        for name, facets in (old.boundaries or {}).items()
-    }
+    boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}
     mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, new.subdomains)
     return on_mesh(problem, mesh, problem.motion)
 

@@ -7,11 +7,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from skfem import MeshTri
 
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
 from rmesh_nlp.problem.coefficients import on_points
@@ -37,8 +36,8 @@ class ContactSet:
 
     number: int
     obstacle: Obstacle
-    nodes: NDArray[np.int64]
-    rows: NDArray[np.int64]
+    nodes: Index
+    rows: Index
 
 
 @dataclass(frozen=True)
@@ -84,12 +83,12 @@ class ProblemData:
         return self.law if isinstance(self.law, Mapping) else {"": self.law}
 
     @cached_property
-    def regions(self) -> tuple[tuple[Law, NDArray[np.int64]], ...]:
+    def regions(self) -> tuple[tuple[Law, Index], ...]:
         """Each law with the numbers of its elements."""
         every = np.arange(self.mesh.t.shape[1])
         if not isinstance(self.law, Mapping):
             return ((self.law, every),)
-        return tuple((law, every[np.asarray(self.mesh.subdomains[name])]) for name, law in self.law.items())
+        return tuple((law, every[self.mesh.subdomains[name]]) for name, law in self.law.items())
 
     @cached_property
     def rule(self) -> str | int:
@@ -141,16 +140,16 @@ class ProblemData:
         return any(obstacle.has_coulomb for obstacle in self.obstacles)
 
     @cached_property
-    def triangles(self) -> NDArray[np.int64]:
+    def triangles(self) -> Index:
         """(3, elements) vertex numbers, each triangle counter-clockwise."""
         return counter_clockwise(self.mesh.p, self.mesh.t)
 
     @cached_property
-    def curve_of_facet(self) -> NDArray[np.int64]:
+    def curve_of_facet(self) -> Index:
         """(facets,) number of the curve of the motion that each facet is on; -1 for straight ones."""
         numbers = np.full(self.mesh.facets.shape[1], -1)
         for number, name in enumerate(self.motion.curves):
-            numbers[np.asarray(self.mesh.boundaries[name])] = number
+            numbers[self.mesh.boundaries[name]] = number
         return numbers
 
     @property
@@ -158,20 +157,20 @@ class ProblemData:
         """The curves of the motion by their numbers."""
         return tuple(self.motion.curves.values())
 
-    def edges_by_curve(self, boundary: str) -> list[tuple[int, NDArray[np.int64]]]:
+    def edges_by_curve(self, boundary: str) -> list[tuple[int, Index]]:
         """Edges (2, n) of a boundary, for each curve with its number; straight ones with -1."""
-        facets = np.unique(np.asarray(self.mesh.boundaries[boundary]))
+        facets = np.unique(self.mesh.boundaries[boundary])
         curve = self.curve_of_facet[facets]
         numbers = np.unique(curve).tolist()
-        return [(k, self.mesh.facets[:, facets[curve == k]].astype(np.int64)) for k in numbers]
+        return [(k, self.mesh.facets[:, facets[curve == k]]) for k in numbers]
 
-    def boundary_nodes(self, names: tuple[str, ...]) -> NDArray[np.int64]:
+    def boundary_nodes(self, names: tuple[str, ...]) -> Index:
         """Sorted numbers of the nodes on the named boundaries."""
         nodes = [nodes_of(self.mesh, name) for name in names]
-        return np.unique(np.concatenate([np.zeros(0, np.int64), *nodes]))
+        return np.unique(numbers_of(nodes))
 
     @cached_property
-    def held(self) -> tuple[NDArray[np.bool_], Array]:
+    def held(self) -> tuple[Mask, Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""
         shape = (self.components, self.mesh.p.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
@@ -182,7 +181,7 @@ class ProblemData:
                 if coefficient is None:
                     continue
                 given = on_points(coefficient, self.mesh.p[:, nodes], what)
-                scale = max(1.0, float(np.max(np.abs(given), initial=0.0)))
+                scale = max(1.0, magnitude(given))
                 clash = held[i, nodes] & (np.abs(value[i, nodes] - given) > ROUNDING * scale)
                 for k in np.flatnonzero(clash):
                     raise ProblemError(
@@ -193,7 +192,7 @@ class ProblemData:
                 held[i, nodes], value[i, nodes] = True, given
         return held, value
 
-    def nodes_of(self, obstacle: Obstacle) -> NDArray[np.int64]:
+    def nodes_of(self, obstacle: Obstacle) -> Index:
         """Sorted numbers of the nodes at which an obstacle may be met."""
         place = obstacle.boundary
         return np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
@@ -212,7 +211,7 @@ class ProblemData:
             first += nodes.size
         return tuple(sets)
 
-    def given_gaps(self, contact: ContactSet) -> tuple[NDArray[np.int64], Array, float]:
+    def given_gaps(self, contact: ContactSet) -> tuple[Index, Array, float]:
         """Vertices of an obstacle that have a given displacement, their first gaps, and the size of these."""
         obstacle = self.first_obstacles[contact.number]
         nodes = np.setdiff1d(self.nodes_of(obstacle), contact.nodes)
@@ -221,19 +220,19 @@ class ProblemData:
             return nodes, np.zeros(0), 1e-300
         distance = obstacle.distances(where)
         along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
-        size = max(1e-300, float(np.max(np.abs(distance))), float(np.max(np.abs(along))))
+        size = max(1e-300, magnitude(distance), magnitude(along))
         return nodes, distance + along, size
 
     @property
-    def contact_nodes(self) -> NDArray[np.int64]:
+    def contact_nodes(self) -> Index:
         """The node of every gap, obstacle by obstacle; a node of two obstacles is there twice."""
-        return np.concatenate([np.zeros(0, np.int64), *(part.nodes for part in self.contact_sets)])
+        return numbers_of(part.nodes for part in self.contact_sets)
 
     @property
-    def kink_nodes(self) -> NDArray[np.int64]:
+    def kink_nodes(self) -> Index:
         """Contact nodes at kinks of foundations: they do not move, and coarser meshes keep them."""
         parts = [
             part.nodes[np.isclose(self.mesh.p[0, part.nodes, None], part.obstacle.kinks).any(axis=1)]
             for part in self.contact_sets
         ]
-        return np.concatenate([np.zeros(0, np.int64), *parts])
+        return numbers_of(parts)

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.evaluation import Expression, is_finite
 from rmesh_nlp.expressions import FUNCTIONS
-from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction, at, once
+from rmesh_nlp.problem.coefficients import POSITION, Coefficient, PositionFunction, at, once
 
 RESERVED = ("x", "y", "pi", "inf", "nan", *FUNCTIONS)
 """Names that expressions of position have already."""
@@ -126,7 +126,7 @@ def _check(variable: DesignVariable | Shape) -> None:
     object.__setattr__(variable, "bounds", bounds)
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
-    if len(bounds) != 2 or not (np.all(np.isfinite(bounds)) and bounds[0] < bounds[1]):
+    if len(bounds) != 2 or not (is_finite(bounds) and bounds[0] < bounds[1]):
         raise ValueError(f"the bounds of {name!r} must be finite and increase, got {list(bounds)}")
     if not bounds[0] <= start <= bounds[1]:
         raise ValueError(f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}")
@@ -141,7 +141,7 @@ class AtDesign:
 
     @cached_property
     def _function(self) -> ca.Function:
-        x, y = ca.SX.sym("x"), ca.SX.sym("y")
+        x, y = POSITION
         value = substituted(ca.SX(at(self.coefficient, x, y)), dict(self.values))
         return ca.Function("coefficient", [x, y], [value])
 
@@ -169,8 +169,7 @@ def names_in(coefficient: object) -> tuple[str, ...]:
     if isinstance(coefficient, ca.SX):
         return tuple(sorted({sym.name() for sym in ca.symvar(coefficient)}))
     if is_dataclass(coefficient) and not callable(coefficient):
-        parts = [getattr(coefficient, field.name) for field in fields(coefficient)]
-        return tuple(sorted({name for part in parts for name in names_in(part)}))
+        coefficient = tuple(getattr(coefficient, field.name) for field in fields(coefficient))
     if isinstance(coefficient, tuple):
         return tuple(sorted({name for part in coefficient for name in names_in(part)}))
     return _names_in_function(coefficient) if callable(coefficient) else ()
@@ -178,7 +177,7 @@ def names_in(coefficient: object) -> tuple[str, ...]:
 
 @once
 def _names_in_function(function: Coefficient) -> tuple[str, ...]:
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    x, y = POSITION
     try:
         value = ca.SX(at(function, x, y))
     except (NotImplementedError, RuntimeError, TypeError, ValueError):

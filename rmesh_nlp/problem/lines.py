@@ -19,13 +19,11 @@ from skfem import Basis, ElementTriP1, MeshTri
 from skfem.models.poisson import laplace
 
 from rmesh_nlp.errors import ProblemError, contradicting
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, Mask, cross, largest_side
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, lengths, named_by_user, nodes_of
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ProblemData
-
-Index = NDArray[np.int64]
 
 OFF = 1e-3
 """Distance from its curve, in units of the shortest edge of the boundary, at which a given node is not on it.
@@ -43,13 +41,12 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
         nodes = nodes_of(mesh, name)
         places = curve.at(curve.nearest(mesh.p[:, nodes]))
         off = np.linalg.norm(places - mesh.p[:, nodes], axis=0)
-        a, b = mesh.p[:, mesh.facets[:, np.asarray(mesh.boundaries[name])]].transpose(1, 0, 2)
         worst = int(np.argmax(off))
-        if not anywhere and off[worst] > OFF * np.min(np.linalg.norm(a - b, axis=0)):
+        if not anywhere and off[worst] > OFF * np.min(lengths(mesh.p, mesh.facets[:, mesh.boundaries[name]])):
             x, y = mesh.p[:, nodes[worst]]
             said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
             raise ProblemError(("curves", name), said)
-        shifted = off > 100 * np.finfo(float).eps * float(np.max(np.ptp(mesh.p, axis=1)))
+        shifted = off > 100 * np.finfo(float).eps * largest_side(mesh.p)
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
 
@@ -133,7 +130,7 @@ def sliding_directions(problem: ProblemData, *, geometry_only: bool = False) -> 
     for part in parts:
         owner, first, second = _pairs(ends[:, part])
         first, second = part[first], part[second]
-        turn = direction[0, first] * direction[1, second] - direction[1, first] * direction[0, second]
+        turn = cross(direction[:, first], direction[:, second])
         slides = (np.abs(turn) < SEVEN_DIGITS) & (label[first] == label[second])
         chosen = direction[:, first[slides]]
         # exactly axis-parallel where it is so up to rounding, so that a coordinate really stays put
@@ -196,13 +193,13 @@ def element_zones(mesh: MeshTri) -> Index:
     return np.unique(member, axis=0, return_inverse=True)[1].ravel()
 
 
-def _table(groups: Mapping[str, Any] | None, count: int) -> NDArray[np.bool_]:
+def _table(groups: Mapping[str, Any] | None, count: int) -> Mask:
     """(count, names) which of so many facets or elements belong to each name; those of gmsh aside."""
-    names = sorted(name for name in (groups or {}) if not name.startswith("gmsh:"))
+    names = sorted(named_by_user(groups))
     return np.array([_members(groups, name, count) for name in names]).reshape(len(names), count).T
 
 
-def _members(groups: Any, name: str, count: int) -> NDArray[np.bool_]:
+def _members(groups: Any, name: str, count: int) -> Mask:
     member = np.zeros(count, dtype=bool)
-    member[np.asarray(groups[name])] = True
+    member[groups[name]] = True
     return member

@@ -13,10 +13,12 @@ from rmesh_nlp.display import describe, figure
 from rmesh_nlp.evaluation import Array, Expression
 from rmesh_nlp.problem.coefficients import (
     OPEN,
+    POSITION,
     Coefficient,
     PiecewiseLinear,
     PositionFunction,
     at,
+    evaluated,
     is_nonzero,
     is_number,
     on_points,
@@ -224,10 +226,8 @@ class Obstacle:
         """Unit normals (components, ...) at ``points`` (2, ...)."""
         if self.level is None:
             return np.multiply.outer(np.array(self.normal), np.ones(points.shape[1:]))
-        if points.size == 0:
-            return np.zeros(points.shape)
-        slope = _gradient(self.level)(ca.DM(points[0].ravel()).T, ca.DM(points[1].ravel()).T).full()
-        return np.asarray(slope / np.linalg.norm(slope, axis=0)).reshape(points.shape)
+        slope = evaluated(_gradient(self.level), points)
+        return slope / np.linalg.norm(slope, axis=0)
 
     def distances(self, points: Array) -> Array:
         """Gaps (...) without displacement at ``points`` (2, ...), all finite or a ValueError."""
@@ -273,7 +273,7 @@ FOOT_STEPS = 5
 @lru_cache(maxsize=32)
 def _gradient(level: PositionFunction) -> ca.Function:
     """``(x, y) -> (d level / dx, d level / dy)``, a column."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
+    x, y = POSITION
     slope = ca.gradient(ca.SX(at(level, x, y)), ca.vertcat(x, y))
     return ca.Function("slope", [x, y], [ca.densify(slope)], OPEN)
 

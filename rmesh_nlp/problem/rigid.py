@@ -8,7 +8,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, magnitude
 from rmesh_nlp.problem.data import ProblemData
 
 
@@ -41,7 +41,7 @@ def _modes(p: Array, part: NDArray, components: int) -> Array:
         modes[k, k, part] = 1.0
     if components == 2:
         x, y = p[:, part] - p[:, part].mean(axis=1, keepdims=True)
-        size = max(float(np.max(np.abs([x, y]))), 1e-300)
+        size = max(magnitude([x, y]), 1e-300)
         modes[2][:, part] = np.stack([-y, x]) / size
     return modes
 

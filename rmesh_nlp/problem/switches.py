@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at, once
-from rmesh_nlp.vectorised import columnwise
+from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, at, evaluated, once
 
 DIFFERENCE = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
 ITSELF = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
@@ -54,9 +53,7 @@ class Switches:
 
     def __call__(self, number: int, points: NDArray) -> Array:
         """Values (...) of one at ``points`` (2, ...)."""
-        flat = points.reshape(2, -1)
-        values = columnwise(self.functions[number], flat.shape[1])([flat[:1], flat[1:]])[0]
-        return np.asarray(values.reshape(points.shape[1:]))
+        return evaluated(self.functions[number], points)[0]
 
 
 @once
@@ -64,7 +61,7 @@ def switches(coefficient: Coefficient) -> Switches | None:
     """The switches of a coefficient; None if it is smooth."""
     if not callable(coefficient):
         return None
-    position = [ca.SX.sym("x"), ca.SX.sym("y")]
+    position = [*POSITION]
     graph = ca.Function("coefficient", position, [ca.densify(at(coefficient, *position))], OPEN)
     each, are_all = _switches_of(graph)
     if not each and are_all:
@@ -101,7 +98,7 @@ def degree_of_pieces(coefficient: Coefficient) -> int | None:
 
 def affine_switches(coefficients: Iterable[Coefficient]) -> list[ca.Function]:
     """The affine ones of all switches of coefficients, each once."""
-    x, y, each = ca.SX.sym("x"), ca.SX.sym("y"), dict[str, ca.Function]()
+    (x, y), each = POSITION, dict[str, ca.Function]()
     for known in filter(None, map(switches, coefficients)):
         for function, degree in zip(known.functions, known.degrees, strict=True):
             if degree == 1:

@@ -14,9 +14,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index, largest_side, magnitude
 from rmesh_nlp.fem.sampling import along, edges_of
 from rmesh_nlp.io.vtu import MeshState
 from rmesh_nlp.optimize.activity import ZERO
@@ -24,7 +23,6 @@ from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
 from rmesh_nlp.solving import plotting
 
-Index = NDArray[np.int64]
 Painter = Callable[[Axes, "Body"], Any]
 """Draws a body; returns what a colour bar is made of, or None."""
 
@@ -96,13 +94,13 @@ class Body:
     @property
     def near(self) -> list[Contact]:
         """Those whose foundations are drawn: none for scalar problems."""
-        reach = REACH * np.max(np.ptp(self.nodes, axis=1))
+        reach = REACH * largest_side(self.nodes)
         return [one for one in self.contacts if self.elastic and one.distance <= reach]
 
     @property
     def closed(self) -> Index:
         """Numbers of the elements in contact with an obstacle in the interior: all of their nodes touch."""
-        touching = self.state.gap <= ZERO * np.max(np.abs(self.state.displacement), initial=0.0)
+        touching = self.state.gap <= ZERO * magnitude(self.state.displacement)
         return np.flatnonzero(np.all(touching[self.triangles], axis=0) & (not self.contacts))
 
     def moved(self, factor: float) -> Array:
@@ -119,10 +117,10 @@ def magnification(bodies: Sequence[Body]) -> float:
     displaced by that (:meth:`Contact.displaced`), and touching nodes touch it. If the gap varies by more
     than ``SEEN`` there is no such place, and displacements are drawn as they are.
     """
-    extent = float(np.max(np.ptp(bodies[0].nodes, axis=1)))
-    largest = max(float(np.max(np.abs(body.state.displacement))) for body in bodies)
+    extent = largest_side(bodies[0].nodes)
+    largest = max(magnitude(body.state.displacement) for body in bodies)
     ways = [one.ways.T for body in bodies for one in body.near]
-    varies = max((float(np.max(np.abs(way - way.mean(axis=0)))) for way in ways), default=0.0)
+    varies = max((magnitude(way - way.mean(axis=0)) for way in ways), default=0.0)
     wanted = (step * 10.0**decade for decade in range(12 if largest else 0) for step in (1, 2, 5))
     shown = (f for f in wanted if f * largest <= LARGEST_DEFORMATION * extent)
     return max((f for f in shown if (f - 1) * varies <= SEEN * extent), default=1.0)
@@ -132,12 +130,12 @@ def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
     """Limits (2, 2) around the bodies; of ``factor`` times the displacement, and around near foundations."""
     points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
     low, high = points.min(axis=1), points.max(axis=1)
-    reach = REACH * float(np.max(high - low))
+    reach = REACH * np.max(high - low)
     for one in (one for body in bodies for one in body.near if factor):
         lines = one.displaced(factor).reshape(2, -1)
         low = np.minimum(low, np.maximum(lines.min(axis=1), low - reach))
         high = np.maximum(high, np.minimum(lines.max(axis=1), high + reach))
-    extra = MARGIN * float(np.max(high - low))
+    extra = MARGIN * np.max(high - low)
     return np.stack([low - extra, high + extra], axis=1)
 
 
@@ -213,9 +211,7 @@ def side_by_side(
             scale = f", $u$ and gap × {factor:g}" if factor > 1 else ", true scale"
             column[1].set_title(f"deformed{scale}")
     if label:
-        limits = np.array([one.get_clim() for one in painted])
-        for one in painted:
-            one.set_clim(limits[:, 0].min(), limits[:, 1].max())
+        plotting.share_colours(painted)
         bar: dict[str, Any] = {"location": "bottom", "aspect": 40, "shrink": 0.8}
         figure.colorbar(painted[-1], ax=axes[-1].tolist(), label=label, **bar)
     add_legend(figure, list(axes[:, 0]), "outside lower center")

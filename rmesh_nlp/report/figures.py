@@ -138,7 +138,7 @@ def error_figure(fields: Fields, record: Record, page: Page) -> Figure:
         areas = np.abs(signed_areas(state.nodes, fields.triangles[:3]))
         densities[title] = np.sqrt(2 * np.maximum(bound, 0) / areas)
         bodies.append(Body(title, fields.triangles, state))
-    high = max(float(np.max(list(densities.values()))), 1e-299)
+    high = max(np.max(list(densities.values())), 1e-299)
     norm = LogNorm(high / 10**DECADES, high)
     paint = coloured(
         plotting.draw_elements, lambda body: np.maximum(densities[body.title], norm.vmin or 0), norm=norm

@@ -14,6 +14,7 @@ from rmesh_nlp.fem.sampling import along, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.vtu import state_of
 from rmesh_nlp.mapping import MeshMap, Mobility
+from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
@@ -36,12 +37,12 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     drawn with the initial gap of every contact node, in red where they overlap the body.
     """
     mesh, free, space = problem.mesh, MeshMap.of(problem), DisplacementSpace(problem)
-    nodes, cells = points_of(space, np.asarray(mesh.p)), space.elements
+    nodes, cells = points_of(space, mesh.p), space.elements
     # with middles of edges foundations are seen to be curved
     finer = replace(problem, order=2)
     fine = DisplacementSpace(finer)
     rest = np.zeros((problem.components, fine.n_nodes))
-    body = Body("", fine.elements, state_of(finer, np.asarray(mesh.p), rest, rest[0], rest[0]))
+    body = Body("", fine.elements, state_of(finer, mesh.p, rest, rest[0], rest[0]))
     extent = np.ptp(np.hstack([mesh.p, *(one.lines.reshape(2, -1) for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
         width = style.Page().width
@@ -74,8 +75,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
 
 def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
     p, size = problem.mesh.p, 2000 / max(problem.mesh.p.shape[1], 100)
-    edges = p[:, problem.mesh.facets]
-    length = 0.2 * float(np.min(np.linalg.norm(edges[:, 0] - edges[:, 1], axis=0)))  # boundaries stay seen
+    length = 0.2 * np.min(lengths(p, problem.mesh.facets))  # boundaries stay seen
     looks = ((free.mobility == kind, *look) for kind, look in MARKERS.items())
     draw_nodes(axis, p, looks, s=size, zorder=3)
     sliding = free.mobility == Mobility.SLIDING

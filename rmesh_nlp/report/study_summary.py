@@ -197,34 +197,27 @@ def _cost_of_part(result: Result, lowest: Mapping[str, float], part: float) -> f
     return cost_to(result, start - part * (start - best))
 
 
-def data_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
-    """Moré and Wild's profiles over the cost itself, that of a part of the best gain, in contact solves."""
-    return _profiles(pd.DataFrame(costs))
-
-
-def performance_profiles(costs: Mapping[str, ArrayLike]) -> dict[str, Profile]:
+def performance_profiles(table: pd.DataFrame) -> dict[str, Profile]:
     """Dolan and Moré's profiles over the ratio to the cheapest; what all failed is a failure of all."""
-    table = pd.DataFrame(costs)
-    return _profiles(table.div(table.min(axis=1), axis=0).mask(_is_best(table), 1.0))
+    return data_profiles(table.div(table.min(axis=1), axis=0).mask(_is_best(table), 1.0))
 
 
-def quality_profiles(energies: Mapping[str, ArrayLike], initial: ArrayLike) -> dict[str, Profile]:
+def quality_profiles(table: pd.DataFrame, initial: pd.Series) -> dict[str, Profile]:
     """Profiles over the part of the best gain that a final energy misses.
 
     Where no formulation gains anything over the ``initial`` energies, all that did not fail miss nothing.
     """
-    table = pd.DataFrame(energies)
     best = table.min(axis=1)
     gain = initial - best
     missed = table.sub(best, axis=0).div(gain.where(gain > 0), axis=0)
-    return _profiles(missed.mask(_is_best(table), 0.0))
+    return data_profiles(missed.mask(_is_best(table), 0.0))
 
 
 def _is_best(table: pd.DataFrame) -> pd.DataFrame:
     return table.eq(table.min(axis=1), axis=0) & np.isfinite(table)
 
 
-def _profiles(table: pd.DataFrame) -> dict[str, Profile]:
+def data_profiles(table: pd.DataFrame) -> dict[str, Profile]:
     """The distributions of columns of values; what is not finite is never reached."""
     profiles = {}
     for name, values in table.items():

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from rmesh_nlp.display import for_markdown, for_spreadsheet
+from rmesh_nlp.display import for_spreadsheet
 from rmesh_nlp.io.folder import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
@@ -77,7 +77,7 @@ def markdown(records: Sequence[Record], *, short: bool = False) -> str:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
     if not short and not study and (remarks := block_notes(records)):
         parts.append(f"## Notes\n\n{_items(remarks)}")
-    return for_markdown("\n".join(parts))
+    return "\n".join(parts).replace("<", "&lt;")
 
 
 def _items(notes: Sequence[str]) -> str:

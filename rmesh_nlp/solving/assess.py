@@ -6,6 +6,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.coulomb import growth
 from rmesh_nlp.assessment.measures import residuals
+from rmesh_nlp.meshes.geometry import have_same_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.solving.assessment import Assessment
@@ -32,7 +33,7 @@ def assess(
         Whether the formulation moves nodes at all.
     """
     last, said = outcome.outer, stopped or outcome.status
-    is_same_mesh = _have_same_mesh(first, last)
+    is_same_mesh = have_same_mesh(first.problem.mesh, last.problem.mesh)
     begin = last if is_same_mesh else first
     # the final mesh before the given one: the models remember their last point
     final = measured(last, outcome.q)
@@ -56,12 +57,6 @@ def assess(
         domain_area_change=_domain_area_change(first, final),
         warnings=(*given.doubts, *final.warnings, *(() if grown is None else (grown,))),
     )
-
-
-def _have_same_mesh(first: Outer, last: Outer) -> bool:
-    """Whether two meshes are the same before any motion."""
-    given, made = first.problem.mesh, last.problem.mesh
-    return given is made or (np.array_equal(given.p, made.p) and np.array_equal(given.t, made.t))
 
 
 def _domain_area_change(first: Outer, final: State) -> float | None:

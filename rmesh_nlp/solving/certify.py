@@ -17,6 +17,7 @@ from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
+from rmesh_nlp.errors import one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -75,7 +76,7 @@ def bounded(
     problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
-    nodes, loads = np.asarray(final.mesh.p), {text: load_of(text, problem) for text in quantities}
+    nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in quantities}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
     before, why = after, after.why
@@ -111,7 +112,7 @@ def _bracket(state: State, continuous: Admissible, refinements: int | None) -> B
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
     u = DisplacementSpace(state.problem).coefficients(state.displacement)
     guess = Guess(u, state.pressure, state.tangential_stress)
-    bracket = refined_bracket(state.problem, np.asarray(state.mesh.p), guess, refinements)
+    bracket = refined_bracket(state.problem, state.mesh.p, guess, refinements)
     return replace(with_upper(bracket, continuous), distance=_distance(u, bracket.norm, continuous))
 
 
@@ -155,7 +156,7 @@ def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements:
         return -bracket.lower if set(bracket.lower_faults) <= set(known.lower_faults) else np.inf
 
     gap, value = max(known.upper - known.lower, ROUNDING * exact.strain), float(push @ u)
-    flat = float(np.sqrt(gap * exact.strain)) / max(float(np.abs(push) @ np.abs(u)), 1e-300)
+    flat = np.sqrt(gap * exact.strain) / max(float(np.abs(push) @ np.abs(u)), 1e-300)
     bend = float(push[free] @ (moved(1.0).equilibrium(exact.state.active).u - exact.state.u))
     low, high = slope_bounds(upper, -known.upper, gap, bend, flat)
     return Bounds(low, value, high)
@@ -193,4 +194,4 @@ def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
     try:
         return bounded(assessment), None
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-        return None, f"no certificate: {' '.join(str(error).split())}"
+        return None, f"no certificate: {one_line(error)}"

@@ -112,7 +112,7 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     with budget.during("build"):
         outer = Outer.of(problem, plan.objective, plan.tolerance)
     with budget.during("audit"):
-        contact, nodes = outer.contact, np.asarray(problem.mesh.p)
+        contact, nodes = outer.contact, problem.mesh.p
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
     budget.enter("solve")
     begin, q, start = beginning(outer, plan.start, plan.seed, monitor)

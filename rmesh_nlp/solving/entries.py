@@ -44,31 +44,11 @@ def _seconds(name: str, meaning: str, of: str | None, **options: Any) -> Entry:
     return Entry(name, Seconds, meaning, of, **{"presence": SOLVED, "unit": "s", **options})
 
 
-def _units(solution: Solution) -> dict[str, str]:
-    return asdict(solution.problem.units)
-
-
-def _unknowns(solution: Solution) -> int:
-    return int(np.sum(~DisplacementSpace(solution.problem).given()[0]))
-
-
 def _own_design(solution: Solution, of: Callable[[Any], object]) -> dict[str, object] | None:
     """Of each design variable that the solve had."""
     if solution.designed is None:
         return None
     return {one.name: of(one) for one in solution.designed.design if one.name in solution.design}
-
-
-def _constraints(solution: Solution) -> dict[str, dict[str, float | None]] | None:
-    return {text: one.record() for text, one in solution.constraints.items()} or None
-
-
-def _error_reduction(solution: Solution) -> object:
-    return solution.error_reduction and solution.error_reduction.record()
-
-
-def _exploits(solution: Solution) -> str | None:
-    return solution.assessment.costliest if solution.assessment.is_exploited else None
 
 
 def _objective_initial(solution: Solution) -> float | None:
@@ -122,12 +102,14 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: s.problem.motion.delta_record(), EVERY, unit="length"),
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
               "problem.order", SOLVED, heading="order"),
-        Entry("nodes", Count, "Vertices of the mesh.", lambda s: int(s.mesh.p.shape[1]), SOLVED),
-        Entry("triangles", Count, "Of the mesh.", lambda s: int(s.mesh.t.shape[1]), SOLVED),
-        Entry("unknowns", Count, "Of the displacement.", _unknowns, SOLVED, heading="unknowns"),
+        Entry("nodes", Count, "Vertices of the mesh.", lambda s: s.mesh.p.shape[1], SOLVED),
+        Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.t.shape[1], SOLVED),
+        Entry("unknowns", Count, "Of the displacement.",
+              lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
               "problem.rule", SOLVED),
-        Entry("units", Named | dict[str, str], "Of the problem, if it names any.", _units, SOLVED),
+        Entry("units", Named | dict[str, str], "Of the problem, if it names any.",
+              lambda s: asdict(s.problem.units), SOLVED),
         Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "
               "whose solution it was.", "start", SOLVED, heading="start"),
         Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", "seed",
@@ -155,7 +137,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("solver_status", Text, "How the solver says that it ended.",
               "assessment.solver_status.value", SOLVED),
         Entry("exploits", Text, "Kind of the discretisation error that the optimiser found: `quadrature`, "
-              "`penetration`, `friction` or `geometry`.", _exploits, SOLVED),
+              "`penetration`, `friction` or `geometry`.",
+              lambda s: s.assessment.costliest if s.assessment.is_exploited else None, SOLVED),
         Entry("warnings", list[str], "Signs of a wrong set-up, and of gains that are discretisation errors.",
               lambda s: list(s.warnings), SOLVED),
     ),
@@ -183,7 +166,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "minimised.", "surviving_gain.share"),
         Entry("error_reduction", dict[str, Any], "Bounds of the error of the energy before and after and of "
               "their ratio, what they rest on (`source`: `exact`, `refinement` or `certified`), and the "
-              "contact solves that the relocation took.", _error_reduction),
+              "contact solves that the relocation took.",
+              lambda s: s.error_reduction and s.error_reduction.record()),
         Entry("attainable_factor", Number, "By how much less the error of the best mesh of as many triangles "
               "is than that of the given mesh, estimated.", "reduced_error.attained.attainable_factor"),
         Entry("share_of_attainable", Number, "That least error over the one of the final mesh.",
@@ -237,7 +221,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("constraints", dict[str, dict[str, Number]], "What is constrained, by its text: `value` at the "
               "end, `lower`, `upper` (null: none), `violation` over the largest bound. Of "
               "`max-pressure(NAME)` the largest pressure at a node.",
-              _constraints),
+              lambda s: {text: one.record() for text, one in s.constraints.items()} or None),
     ),
     "Work": (
         Entry("iterations", Count, "Of the solver.", "iterations", EVERY,

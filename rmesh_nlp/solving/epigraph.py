@@ -28,7 +28,7 @@ def with_levels(problem: ContactProblem, objective: Objective) -> ContactProblem
         return problem
     solver = ContactSolver(problem.at_design())
     space, forces = solver.discretisation.space, solver.given.normal_force
-    pressure = forces / space.weights(np.asarray(solver.problem.mesh.p))
+    pressure = forces / space.weights(solver.problem.mesh.p)
     levels, constraints = [], []
     for boundary in dict.fromkeys(boundaries):
         peak = float(np.max(pressure[contact_on(space, boundary).rows]))

@@ -93,7 +93,7 @@ def _over_branches(
     return branch.label, {
         "label": words,
         "b_stationary": branch.b_stationary,
-        "biactive": int(branch.pairs.size),
+        "biactive": branch.pairs.size,
         "biactive_nodes": nodes,
         "descent_rate": branch.rate,
     }

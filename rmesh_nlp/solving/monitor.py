@@ -15,7 +15,8 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite
+from rmesh_nlp.meshes.geometry import have_same_mesh
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import gain_estimate
 from rmesh_nlp.mpcc import Iterate
@@ -173,12 +174,12 @@ class Track:
         and multipliers ``(x, lam_g)`` of an NLP, of the unknowns ``x`` of a homotopy, which hold the forces.
     """
 
-    def __init__(self, monitor: Monitor, outer: Outer, unit: float = 1.0) -> None:
+    def __init__(self, monitor: Monitor, outer: Outer, unit: float) -> None:
         self.monitor, self.outer, self._unit = monitor, outer, unit
         self._before, self._first = monitor.budget.iterations, len(monitor.steps)
         self.residual: Callable[..., float] | None = None
-        mesh, given = outer.problem.mesh, monitor.mesh or outer.problem.mesh
-        self._shown = np.array_equal(mesh.p, given.p) and np.array_equal(mesh.t, given.t)
+        mesh = outer.problem.mesh
+        self._shown = have_same_mesh(mesh, monitor.mesh or mesh)
         self._valid: Array | None = None  # the last such outer variables of an all-at-once solver
         self._best: tuple[tuple[float, float], Array] | None = None
 
@@ -230,7 +231,7 @@ class Track:
 
     def _approximate(self, iteration: int, x: Array, f: float, **known: float) -> bool:
         q, value = np.array(x[: self.outer.n]), f * self._unit
-        if np.all(np.isfinite(q)) and self.outer.is_valid(self.outer.clipped(q)):
+        if is_finite(q) and self.outer.is_valid(self.outer.clipped(q)):
             self._valid = self.outer.clipped(q)
         energy = value if self.outer.objective.is_energy else NAN
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)

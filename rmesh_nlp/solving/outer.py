@@ -12,7 +12,7 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -171,7 +171,7 @@ class Outer:
     @property
     def has_limits(self) -> bool:
         """Whether all outer variables have limits."""
-        return bool(np.all(np.isfinite(self.discretisation.mesh_map.upper)))
+        return bool(is_finite(self.discretisation.mesh_map.upper))
 
     def clipped(self, q: Array) -> Array:
         """The nearest outer variables within their limits."""

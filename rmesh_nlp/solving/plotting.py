@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
@@ -48,7 +48,7 @@ def plot(
     title = "flux" if scalar and what == "stress" else what
     if what == "mesh":
         if np.any(problem.mesh.p != X):
-            given = points_of(space, np.asarray(problem.mesh.p))
+            given = points_of(space, problem.mesh.p)
             draw_mesh(axes, given, cells, color="0.85", linewidth=0.6)
         draw_mesh(axes, nodes, cells, **{"color": "0.2", "linewidth": 0.7, **style})
     elif what == "stress":
@@ -87,6 +87,13 @@ def _bar(axes: Axes, painted: Any, X: Array, label: str) -> None:
         {"location": "bottom", "aspect": 30} if wide else {"location": "right", "shrink": 0.8}
     )
     axes.figure.colorbar(painted, ax=axes, label=label, **place)
+
+
+def share_colours(painted: list[Any]) -> None:
+    """One range of values for all of them."""
+    limits = np.array([each.get_clim() for each in painted])
+    for each in painted:
+        each.set_clim(limits[:, 0].min(), limits[:, 1].max())
 
 
 def size_of(u: Array) -> Array:
@@ -141,7 +148,7 @@ def direction(points: Array) -> int:
 def draw_along(
     axis: Axes,
     nodes: Array,
-    where: tuple[NDArray[np.int64], NDArray[np.int64]],
+    where: tuple[Index, Index],
     values: Array,
     coordinate: int,
     **pen: Any,

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
@@ -15,7 +14,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.entries import written
 from rmesh_nlp.solving.parts import Certificate, Constrained, Step, Work, plain
@@ -138,11 +137,6 @@ class Solution(Shown):
     def initial_nodes(self) -> Array:
         """(2, nodes) positions before relocation, on the mesh of ``problem``: the given one or a new one."""
         return self.assessment.final.before
-
-    @property
-    def initial_areas(self) -> Array:
-        """(elements,) areas of the triangles before relocation."""
-        return signed_areas(self.initial_nodes, self.problem.triangles)
 
     @property
     def displacement(self) -> Array:
@@ -281,7 +275,7 @@ class Solution(Shown):
         """
         from rmesh_nlp.solving import plotting  # matplotlib takes a while to load
 
-        X = np.asarray(self.mesh.p)
+        X = self.mesh.p
         return plotting.plot(self.problem, X, self.displacement, self.pressure, what, axes, **style)
 
     def summary(self) -> Rows:

@@ -24,12 +24,13 @@ from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.mapping.validity import least_area_ratio
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.models.kkt_model import ContactPoint, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.residual import size_of
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, signed_areas
+from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Constrained
@@ -154,14 +155,14 @@ class State:
 def measured(outer: Outer, q: Array) -> State:
     """Measure the mesh at outer variables ``q`` and its equilibrium."""
     is_given = not np.any(q)
-    before, triangles = np.array(outer.problem.mesh.p), outer.problem.triangles
+    before = np.array(outer.problem.mesh.p)
     nodes = outer.nodes(q)
-    ratio = float(np.min(signed_areas(nodes, triangles) / signed_areas(before, triangles)))
+    ratio = least_area_ratio(outer.problem, nodes)
     if not ratio > 0:
         return _unsolvable(outer, q, before, ratio)
     at, position = outer.at_design(q)
     if is_given:  # with shapes it is where these begin
-        nodes = np.asarray(at.problem.mesh.p)
+        nodes = at.problem.mesh.p
     exact = at.energy.start if is_given else at.energy(position)
     point = outer.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
@@ -185,7 +186,7 @@ def measured(outer: Outer, q: Array) -> State:
         coulomb_residual=coulomb_residual(
             space, nodes, displacement, solved.normal_force, solved.tangential_force
         ),
-        sticking_nodes=None if sliding is None else int(rows.size) - sliding,
+        sticking_nodes=None if sliding is None else rows.size - sliding,
         sliding_nodes=sliding,
         contact=contact_results(space, nodes, system, solved),
         continuous=continuous,

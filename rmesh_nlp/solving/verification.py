@@ -8,7 +8,7 @@ import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, Shown
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import relocated_mesh
@@ -114,7 +114,7 @@ def verify_gradient(
     values = np.array([function(q + step * direction).value for step in steps])
     remainders = np.abs(values - point.value - steps * slope)
     # less is rounding and says nothing of the gradient
-    size = max(abs(point.value), float(np.max(np.abs(values))))
+    size = max(abs(point.value), magnitude(values))
     is_resolved = remainders > 500 * np.finfo(float).eps * size
     with np.errstate(divide="ignore", invalid="ignore"):
         orders = np.log2(remainders[:-1] / remainders[1:])

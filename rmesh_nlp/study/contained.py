@@ -44,7 +44,7 @@ class Contained:
     It is started anew where need be. Once the ``session`` is stopped a StoppedError ends what is solved.
     """
 
-    def __init__(self, cores: Collection[int] | None = None, session: Budget | None = None) -> None:
+    def __init__(self, cores: Collection[int] | None, session: Budget | None) -> None:
         self._cores, self._session = cores, session
         self._process: subprocess.Popen[bytes] | None = None
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
@@ -139,7 +139,7 @@ def _distributed_rows(
             elif isinstance(future.exception(), distributed.KilledWorker):
                 yield solve, None
             else:
-                raise BadInputError(f"a worker cannot work: {' '.join(str(future.exception()).split())}")
+                raise BadInputError(f"a worker cannot work: {one_line(future.exception())}")
 
 
 @contextmanager
@@ -157,7 +157,7 @@ def _client(distributed: Any, scheduler: str) -> Iterator[Any]:
             client = distributed.Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
             client.wait_for_workers(1, timeout=PATIENCE_S)
         except NO_CLUSTER as error:
-            reason = " ".join(str(error).split()) or "it did not answer in time"
+            reason = one_line(error) or "it did not answer in time"
             raise BadInputError(f"no cluster at {scheduler}: {reason}") from error
         yield client
     finally:

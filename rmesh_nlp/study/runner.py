@@ -8,6 +8,7 @@ from statistics import median
 
 import numpy as np
 
+from rmesh_nlp.errors import one_line
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.records import REQUIRED, Record
@@ -81,7 +82,7 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
         if asked:  # auto chose, or the rule was raised
             row["asked"] = asked
         if solution.assessment.final.min_area_ratio > 0:
-            row |= error_terms(solution.problem, np.asarray(solution.mesh.p))
+            row |= error_terms(solution.problem, solution.mesh.p)
         return Done(row, solution)
     except ValueError as error:  # the formulation does not take this problem or option
         return Done(failure(solve, "refused", _one_line(error), watch.elapsed))
@@ -91,7 +92,7 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
 
 
 def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    return one_line(error) or type(error).__name__
 
 
 def failure(solve: PlannedSolve, status: str, message: str, seconds: float = 0.0) -> Record:

@@ -125,7 +125,7 @@ def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) 
             value(plate, rm.quantities.nodal(nodes, lambda X, u: X[0, 0]))
     with pytest.raises(ValueError, match=r"one value, got one of shape \(2, 1\)"):
         value(plate, rm.quantities.nodal([0, 1], lambda X, u: X[:, 0]))
-    with pytest.raises(ValueError, match="no subdomain 'soft': choose from left half"):
+    with pytest.raises(ValueError, match="unknown subdomain 'soft': choose from left half"):
         value(plate, rm.quantities.body_integral(lambda *_: 1, subdomain="soft"))
 
 
@@ -156,7 +156,7 @@ WRONG = {  # the last ones are told by a problem only: Example 6.2 without an ex
     "unknown name 'u_x'": ("boundary(top, u_x)",),
     "unknown name 'nx'": ("body(nx)", "node(0, 0, nx)"),
     "unknown name 'u": ("body(uz)", "node(4, 1, u)"),
-    "no boundary 'tip'": ("mean(tip, uy)",),
+    "unknown boundary 'tip'": ("mean(tip, uy)",),
     "the nearest is node": ("node(3.9, 1, uy)",),
     "mean": ("mean(top, __import__('os'))",),
     "'top' is not a contact boundary: choose from contact": ("peak-pressure(top, 1, 3)", "resultant(top)"),

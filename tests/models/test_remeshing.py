@@ -75,14 +75,13 @@ class TestNumberOfNodes:
     def test_is_met_up_to_two_percent(self, nodes: int) -> None:
         assert abs(count(remade(scalar(), nodes)) - nodes) <= max(EXACT * nodes, 1)
 
-    def test_a_known_ratio_of_triangles_is_kept_and_a_rough_number_is_enough_on_the_way(self) -> None:
+    def test_a_known_ratio_of_triangles_is_kept(self) -> None:
         problem = scalar()
         regions = Solved.of(problem).regions
         first, ratio = remeshed_problem(problem, regions, 400)
         again, same = remeshed_problem(problem, regions, 400, ratio)
         assert same == ratio  # of another trial it would differ
         np.testing.assert_array_equal(again.mesh.p, first.mesh.p)
-        assert abs(count(remade(problem, 300, tolerance=0.2)) - 300) <= 60
 
     @pytest.mark.parametrize(
         ("make", "nodes", "said"),

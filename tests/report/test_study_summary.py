@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from rmesh_nlp.io.records import Record
@@ -24,13 +25,13 @@ from support.reporting import designed, failed, fixed_61, joint_61
 
 INF = float("inf")
 # ratios of a: 1, 2, 1, inf, fails; of b: 2, 1, 3, 1, fails
-COSTS = performance_profiles({"a": [10, 40, 5, INF, INF], "b": [20, 20, 15, 7, INF]})
-FREE = performance_profiles({"a": [0.0, 0.0], "b": [0.0, 3.0], "c": [INF, INF]})
-DATA = data_profiles({"a": [1, 10, 100, INF]})
+COSTS = performance_profiles(pd.DataFrame({"a": [10, 40, 5, INF, INF], "b": [20, 20, 15, 7, INF]}))
+FREE = performance_profiles(pd.DataFrame({"a": [0.0, 0.0], "b": [0.0, 3.0], "c": [INF, INF]}))
+DATA = data_profiles(pd.DataFrame({"a": [1, 10, 100, INF]}))
 # best gains 10 and 4; b misses 10 % of the first and fails the second; c gains nothing
-QUALITY = quality_profiles({"a": [-10.0, -4.0], "b": [-9.0, INF], "c": [0.0, 0.0]}, [0.0, 0.0])
+QUALITY = quality_profiles(pd.DataFrame({"a": [-10.0, -4.0], "b": [-9.0, INF], "c": [0.0, 0.0]}), [0.0, 0.0])
 # no formulation gains on the first, all fail the second
-USELESS = quality_profiles({"a": [1.0, INF], "b": [2.0, INF]}, [0.0, 0.0])
+USELESS = quality_profiles(pd.DataFrame({"a": [1.0, INF], "b": [2.0, INF]}), [0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ USELESS = quality_profiles({"a": [1.0, INF], "b": [2.0, INF]}, [0.0, 0.0])
     [
         (COSTS["a"], [0.99, 1, 1.9, 2, 100], [0, 0.4, 0.4, 0.6, 0.6]),
         (COSTS["b"], [1, 2, 2.9, 3, 100], [0.4, 0.6, 0.6, 0.8, 0.8]),
-        (performance_profiles({"a": [1.0], "b": [1 + 1e-10]})["b"], [1], [1]),  # a tie
+        (performance_profiles(pd.DataFrame({"a": [1.0], "b": [1 + 1e-10]}))["b"], [1], [1]),  # a tie
         (FREE["b"], [1, 1e9], [0.5, 0.5]),
         (FREE["c"], [1, 1e300], [0, 0]),
         (DATA["a"], [0, 1, 9, 10, 99, 100, 1e9], [0, 0.25, 0.25, 0.5, 0.5, 0.75, 0.75]),
