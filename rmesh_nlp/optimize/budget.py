@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.settings import Limit, Seconds, Settings
@@ -135,6 +135,20 @@ class Budget:
             self.stopped = Status.ITERATION_LIMIT
         return self.stopped is not None
 
+    @contextmanager
+    def interruptible(self) -> Iterator[None]:
+        """Ctrl-C in this context stops it, also where the KeyboardInterrupt is lost.
+
+        CasADi drops one that is raised while it looks at the attributes of what it is given.
+        """
+
+        def stop(number: int, frame: FrameType | None) -> None:
+            self.stopped = Status.INTERRUPTED
+            signal.default_int_handler(number, frame)
+
+        with signals_to(stop):
+            yield
+
     def check(self) -> None:
         """Raise a StoppedError if it is over."""
         if self.is_over():
@@ -165,19 +179,32 @@ def end_like_interrupts() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
+Handler = Callable[[int, FrameType | None], object]
+
+_handlers: list[Any] = [signal.default_int_handler]
+"""Those of the contexts of :func:`signals_to` after Python's own."""
+
+
 @contextmanager
-def signals_to(handle: Callable[[int, FrameType | None], object]) -> Iterator[None]:
-    """Give Ctrl-C and SIGTERM to ``handle`` where they would raise a KeyboardInterrupt in the main thread."""
-    caught = []
-    if threading.current_thread() is threading.main_thread():  # only there may handlers be set
-        caught = [number for number in SIGNALS if signal.getsignal(number) is signal.default_int_handler]
+def signals_to(handle: Handler) -> Iterator[None]:
+    """Give Ctrl-C and SIGTERM to ``handle`` where they would raise a KeyboardInterrupt in the main thread.
+
+    Within another such context to the inner handler alone.
+    """
+    if threading.current_thread() is not threading.main_thread():  # only there may handlers be set
+        yield
+        return
+    before = {number: signal.getsignal(number) for number in SIGNALS}
+    caught = [number for number, handler in before.items() if handler in _handlers]
     for number in caught:
         signal.signal(number, handle)
+    _handlers.append(handle)
     try:
         yield
     finally:
+        _handlers.pop()
         for number in caught:
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, before[number])
 
 
 @contextmanager

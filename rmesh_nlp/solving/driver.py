@@ -90,17 +90,18 @@ def solve(
     monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
     asked = composed(formulation, settings)
     plan = Plan.of(problem, asked, parse_objective(objective), tolerance, start, seed)
-    end, safe = _ended(plan, plan.problem, monitor), None
-    if is_spurious(end.assessment):
-        end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
-    stopped, reached = monitor.budget.stopped, end.assessment
-    if stopped is not None:
-        if not reached.success and reached.solver_status is stopped:
-            end = monitor.finish(lambda: as_given(end, stopped))
-    elif plan.why and reached.status in (Status.WORSE, Status.EXPLOITED):
-        # what chooses by itself hands nothing back that is worse
-        end = monitor.finish(lambda: as_given(end, Status.STALLED, HIGHER))
-    return _made(plan, end, safe, monitor, certify)
+    with monitor.budget.interruptible():
+        end, safe = _ended(plan, plan.problem, monitor), None
+        if is_spurious(end.assessment):
+            end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
+        stopped, reached = monitor.budget.stopped, end.assessment
+        if stopped is not None:
+            if not reached.success and reached.solver_status is stopped:
+                end = monitor.finish(lambda: as_given(end, stopped))
+        elif plan.why and reached.status in (Status.WORSE, Status.EXPLOITED):
+            # what chooses by itself hands nothing back that is worse
+            end = monitor.finish(lambda: as_given(end, Status.STALLED, HIGHER))
+        return _made(plan, end, safe, monitor, certify)
 
 
 def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import signal
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -74,6 +76,19 @@ def test_ctrl_c_after_the_assessment_keeps_the_solution(problem, during, monkeyp
     assert solution.energy == solved("joint", "6.2", (4, 2)).energy
     assert (solution.error_reduction is None) == (during == "reduced_error")
     assert solution.certificate is solution.certificate_remark is None  # nothing more is begun
+
+
+def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactProblem) -> None:
+    """CasADi drops a KeyboardInterrupt that comes while it looks at an attribute: here of the formulation."""
+
+    def press(step: Step) -> None:
+        if step.iteration == 2:
+            with suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+
+    solution = solve(problem, Alternating(), on_step=press)
+    assert (solution.status, solution.success, solution.iterations) == (Status.INTERRUPTED, True, 2)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
 def test_ctrl_c_in_a_callback_keeps_the_lowest_of_all_that_was_reported(problem: ContactProblem) -> None:
