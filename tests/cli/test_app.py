@@ -46,6 +46,22 @@ def test_an_interruption_is_said_when_there_is_nothing_to_keep(rmesh, monkeypatc
     assert rmesh("table results") == (130, "", "rmesh: interrupted\n")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_an_interruption_while_libraries_load_is_one_line() -> None:
+    """Those in C make an ImportError of a KeyboardInterrupt that comes while they begin."""
+    code = (
+        "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Presses:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        try: name == 'casadi' and signal.raise_signal(signal.SIGINT)\n"
+        "        except KeyboardInterrupt: raise ImportError('initialization failed')\n"
+        "sys.meta_path.insert(0, Presses())\n"
+        "from rmesh_nlp.cli.entry import main; sys.argv[1:] = ['table', 'x']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "rmesh: interrupted\n")
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize("formulation", ["joint", "nested", "mpcc"])
