@@ -89,8 +89,9 @@ print(problem.mesh.p.shape[1], "nodes; boundaries", sorted(problem.mesh.boundari
 # The warnings of ``rmesh check``. An empty list means that it found no sign of a wrong set-up.
 
 from rmesh_nlp.contact.setup_warnings import setup_warnings
+from rmesh_nlp.contact.solver import ContactSolver
 
-print([warning.message for warning in setup_warnings(problem)])
+print([warning.message for warning in setup_warnings(ContactSolver(problem))])
 
 # %%
 # Before and after. No formulation needs to be named: ``rmesh solve plate.toml`` does the same, and draws.
