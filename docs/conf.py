@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -25,8 +26,34 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
 ]
+BELOW = {
+    "index": ["getting_started", "theory", "howto", "api", "results"],
+    "howto": [
+        "own_problems",
+        "parts",
+        "formulations",
+        "without_move_limits",
+        "order_and_relocation",
+        "objectives",
+        "design_punch",
+        "design_seal",
+        "design_identification",
+        "relocation_friction",
+        "biactive",
+        "certificate",
+        "studies",
+        "mpcc_solver",
+        "own_formulation",
+        "gallery/index",
+    ],
+    "api": ["command_line", "records", "assessment", "code"],
+    "results": ["reproduction"],
+}
+"""The menu: the pages below a page. Pages are plain Markdown, which a repository shows as well."""
+
 exclude_patterns = [
     "_build",
+    "reference/names.rst",
     "notes/*",
     "tutorials/*",
     "_templates/*",
@@ -49,7 +76,7 @@ myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 suppress_warnings = ["myst.xref_missing"]
 
-autosummary_generate = True
+autosummary_generate = ["reference/names.rst"]  # written by setup
 autosummary_imported_members = False
 autodoc_typehints = "description"
 autodoc_typehints_description_target = "documented_params"  # a type without a meaning helps nobody
@@ -69,9 +96,33 @@ def add_inherited_fields(app: Any, what: str, name: str, obj: Any, options: Any,
             lines.extend(["", *heading.splitlines(), *fields.split("\n\n")[0].splitlines(), ""])
 
 
+def with_summaries(text: str, folder: str) -> str:
+    """Tables of public names as summaries that link to a page of each name, in a folder."""
+
+    def summary(table: re.Match[str]) -> str:
+        found = [name.replace("rm.", "rmesh_nlp.") for name in re.findall(r"^\| `([\w.]+)`", table[0], re.M)]
+        names = "\n   ".join(f"~{name}" if name.count(".") == 1 else name for name in found)
+        directive = f".. autosummary::\n   :toctree: {folder}\n   :nosignatures:\n\n   {names}"
+        return f"```{{eval-rst}}\n{directive}\n```\n"
+
+    return re.sub(r"\| name \| .*\n\|---\|---\|\n(\| `.*\n)+", summary, text)
+
+
+def for_sphinx(app: Any, name: str, source: list[str]) -> None:
+    """Add what only the site has: pages of public names, and the menu."""
+    if name == "api":
+        source[0] = with_summaries(source[0], "reference")
+    if name in BELOW:
+        source[0] += "\n```{toctree}\n:hidden:\n:maxdepth: 1\n\n" + "\n".join(BELOW[name]) + "\n```\n"
+
+
 def setup(app: Any) -> None:
-    """Register the hook above."""
+    """Register the hooks above, and write the names that get pages."""
     app.connect("autodoc-process-docstring", add_inherited_fields, priority=400)
+    app.connect("source-read", for_sphinx)
+    names = ROOT / "docs" / "reference" / "names.rst"
+    names.parent.mkdir(exist_ok=True)
+    names.write_text(with_summaries((ROOT / "docs" / "api.md").read_text(), ""))
 
 
 sphinx_gallery_conf = {

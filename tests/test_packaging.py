@@ -5,7 +5,9 @@ from __future__ import annotations
 import importlib.metadata
 import inspect
 import re
+import runpy
 import shlex
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -86,19 +88,37 @@ def test_the_readme_is_short() -> None:
     assert len(README.splitlines()) <= 150
 
 
-@pytest.mark.parametrize("page", PAGES)
+def prose(page: Path) -> str:
+    """Without code."""
+    return re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text(), flags=re.S)
+
+
+def anchors(page: Path) -> set[str]:
+    """As a repository's view makes them of headings; Sphinx does of those of the first three levels."""
+    titles = re.findall(r"^#{1,3} (.*)", re.sub(r"```.*?```", "", page.read_text(), flags=re.S), re.M)
+    return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", [*PAGES, "CHANGELOG.md", "CONTRIBUTING.md"])
 def test_the_links_of_a_page_lead_somewhere(page: str) -> None:
-    prose = re.sub(r"```.*?```", "", (ROOT / page).read_text(), flags=re.S)
-    for target in re.findall(r"\]\(([^)#\s]+)[^)]*\)", prose):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)", prose(ROOT / page)):
         if "://" not in target:
-            assert ((ROOT / page).parent / target).exists(), f"{page}: {target}"
+            file = (ROOT / page).parent / target if target else ROOT / page
+            assert file.exists(), f"{page}: {target}"
+            assert not anchor or anchor in anchors(file), f"{page}: {target}#{anchor}"
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_the_pages_below_a_page_exist(page: str) -> None:
-    for tree in re.findall(r"```\{toctree\}\n(.*?)```", (ROOT / page).read_text(), re.S):
-        for name in re.findall(r"^[\w/]+$", tree, re.M):
-            assert name == "gallery/index" or (ROOT / f"docs/{name}.md").exists(), f"{page}: {name}"
+def test_a_page_reads_well_in_a_repository(page: str) -> None:
+    text = (ROOT / page).read_text()
+    assert not re.search(r"\{[a-z-]+\}`|^(```|:::)\{|^\([\w-]+\)=$|^\$\$ \(|\\operatorname", text, re.M)
+
+
+def test_every_page_is_once_in_the_menu_of_the_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    below = runpy.run_path(str(ROOT / "docs/conf.py"))["BELOW"]
+    pages = [Path(page).stem for page in PAGES if page not in ("README.md", "docs/index.md")]
+    assert sorted(name for names in below.values() for name in names) == sorted([*pages, "gallery/index"])
 
 
 @pytest.mark.parametrize("page", PAGES)

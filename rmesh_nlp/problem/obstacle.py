@@ -47,7 +47,7 @@ class Place(Enum):
 
 @dataclass(frozen=True)
 class Obstacle:
-    """Unilateral contact, with or without Tresca friction.
+    """Unilateral contact, with or without friction.
 
     The gap of a contact node at X with displacement u is ``normal . u + offset(X) >= 0``.
     (3.1): normal (1,), offset 0. (3.10): normal (0, 1), offset alpha(x_1). Contact is

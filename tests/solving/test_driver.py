@@ -1,4 +1,4 @@
-"""The driver of all formulations, with the one of CONTRIBUTING.md, as a third party would write it."""
+"""The driver of all formulations, with the one of docs/own_formulation.md as a third party writes it."""
 
 from __future__ import annotations
 

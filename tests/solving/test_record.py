@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -243,12 +244,15 @@ def test_every_entry_has_a_meaning_and_a_type() -> None:
     assert set(FIELDS) == set(ENTRIES)
 
 
-def test_the_page_of_records_has_the_declared_entries(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pages_have_the_declared_entries_and_all_public_names(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [str(ROOT / "scripts"), *sys.path])
     import records_page
 
-    text = records_page.PAGE.read_text()
-    assert text == records_page.page(text), "run python scripts/records_page.py"
+    for path, write in records_page.WRITTEN.items():
+        text = path.read_text()
+        assert text == write(text), "run python scripts/records_page.py"
+    public = set(rm.__all__) - {"__version__"}
+    assert public <= set(re.findall(r"`rm\.(\w+)`", records_page.NAMES.read_text()))
 
 
 def half_touching(n: int, order: int) -> tuple[Solution, DisplacementSpace]:

@@ -14,11 +14,11 @@ from support.solved import solve_once
 
 
 def alternating() -> type[Formulation]:
-    """The formulation of CONTRIBUTING.md."""
-    page = (Path(__file__).parents[2] / "CONTRIBUTING.md").read_text()
+    """The formulation of docs/own_formulation.md."""
+    page = (Path(__file__).parents[2] / "docs" / "own_formulation.md").read_text()
     (block,) = re.findall(r"```python\n(.*?)```", page, re.S)
     space: dict[str, Any] = {}
-    exec(compile(block, "CONTRIBUTING.md", "exec", dont_inherit=True), space)
+    exec(compile(block, "own_formulation.md", "exec", dont_inherit=True), space)
     return space["Alternating"]
 
 
