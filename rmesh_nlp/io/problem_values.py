@@ -34,8 +34,8 @@ def expected(text: str) -> WrapValidator:
         try:
             return read(value)
         except ValidationError as error:
-            own = str(error.errors()[0].get("ctx", {}).get("error", ""))
-            raise ValueError(own or f"expected {text}") from None
+            own = (str(item["ctx"]["error"]) for item in error.errors() if item["type"] == "value_error")
+            raise ValueError(next(own, f"expected {text}")) from None
 
     return WrapValidator(check)
 

@@ -198,11 +198,12 @@ class ContactProblem(Shown, ProblemData):
 def refined(problem: ContactProblem, *, mesh: MeshTri | None = None) -> ContactProblem:
     """The same problem with every triangle cut into four, names kept; move limits keep their widths.
 
+    Relative ones do so up to the new shortest edge.
     ``mesh`` takes the place of that of the problem. New nodes of a boundary with a curve are on the curve.
     """
     motion = problem.motion
     if isinstance(motion.delta, Relative):
-        motion = replace(motion, delta=Relative(2 * motion.delta.fraction))
+        motion = replace(motion, delta=Relative(min(1.0, 2 * motion.delta.fraction)))
     return on_mesh(problem, (problem.mesh if mesh is None else mesh).refined(1), motion)
 
 

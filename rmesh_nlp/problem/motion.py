@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import figure
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.settings import check_positive
@@ -25,12 +26,15 @@ Where = str | int
 
 @dataclass(frozen=True)
 class Relative:
-    """A move limit of ``fraction`` times the shortest edge at the node, in both directions."""
+    """A move limit of ``fraction``, at most 1, times the shortest edge at the node, in both directions."""
 
     fraction: float
 
     def __post_init__(self) -> None:
         check_positive(relative=self.fraction)
+        if self.fraction > 1:
+            said = "a part of the shortest edge at the node, at most 1"
+            raise BadInputError(f"relative must be {said}, got {self.fraction!r}")
 
 
 @dataclass(frozen=True)

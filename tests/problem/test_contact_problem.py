@@ -189,6 +189,7 @@ def test_refined_meshes_keep_boundaries_and_move_limits() -> None:
     problem = replace(EXAMPLES["6.3"]((4, 2)), motion=Motion(Relative(0.3)))
     whole, part = refined(problem), locally_refined(problem, np.array([0, 5]))
     assert whole.motion.delta == Relative(0.6)
+    assert refined(whole).motion.delta == Relative(1.0)
     assert part.motion.delta == Relative(0.3)
     assert whole.mesh.t.shape[1] == 4 * problem.mesh.t.shape[1]
     np.testing.assert_array_equal(part.mesh.p[:, : problem.mesh.p.shape[1]], problem.mesh.p)

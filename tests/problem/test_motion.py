@@ -138,6 +138,7 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
         (lambda: Motion((0.1, np.inf)), r"got \(0.1, inf\)"),
         (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
         (lambda: Motion(Relative(0.0)), "relative must be positive and finite, got 0.0"),
+        (lambda: Motion(Relative(5)), "relative must be a part of the shortest edge .*, at most 1, got 5"),
         (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
         (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
         (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
