@@ -23,6 +23,8 @@ else:
 
 DEEPEST = 20  # how deep tables and lists may be nested; a valid file needs five
 
+MARKS = {"mesh": "problem file: use rmesh solve", "formulations": "study file: use rmesh study"}
+"""The key that a file of each kind needs."""
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -55,6 +57,9 @@ def read_table(path: str | Path) -> ProblemTable:
 def read_tables(path: str | Path, kind: type[T]) -> T:
     """The checked tables of a file of a kind; a ProblemFileError has one line per error."""
     source = Source(Path(path), read_toml(Path(path)))
+    marks = MARKS.keys() & source.data
+    if marks and not marks & kind.model_fields.keys():
+        raise ProblemFileError([f"{path}: this is a {MARKS[marks.pop()]}"])
     try:
         return kind.model_validate(source.data, context=source)
     except ValidationError as error:

@@ -12,6 +12,8 @@ from rmesh_nlp.settings import from_texts
 from rmesh_nlp.study.plan import PlannedSolve
 from support.problem_files import VALID
 
+STUDY = 'examples = ["6.1"]\nformulations = ["fixed"]\n'
+
 
 @pytest.fixture
 def plans(monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
@@ -140,6 +142,9 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve 6.1 --regularisation 1,0,0.1", "'1,0,0.1'"),
         ("solve 6.1 --regularisation much", "'much'"),
         ("solve my.toml --n 4x2", "--n 4x2 is for the examples"),
+        ("solve study.toml", "study.toml: this is a study file: use rmesh study"),
+        ("compare study.toml", "study.toml: this is a study file: use rmesh study"),
+        ("study problem.toml --out o", "problem.toml: this is a problem file: use rmesh solve"),
         ("compare my.toml --jobs 2", "--jobs is for the examples"),
         ("compare 6.1 --jobs 2 --repeats 2", "--repeats"),
         ("slove 6.1", "slove"),
@@ -152,10 +157,12 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) -> None:
-    Path("file").write_text("not a folder")
+    files = {"file": "not a folder", "study.toml": STUDY, "problem.toml": VALID}
+    for name, text in files.items():
+        Path(name).write_text(text)
     said = rmesh(typed)
     assert (said.code, said.out) == (2, "")
     (line,) = [line for line in said.err.splitlines() if line]
     assert line.startswith("rmesh: error: ")
     assert named in line
-    assert [path.name for path in Path().iterdir()] == ["file"]
+    assert {path.name for path in Path().iterdir()} == files.keys()
