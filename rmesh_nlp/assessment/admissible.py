@@ -103,7 +103,6 @@ class Continuous:
             shares = shape_integrals(edges, part.obstacle.friction, space.order).value
             np.add.at(friction, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = friction[part.nodes]
-        rigid = self.parts.rigid_motions(nodes)
         return ContactSystem(
             stiffness=self.stiffness[free][:, free],
             load=(self.load - pull)[free],
@@ -113,7 +112,7 @@ class Continuous:
             offset=offset + along,
             slip_bound=bounds,
             frictional=frictional,
-            rigid=rigid if rigid.size else None,
+            rigid=self.parts.rigid_motions(nodes),
             coulomb=coefficients(space, nodes),
         )
 

@@ -29,11 +29,13 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
-from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, rank, single_change
+from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, single_change
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import magnitude
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem.data import ProblemData
+from rmesh_nlp.problem.rigid import in_words, kernel
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""
@@ -118,33 +120,35 @@ def at_rest(system: ContactSystem) -> ActiveSet:
     return ActiveSet(system.offset <= 0, np.zeros(system.slip_bound.size, dtype=np.int8))
 
 
-def check_load(system: ContactSystem) -> None:
+def check_load(system: ContactSystem, problem: ProblemData) -> None:
     """Raise a ProblemError if some rigid motion away from all foundations does not cost energy."""
     if system.rigid is None:
         return
     work, gaps = system.rigid.T @ system.load, system.normals @ system.rigid
     work = work / max(magnitude(work), 1e-12 * system.force_scale)
     rows = np.vstack([-gaps, -work])
-    for goal in np.vstack([np.eye(work.size), -np.eye(work.size)]):
+    # the work first: of several parts each moves as it is pulled then
+    for goal in np.vstack([-work, np.eye(work.size), -np.eye(work.size)]):
         answer = linprog(goal, rows, np.zeros(len(rows)), bounds=[(-1, 1)] * work.size)
         if answer.status == 0 and -answer.fun > 1e-6:
             raise ProblemError(
                 "dirichlet",
-                "the body can move off its foundations as a rigid body, and the load does not press it on "
-                "them: give displacements that hold it, or turn the load",
+                "the body can move off its foundations as a rigid body, by "
+                f"{in_words(problem, answer.x)}, and the load does not press it on them: give "
+                "displacements that hold it, or turn the load",
             )
 
 
-def check_unique(system: ContactSystem, state: Equilibrium) -> None:
+def check_unique(system: ContactSystem, state: Equilibrium, problem: ProblemData) -> None:
     """Raise a ProblemError if the nodes that press on the foundation leave a rigid motion."""
     if system.rigid is None:
         return
     length = magnitude(system.offset) + magnitude(state.u)
     rounding = 1e-12 * length * np.max(system.stiffness.diagonal(), initial=0.0)
     pressing = state.normal_force > max(1e-9 * np.max(state.normal_force, initial=0.0), rounding)
-    if rank(system.normals @ system.rigid, pressing) < system.rigid.shape[1]:
+    if len(free := kernel((system.normals @ system.rigid)[pressing])):
         raise ProblemError(
             "dirichlet",
-            "contact leaves a rigid-body mode unconstrained: the body can slide or turn on the nodes that "
-            "press on the foundation; give one more displacement",
+            f"contact leaves a rigid-body mode unconstrained, {in_words(problem, free[0])}: the body can "
+            "slide or turn on the nodes that press on the foundation; give one more displacement",
         )

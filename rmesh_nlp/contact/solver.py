@@ -103,14 +103,10 @@ class ContactSolver:
         self.normals, self.tangents = self._directions.rows(problem.mesh.p, problem.start)
         self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
-        self._check()
-
-    def _check(self) -> None:
-        """Whether the load presses a body on that contact alone holds."""
-        if self.discretisation.floats:
-            system = self.system(self.problem.mesh.p)
-            check_load(system)
-            check_unique(system, self.given)
+        if parts.floats:
+            system = self.system(problem.mesh.p)
+            check_load(system, problem)
+            check_unique(system, self.given, problem)
 
     def system(self, nodes: Array, design: Array | None = None) -> ContactSystem:
         """The quadratic program at vertex positions (2, vertices) and a design, by default the first one."""
@@ -129,7 +125,7 @@ class ContactSolver:
             offset=offset,
             slip_bound=self._slip_bound(given),
             frictional=self.frictional,
-            rigid=self.discretisation.rigid_motions(nodes) if self.discretisation.floats else None,
+            rigid=self.discretisation.rigid_motions(nodes),
             coulomb=coefficients(self.discretisation.space, nodes, at),
         )
 

@@ -54,8 +54,10 @@ class Discretisation:
         if self.n_u == 0:
             raise ProblemError("dirichlet", "every displacement is given: leave some node free")
 
-    def rigid_motions(self, nodes: Array) -> Array:
+    def rigid_motions(self, nodes: Array) -> Array | None:
         """(n_u, motions) the rigid motions at vertex positions (2, vertices) that only contact prevents."""
+        if not self.floats:
+            return None
         free = self.displacement.index >= 0
         motions = [self.space.points(motion) for motion in rigid_motions(self.problem, nodes)]
         result = np.zeros((self.n_u, len(motions)))

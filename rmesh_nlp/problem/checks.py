@@ -17,7 +17,7 @@ from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, traction_degree, triangle_rule
-from rmesh_nlp.problem.rigid import rigid_motions, seen_by_contact
+from rmesh_nlp.problem.rigid import in_words, kernel, rigid_motions, seen_by_contact
 
 RULE_NAMES, LARGEST_DEGREE = ("auto", MIDPOINT), 50
 """What a quadrature rule may be. Of higher degrees the points are so many that an energy takes minutes."""
@@ -236,11 +236,9 @@ def _check_rigid_motions(problem: ProblemData) -> None:
     :mod:`rmesh_nlp.contact.active_set`.
     """
     motions = rigid_motions(problem)
-    gaps = seen_by_contact(problem, motions)
-    if np.linalg.matrix_rank(gaps, tol=ROUNDING) < len(motions):
-        node = int(np.flatnonzero(np.any(motions != 0, axis=(0, 1)))[0])
+    if len(free := kernel(seen_by_contact(problem, motions))):
         raise ProblemError(
             "dirichlet",
-            f"the part of the mesh with node {node} can still move as a rigid body: the given "
+            f"the mesh can still move as a rigid body, by {in_words(problem, free[0])}: the given "
             "displacements must prevent it, and contact does not",
         )

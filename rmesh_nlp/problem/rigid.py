@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from rmesh_nlp.evaluation import ROUNDING, Array, magnitude
+from rmesh_nlp.evaluation import ROUNDING, Array, Mask, magnitude
 from rmesh_nlp.problem.data import ProblemData
 
 
@@ -25,24 +23,42 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     _, part = connected_components(edges, directed=False)
     motions = []
     for number in np.unique(part[mesh.t[0]]):
-        modes = _modes(p, np.flatnonzero(part == number), problem.components)
-        rows = modes[:, held]
-        # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
-        triangle = np.linalg.qr(rows.T, mode="r")
-        basis = scipy.linalg.null_space(triangle, rcond=ROUNDING) if rows.size else np.eye(len(modes))
-        motions += list(np.einsum("mk,mcn->kcn", basis, modes))
+        modes = _modes(p, part == number, problem.components)
+        motions += list(np.tensordot(kernel(modes[:, held].T), modes, 1))
     return np.array(motions).reshape(-1, *held.shape)
 
 
-def _modes(p: Array, part: NDArray, components: int) -> Array:
+def kernel(rows: Array) -> Array:
+    """A basis (k, n) of what rows (m, n) take to zero."""
+    # of a triangular factor: with all rows the other singular vectors, thousands, would be made as well
+    _, sizes, directions = np.linalg.svd(np.linalg.qr(rows, mode="r"))
+    return np.asarray(directions[np.sum(sizes > ROUNDING) :])
+
+
+def in_words(problem: ProblemData, free: Array) -> str:
+    """The name of a rigid motion of one part of the mesh; ``free`` (motions,) combines some of all."""
+    motions = rigid_motions(problem)
+    nodes = np.any(motions[np.argmax(np.abs(free))], axis=0)
+    name = "translation"
+    if problem.components == 2:
+        # as complex numbers u = shift + turn z
+        u = [1, 1j] @ np.tensordot(free, motions[:, :, nodes], 1)
+        turn, shift = np.polyfit([1, 1j] @ problem.mesh.p[:, nodes], u, 1)
+        turns = magnitude(u - u[0]) > ROUNDING
+        at = np.round(-shift / turn if turns else shift / abs(shift), 9) + 0
+        name = f"{'rotation about' if turns else 'translation along'} ({at.real:.6g}, {at.imag:.6g})"
+    said = " (friction is not counted)" * problem.frictional
+    return f"{name} of the part with node {np.argmax(nodes)}{said}"
+
+
+def _modes(p: Array, part: Mask, components: int) -> Array:
     """Translations, and for an elastic body the rotation, of one part: (modes, components, nodes)."""
-    modes = np.zeros((1 if components == 1 else 3, components, p.shape[1]))
+    modes = np.zeros((2 * components - 1, components, p.shape[1]))
     for k in range(components):
         modes[k, k, part] = 1.0
     if components == 2:
         x, y = p[:, part] - p[:, part].mean(axis=1, keepdims=True)
-        size = max(magnitude([x, y]), 1e-300)
-        modes[2][:, part] = np.stack([-y, x]) / size
+        modes[2][:, part] = np.stack([-y, x]) / magnitude([x, y])
     return modes
 
 

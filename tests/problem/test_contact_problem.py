@@ -60,6 +60,7 @@ WALL = Obstacle.line("right", (1.0, 0.0), (-1.0, 0.0))
 DISC = Circle((0.0, 0.0), 1.0)
 GAP = Traction("top", lambda x, y: ca.log(ca.fabs(x - 0.06) - 0.01))
 BEAM = BODY | {"mesh": rectangle(4, 1, x=(0, 100)), "obstacle": NO_CONTACT}
+SECOND = BODY["mesh"].p.shape[1]  # the first node of the second body of the pair
 LINES = BODY["mesh"].with_boundaries({"bottom": lambda x: x[1] < 0.6}, boundaries_only=False)
 PAIR = (BODY["mesh"] + rectangle(2, 2, x=(2, 3))).with_boundaries({"left": lambda x: x[0] == 0})
 POLE = Laplace(lambda x, y: 1 / (x - 0.25))
@@ -88,7 +89,7 @@ def between_nodes(x: Any, y: Any) -> Any:
         (SCALAR, {"law": {"c": Laplace(1.0)}}, "materials", "unknown subdomain 'c': choose from a, b"),
         (SCALAR, {"law": {"a": Laplace(1.0)}}, "materials", "has 0 laws: every element needs exactly one"),
         (SCALAR, {"law": {"a": Laplace(1.0), "b": PlaneStrain(1, 1)}}, "materials", "mix scalar and elastic"),
-        (SCALAR, {"dirichlet": (Dirichlet("left", None),)}, "dirichlet", "can still move as a rigid body"),
+        (SCALAR, {"dirichlet": (Dirichlet("left", None),)}, "dirichlet", "rigid body, by translation of the"),
         (SCALAR, {"dirichlet": Dirichlet("left", (1.0, 2.0))}, "dirichlet", "2 components: it needs 1 value"),
         (SCALAR, {"law": {}, "dirichlet": ()}, "dirichlet", "the energy has no minimum"),
         (SCALAR, {"obstacle": Obstacle("left", (1.0,), -1e-9)}, "contact", "makes its gap -1e-09"),
@@ -117,13 +118,31 @@ def between_nodes(x: Any, y: Any) -> Any:
         (BODY, {"mesh": LINES}, "contact", "'bottom' has an edge inside the body, between nodes"),
         (BODY, {"dirichlet": ("top", Dirichlet("bottom", (0.1, None)))}, "contact", "contact node 0 has"),
         (BODY, {"obstacle": (FLOOR, WALL)}, "contact", "belongs to 2 contact"),
-        (BODY, {"mesh": PAIR, "obstacle": NO_CONTACT}, "dirichlet", "part of the mesh .* can still move"),
+        (BODY, {"mesh": PAIR, "obstacle": NO_CONTACT}, "dirichlet", f"of the part with node {SECOND}: the"),
     ],
 )  # fmt: skip
 def test_contradictions_name_their_part(base: dict, change: dict, part: str, message: str) -> None:
     with pytest.raises(ProblemError, match=message) as caught:
         ContactProblem(**(base | change))
     assert caught.value.part == part
+
+
+RUBBING = tuple(replace(wall, coulomb=0.3) for wall in (WALL, Obstacle.line("left", (0.0, 0.0), (1.0, 0.0))))
+
+
+@pytest.mark.parametrize(
+    ("change", "motion"),
+    [
+        ({}, r"translation along \(1, 0\) of the part with node 0 \(friction is not counted\): the"),
+        ({"obstacle": replace(FLOOR, friction=0.0, coulomb=0.3)}, r"along \(1, 0\) .* \(friction is not"),
+        ({"obstacle": RUBBING}, r"translation along \(0, -?1\) .* \(friction is not counted\)"),
+        ({"obstacle": Obstacle.line("bottom", (0, 0), (-3, 4))}, r"along \(-?0.8, -?0.6\) of .* 0: the"),
+        ({"obstacle": Obstacle.circle("bottom", (0.5, 0.5), 1, inside=True)}, r"rotation about \(0.5, 0.5\)"),
+    ],
+)  # fmt: skip
+def test_the_rigid_motion_that_is_left_is_named(change: dict, motion: str) -> None:
+    with pytest.raises(ProblemError, match=f"can still move as a rigid body, by .*{motion}"):
+        ContactProblem(**(BODY | {"dirichlet": ()} | change))
 
 
 def on_a_line(height: float) -> Motion:

@@ -148,6 +148,14 @@ def half_ring() -> dict:
 
 
 PUNCH = {name: getattr(punch_held_by_symmetry(), name) for name in ("mesh", "law", "dirichlet", "obstacle")}
+BLOCKS = PUNCH | {
+    "mesh": (rectangle(4, 4) + rectangle(4, 4, x=(2, 3))).with_boundaries(
+        {"left": lambda x: x[0] % 2 == 0, "bottom": lambda x: x[1] == 0}
+        | {f"top{k}": lambda x, k=k: (x[1] == 1) & (x[0] // 2 == k) for k in (0, 1)}
+    ),
+    "obstacle": Obstacle("bottom"),
+}
+TOPS = tuple(Traction(f"top{k}", (0.0, load)) for k, load in ((0, -9.0), (1, 1.0), (0, 1.0), (1, -9.0)))
 PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.0))
 
 
@@ -155,10 +163,16 @@ PLATES = (Obstacle("bottom", offset=1.0), Obstacle("top", (0.0, -1.0), offset=1.
     ("parts", "message"),
     [
         (PUNCH, "does not press it on"),
-        (PUNCH | {"tractions": (Traction("top", (0.0, 200.0)),)}, "does not press it on"),
+        (
+            PUNCH | {"tractions": (Traction("top", (0.0, 200.0)),)},
+            r"along \(0, 1\) .* 0, and the load does not",
+        ),
+        # of two blocks the load pulls one off
+        (BLOCKS | {"tractions": TOPS[:2]}, r"along \(0, 1\) of the part with node 25, and the load does"),
+        (BLOCKS | {"tractions": TOPS[2:]}, r"along \(0, 1\) of the part with node 0, and the load does"),
         (PUNCH | {"dirichlet": ()}, "can still move as a rigid body"),
         # the gaps hold the block somewhere between the plates, and nothing says where
-        (PUNCH | {"obstacle": PLATES}, "rigid-body mode"),
+        (PUNCH | {"obstacle": PLATES}, r"rigid-body mode unconstrained, translation along \(0, -?1\) of"),
         (half_ring(), "rigid-body mode"),
     ],
 )
