@@ -8,21 +8,18 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
-from typing import Any, TypeAlias
+from typing import Annotated, Any, TypeAlias
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, flat, is_finite
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
-
-PluginOptions: TypeAlias = Mapping[str, Any]
-"""Options of a solver of CasADi by name: numbers, words, yes and no."""
-
 
 COMMON = (
     *("tol", "max_iter", "max_cpu_time", "max_wall_time", "print_level", "acceptable_tol", "acceptable_iter"),
@@ -33,25 +30,33 @@ COMMON = (
 """Options of Ipopt that people set, for the nearest name."""
 
 
-def refused_option(options: PluginOptions, error: RuntimeError) -> Exception:
-    """The error that names the option which ``plugin`` refuses; ``error`` itself if none is refused.
+class Taken:
+    """Mark of a mapping of options that Ipopt takes."""
 
-    Each option is tried by itself on an NLP of one unknown.
-    """
-    x = ca.SX.sym("x")
-    for name, value in options.items():
-        own = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", name: value}}
-        try:
-            with redirect_stdout(StringIO()):  # Ipopt prints the description of the option
-                ca.nlpsol("probe", "ipopt", {"x": x, "f": x**2}, own)
-        except (RuntimeError, NotImplementedError) as refusal:
-            if not re.search(r"[Nn]o such \w+ option", str(refusal)):
-                return ValueError(f"Ipopt refuses {name} = {value!r}")
-            near = difflib.get_close_matches(name, COMMON, n=1)
-            hint = f", did you mean {near[0]!r}?" if near else ""
-            return ValueError(f"Ipopt has no option {name!r}{hint}")
-    return error
+    def check(self, name: str, options: PluginOptions) -> None:
+        """Raise a BadInputError for the first one that it refuses, by itself on an NLP of one unknown.
 
+        Libraries of linear solvers are looked for only when it starts.
+        """
+        x = ca.SX.sym("x")
+        for option, value in options.items():
+            own = {"print_time": False, "ipopt": {"print_level": 0, "sb": "yes", option: value}}
+            try:
+                with redirect_stdout(StringIO()):  # Ipopt prints the description of the option
+                    probe = ca.nlpsol("probe", "ipopt", {"x": x, "f": x**2}, own)
+                    probe()
+                if probe.stats()["return_status"] == "Invalid_Option":
+                    raise NotImplementedError
+            except (RuntimeError, NotImplementedError) as refusal:
+                said = f"refuses {option} = {value!r} here"
+                if re.search(r"[Nn]o such \w+ option", str(refusal)):
+                    near = difflib.get_close_matches(option, COMMON, n=1)
+                    said = f"has no {option!r}" + (f", did you mean {near[0]!r}?" if near else "")
+                raise BadInputError(f"{name} must be options of Ipopt, which {said}") from None
+
+
+PluginOptions: TypeAlias = Annotated[Mapping[str, Any], Taken()]
+"""Options of Ipopt by name: numbers, words, yes and no."""
 
 _IPOPT_STATUS = {
     "Solve_Succeeded": Status.CONVERGED,
@@ -114,16 +119,13 @@ class Solver:
     Parameters
     ----------
     nlp : NLP
-    plugin : str
-        Any CasADi ``nlpsol`` plugin; the options below are Ipopt's.
     options : mapping
-        Solver options without the plugin prefix; they add to and override ``IPOPT_OPTIONS``.
+        Those of Ipopt; they add to and override ``IPOPT_OPTIONS``.
 
     Raises
     ------
     ValueError
-        If the plugin refuses an option; at a call, if an array has the wrong length, a start is not finite,
-        or Ipopt has not got a linear solver that is asked for.
+        At a call, if an array has the wrong length, or a start is not finite.
     KeyboardInterrupt
         At a call, if the user interrupts.
     """
@@ -132,7 +134,7 @@ class Solver:
         self.nlp = nlp
         # CasADi does not own its callbacks: the reference must be kept alive
         self._callback = IterationCallback(nlp.n_x, nlp.n_g, nlp.p.shape[0])
-        self._options = own = {**IPOPT_OPTIONS, **(options or {})}
+        own = {**IPOPT_OPTIONS, **(options or {})}
         settings: dict[str, Any] = {
             "print_time": False,
             "error_on_fail": False,
@@ -147,11 +149,7 @@ class Solver:
             if own.get("hessian_approximation", "exact") == "exact":
                 settings["hess_lag"] = nlp.derivatives.hess_lag
         problem = {"x": nlp.x, "p": nlp.p, "f": nlp.f, "g": nlp.g}
-        try:
-            with redirect_stdout(StringIO()):  # Ipopt prints the description of an option it refuses
-                self._function = ca.nlpsol("solver", "ipopt", problem, settings)
-        except RuntimeError as error:
-            raise refused_option(options or {}, error) from None
+        self._function = ca.nlpsol("solver", "ipopt", problem, settings)
 
     def __call__(
         self, x0: ArrayLike, *, p: ArrayLike = (), monitor: Monitor | None = None, **others: ArrayLike
@@ -172,9 +170,6 @@ class Solver:
             solution = self._function(x0=start, p=p, **{**bounds, **others})
         stats = self._function.stats()
         word = str(stats["return_status"])
-        if word == "Invalid_Option":  # what Ipopt loads when it starts
-            linear = self._options.get("linear_solver", "mumps")
-            raise ValueError(f"Ipopt refuses its options: has it the linear solver {linear!r} here?")
         return NLPResult(
             **{name: flat(solution[name]) for name in ("x", "g", "lam_x", "lam_g")},
             f=float(solution["f"]),

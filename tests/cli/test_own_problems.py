@@ -87,11 +87,22 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
 
 
 @pytest.mark.parametrize("command", ["check", "solve"])
-def test_check_refuses_what_solve_would_refuse(rmesh, block: Path, command: str) -> None:
-    block.write_text(f'{BLOCK}[solve]\nformulation = "<svg>"\n')
+@pytest.mark.parametrize(
+    ("solve", "named"),
+    [
+        ('formulation = "<svg>"', "unknown formulation '<svg>'"),
+        ('formulation = "joint"\nipopt = { linear_solver = "pardiso" }', "linear_solver = 'pardiso' here"),
+        ('formulation = "mpcc"\nipopt_exact = { tol = "a" }', "tol = 'a' here"),
+    ],
+)
+def test_check_refuses_what_solve_would_refuse(
+    rmesh, block: Path, command: str, solve: str, named: str
+) -> None:
+    block.write_text(f"{BLOCK}[solve]\n{solve}\n")
     said = rmesh(f"{command} block.toml")
-    assert said.code == 2
-    assert "solve: unknown formulation '<svg>'" in " ".join(said.err.split())
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert said.err.startswith("rmesh: error: block.toml: solve")
+    assert named in said.err
 
 
 @pytest.mark.slow
