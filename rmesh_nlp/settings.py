@@ -100,8 +100,8 @@ class Settings:
         if isinstance(given, cls):
             return given
         if not isinstance(given, Mapping):
-            kind = f"settings of kind {cls.__name__}, or a mapping of its fields"
-            raise BadInputError(f"expected {kind}, got {given!r}")
+            name = cls.__name__
+            raise BadInputError(f"{name.lower()} must be {name} or a mapping of its fields, got {given!r}")
         return cls().having(given)
 
     @classmethod

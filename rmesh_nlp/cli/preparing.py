@@ -138,9 +138,10 @@ def solve_options(
 
     Raises BadInputError for an unknown formulation or objective, or an option that is not taken.
     """
-    plan = read_table(path).solve
+    table = read_table(path)
+    plan = table.solve
     name = formulation or plan.formulation
     asked = {**plan.options(), **given}
-    with located(f"{path}: solve"):
+    with located(f"{path}: solve") if formulation or given else table.source.at("solve"):
         accepted = options(name)
         return name, checked(name, {k: v for k, v in asked.items() if k in accepted or k not in NEEDLESS})

@@ -82,8 +82,8 @@ class Source:
     def at(self, *place: str | int) -> Iterator[None]:
         """Name file and place in any ValueError that does not yet.
 
-        An error such as "radius must be positive" is one of the entry ``radius`` there, or of a table around
-        it: classes and functions begin so where an argument is wrong.
+        An error such as "radius must be positive" or "unknown formulation 'x'" is one of the entry of that
+        name there, or of a table around it: classes and functions begin so where an argument is wrong.
         """
         try:
             yield
@@ -91,7 +91,7 @@ class Source:
             raise
         except ValueError as error:
             said = one_line(error)
-            begin = re.match(r"(\w+) (?:must|is) ", said)
+            begin = re.match(r"(?:unknown )?(\w+) (?:must |is |')", said)
             entries = [(*table, begin[1]) for table in outwards(place)] if begin else []
             raise self.error(self.first([*entries, place]), said) from error
 

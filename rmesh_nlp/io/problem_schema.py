@@ -340,15 +340,9 @@ class SolveTable(BaseModel):
     formulation: Text = "auto"
     objective: ObjectiveText = "energy"
     seed: Seed | None = None
-    starts: Seed = 0
+    starts: SkipValidation[int | None] = None
     remesh: SkipValidation[bool | int] = False
     certify: Flag = False
-
-    @model_validator(mode="after")
-    def _starts_alone(self) -> SolveTable:
-        if self.starts and self.seed is not None:
-            raise ValueError("expected starts alone, without a seed")
-        return self
 
     def options(self) -> dict[str, Any]:
         """Those that are not the defaults."""

@@ -18,11 +18,10 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits, timed
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import check_positive
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation, composed
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords, composed
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
 from rmesh_nlp.solving.parts import Step
@@ -86,7 +85,7 @@ def solve(
     BadInputError
         If there is no such formulation, or it does not take the problem or an option.
     """
-    check_positive(tolerance=tolerance)
+    Keywords(tolerance, seed)
     monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
     asked = composed(formulation, settings)
     plan = Plan.of(problem, asked, parse_objective(objective), tolerance, start, seed)

@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Settings
+from rmesh_nlp.settings import Limit, Positive, Settings
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -33,6 +33,14 @@ KEYWORDS = ("objective", "start", "seed", *NEEDLESS)
 
 INSIDE_OUT = ("regularisation", "remesh", "starts")
 """Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
+
+
+@dataclass(frozen=True)
+class Keywords(Settings):
+    """Keywords of a solve that are numbers."""
+
+    tolerance: Positive | None = None
+    seed: Limit | None = None
 
 
 @dataclass(frozen=True)
@@ -189,10 +197,21 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
-    composed(formulation, given)
+    check_start(composed(formulation, given), given)
+    Keywords(given.get("tolerance"), given.get("seed"))
     Limits.of(given.get("limits"))
     parse_objective(given.get("objective", "energy"))
     return dict(given)
+
+
+def check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
+    """Raise a BadInputError where a start is given and a formulation makes its own."""
+    if isinstance(asked, Wrapper):
+        name = name_of(type(asked), WRAPPERS)
+        for option in asked.begins_by_itself:
+            if given.get(option) is not None:
+                raise BadInputError(f"{name} cannot be combined with {option}: it begins by itself")
+        check_start(asked.inner, {**given, name: True})
 
 
 def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
@@ -210,13 +229,13 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
         return formulation
     kind, accepted = kind_of(formulation), options(formulation)
     for key, value in asked.items():
-        if key not in accepted and value not in (0, False):
+        if key not in accepted and value is not False:
             said = f"the formulation {formulation!r} takes no {key} = {value!r}"
             raise BadInputError(said + nearest(key, sorted(accepted)))
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
     wrappers = available(WRAPPERS)
-    around = [key for key, value in asked.items() if key in wrappers and value not in (0, False)]
+    around = [key for key, value in asked.items() if key in wrappers and value is not False]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
         made = find(key, WRAPPERS)(made, asked[key])
     return made

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import WRAPPERS, Chooser, Formulation, Wrapper, name_of
+from rmesh_nlp.solving.formulation import Chooser, Formulation, check_start
 from rmesh_nlp.solving.start import Start
 
 
@@ -42,7 +40,7 @@ class Plan:
     ) -> Plan:
         """The plan of a solve; raises a BadInputError where the formulation does not take the problem."""
         problem = with_levels(problem, objective)
-        _check_start(formulation, {"start": start, "seed": seed})
+        check_start(formulation, {"start": start, "seed": seed})
         is_started = start is not None or seed is not None
         choice = formulation.choose(problem, objective, is_started=is_started)
         chosen = choice.formulation
@@ -51,16 +49,6 @@ class Plan:
         if not chosen.relocates:
             start = seed = None
         return cls(chosen, choice.problem, objective, tolerance, start, seed, formulation.name, choice.why)
-
-
-def _check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
-    """Raise a BadInputError where a start is given and a formulation makes its own."""
-    if isinstance(asked, Wrapper):
-        name = name_of(type(asked), WRAPPERS)
-        for option in asked.begins_by_itself:
-            if given.get(option) is not None:
-                raise BadInputError(f"{name} cannot be combined with {option}: it begins by itself")
-        _check_start(asked.inner, {**given, name: True})
 
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:

@@ -63,7 +63,7 @@ def test_compare_takes_several_seeds_and_objectives(rmesh, plans: list[PlannedSo
     assert (first.options, first.repeats) == ({"seed": 1}, 2)
 
 
-IN_FILE = {"regularisation": [0.1, 0.02], "remesh": 50, "seed": 4}
+IN_FILE = {"regularisation": [0.1, 0.02], "tolerance": 0.5, "seed": 4}
 TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
 
 
@@ -72,7 +72,7 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
     [
         (True, "", "joint", IN_FILE),
         (True, f"-f nested {TYPED_TOO}", "nested",
-         {"regularisation": "0.5", "remesh": 50, "seed": 0, "objective": "quality",
+         {"regularisation": "0.5", "tolerance": 0.5, "seed": 0, "objective": "quality",
           "limits": {"seconds": 9.0}}),
         # a formulation without iterations needs no limits
         (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
@@ -81,13 +81,13 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
 def test_options_of_the_command_line_override_those_of_a_file(
     rmesh, plans: list[PlannedSolve], asked: bool, typed: str, formulation: str, options: dict[str, Any]
 ) -> None:
-    in_file = "regularisation = [0.1, 0.02]\nremesh = 50\ncertify = true\nseed = 4\n"
+    in_file = "regularisation = [0.1, 0.02]\ntolerance = 0.5\ncertify = true\nseed = 4\n"
     Path("my.toml").write_text(VALID + in_file * asked)
     assert rmesh(f"solve my.toml {typed}").code == 130
     (plan,) = plans
     assert (plan.formulation, plan.certify, plan.options) == (formulation, asked, options)
     if asked:
-        assert rmesh("solve my.toml -f fixed").code == 2  # it takes no remesh
+        assert rmesh("solve my.toml -f fixed").code == 2  # it takes no seed
 
 
 @pytest.mark.parametrize(

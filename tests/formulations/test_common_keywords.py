@@ -96,7 +96,9 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
     [
         *(("tolerance", bad, f"tolerance must be .*, got {bad!r}") for bad in (-1, float("nan"), "1")),
         ("limits", {"minutes": 1}, "unknown setting 'minutes'"),
-        ("limits", 60, "expected settings of kind Limits, or a mapping of its fields, got 60"),
+        ("limits", 60, "limits must be Limits or a mapping of its fields, got 60"),
+        ("seed", "a", "seed must be finite and not negative, got 'a'"),
+        ("starts", 0, "starts must be positive and finite, got 0"),
         ("tolerance", 0, "tolerance must be positive and finite, got 0"),
         ("limits", {"seconds": 0}, "seconds must be positive and finite, got 0"),
         ("limits", {"iterations": 1.5}, r"iterations must be a whole number, got 1\.5"),
