@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import remove_leftovers
 from rmesh_nlp.io.records import DamagedRecordsWarning
 from rmesh_nlp.io.results import Result, Results, read_results
@@ -34,6 +35,12 @@ def writable(folder: Path, names: Sequence[str] = ()) -> Iterator[Results]:
         with suppress(OSError):  # not empty: keep it
             for path in made:
                 path.rmdir()
+
+
+def check_target(path: Path, suffix: str) -> None:
+    """Raise a BadInputError unless a file has the ending of its kind, in a folder that exists."""
+    if path.suffix != suffix or not path.parent.is_dir():
+        raise BadInputError(f"{path}: expected a file {suffix} in a folder that exists")
 
 
 @contextmanager

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 
 from rmesh_nlp.cli import load
-from rmesh_nlp.cli.folders import notes
+from rmesh_nlp.cli.folders import check_target, notes
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
@@ -98,8 +98,7 @@ def advise(path: Path, order: int | None = None, json: bool = False) -> None:
 
 def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -> None:
     """Write a mesh that suits the solution of the problem of a file."""
-    if out.suffix != ".msh" or not out.parent.is_dir():
-        raise BadInputError(f"--out {out}: expected a file .msh, which keeps names, in a folder that exists")
+    check_target(out, ".msh")
     source = read_table(path).mesh.file
     if source is not None and out.exists() and out.samefile(path.parent / source):
         raise BadInputError(f"--out {out}: this is the mesh of {path}, choose another name")
@@ -143,5 +142,5 @@ def solve_options(
     name = formulation or plan.formulation
     asked = {**plan.options(), **given}
     with located(f"{path}: solve") if formulation or given else table.source.at("solve"):
-        accepted = options(name)
-        return name, checked(name, {k: v for k, v in asked.items() if k in accepted or k not in NEEDLESS})
+        needless = {*NEEDLESS} - options(name)
+        return name, checked(name, {k: v for k, v in asked.items() if k not in needless})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rmesh_nlp.cli.folders import read_quietly, writable
+from rmesh_nlp.cli.folders import check_target, read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io import kept_problem
@@ -69,6 +69,7 @@ def report(folder: Path) -> None:
 
 def export(folder: Path, path: Path) -> None:
     """Write the rows of a folder as Parquet."""
+    check_target(path, ".parquet")
     table = frame([result.record for result in read_quietly(folder)])
     if "quadrature" in table:  # a column of Parquet holds values of one kind
         table["quadrature"] = table["quadrature"].map(str, na_action="ignore")

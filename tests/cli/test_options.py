@@ -151,6 +151,8 @@ def test_what_is_no_setting_is_refused(text: str) -> None:
         ("solve", "EXAMPLE"),
         ("table nowhere", "nowhere"),
         ("figures .", "records.jsonl"),
+        ("export . --parquet nowhere/x.parquet", "nowhere/x.parquet: expected a file .parquet in a folder"),
+        ("export . --parquet x.foo", "x.foo: expected a file .parquet"),
         ("compare 6.1 --n 3 --out file/x", "file/x"),
         ("new nowhere/my.toml", "nowhere"),
         ("new file", "file: File exists"),
