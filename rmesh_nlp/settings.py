@@ -100,8 +100,9 @@ class Settings:
         if isinstance(given, cls):
             return given
         if not isinstance(given, Mapping):
-            name = cls.__name__
-            raise BadInputError(f"{name.lower()} must be {name} or a mapping of its fields, got {given!r}")
+            raise BadInputError(
+                f"{cls.__name__.lower()} must be {cls.__name__} or a mapping of its fields, got {given!r}"
+            )
         return cls().having(given)
 
     @classmethod

@@ -68,4 +68,4 @@ def holding(system: ContactSystem, before: ActiveSet, state: Equilibrium, propos
 
 def rank(gaps: Array, rows: Mask) -> int:
     """Rank of the chosen rows of the gaps of rigid motions (gaps, motions)."""
-    return int(np.linalg.matrix_rank(gaps[rows], tol=ROUNDING)) if np.any(rows) else 0
+    return int(np.linalg.matrix_rank(gaps[rows], tol=ROUNDING))

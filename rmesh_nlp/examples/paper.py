@@ -14,7 +14,7 @@ from numbers import Integral
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import unknown
+from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -187,6 +187,8 @@ def _elastic(
 
 class _Examples(dict[str, Callable[..., ContactProblem]]):
     def __missing__(self, name: str) -> Callable[..., ContactProblem]:
+        if not isinstance(name, str):
+            raise BadInputError(f"the name of an example must be a text, got {name!r}")
         raise unknown("example", name, self)
 
 

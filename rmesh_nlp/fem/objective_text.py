@@ -70,6 +70,8 @@ def parse_objective(text: str | Objective) -> Objective:
     """
     if isinstance(text, Objective):
         return text
+    if not isinstance(text, str):
+        raise BadInputError(f"objective must be a text or an Objective, got {text!r}")
     try:
         parts = [_weighted(part, text) for part in _summands(text)]
         return Objective(tuple(term for part in parts for term in part.terms))

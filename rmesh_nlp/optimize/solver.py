@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Mapping
 from contextlib import redirect_stdout
@@ -14,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, nearest
 from rmesh_nlp.evaluation import Array, flat, is_finite
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
@@ -22,10 +21,27 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
 
 COMMON = (
-    *("tol", "max_iter", "max_cpu_time", "max_wall_time", "print_level", "acceptable_tol", "acceptable_iter"),
-    *("mu_strategy", "mu_init", "mu_target", "hessian_approximation", "linear_solver", "constr_viol_tol"),
-    *("dual_inf_tol", "compl_inf_tol", "bound_push", "bound_relax_factor", "nlp_scaling_method"),
-    *("obj_scaling_factor", "warm_start_init_point", "limited_memory_max_history"),
+    "tol",
+    "max_iter",
+    "max_cpu_time",
+    "max_wall_time",
+    "print_level",
+    "acceptable_tol",
+    "acceptable_iter",
+    "mu_strategy",
+    "mu_init",
+    "mu_target",
+    "hessian_approximation",
+    "linear_solver",
+    "constr_viol_tol",
+    "dual_inf_tol",
+    "compl_inf_tol",
+    "bound_push",
+    "bound_relax_factor",
+    "nlp_scaling_method",
+    "obj_scaling_factor",
+    "warm_start_init_point",
+    "limited_memory_max_history",
 )
 """Options of Ipopt that people set, for the nearest name."""
 
@@ -46,12 +62,11 @@ class Taken:
                     probe = ca.nlpsol("probe", "ipopt", {"x": x, "f": x**2}, own)
                     probe()
                 if probe.stats()["return_status"] == "Invalid_Option":
-                    raise NotImplementedError
-            except (RuntimeError, NotImplementedError) as refusal:
+                    raise RuntimeError
+            except RuntimeError as refusal:
                 said = f"refuses {option} = {value!r} here"
                 if re.search(r"[Nn]o such \w+ option", str(refusal)):
-                    near = difflib.get_close_matches(option, COMMON, n=1)
-                    said = f"has no {option!r}" + (f", did you mean {near[0]!r}?" if near else "")
+                    said = f"has no {option!r}{nearest(option, COMMON)}"
                 raise BadInputError(f"{name} must be options of Ipopt, which {said}") from None
 
 

@@ -66,6 +66,8 @@ def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
         warnings.filterwarnings("ignore", message="(?s).*numpy function was called on a casadi value")
         try:
             value = coefficient(x, y)
+        except TypeError as error:
+            raise ValueError(f"a function of position must take x and y: {error}") from error
         except RuntimeError as error:
             if "truth value" not in str(error):
                 raise

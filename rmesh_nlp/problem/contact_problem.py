@@ -22,12 +22,14 @@ from rmesh_nlp.problem.checks import check, check_names
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
+from rmesh_nlp.problem.laws import Elastic, Laplace
 from rmesh_nlp.problem.lines import harmonic_motions, onto_curves
 from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
+    "laws": ((Laplace, Elastic), "Laplace, PlaneStrain or PlaneStress"),
     "dirichlet": ((str, Dirichlet), "names of boundaries or Dirichlet"),
     "tractions": ((Traction,), "Traction"),
     "point_loads": ((PointLoad,), "PointLoad"),
@@ -92,7 +94,7 @@ class ContactProblem(Shown, ProblemData):
     def __post_init__(self) -> None:
         for name, (kinds, what) in KINDS.items():
             given = getattr(self, name)
-            needed = name in ("obstacle", "motion")
+            needed = name in ("laws", "obstacle", "motion")
             every = () if given is None and not needed else as_tuple(given)
             wrong = [value for value in every if not isinstance(value, kinds)]
             if wrong or isinstance(given, Mapping):

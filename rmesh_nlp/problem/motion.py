@@ -33,8 +33,9 @@ class Relative:
     def __post_init__(self) -> None:
         check_positive(relative=self.fraction)
         if self.fraction > 1:
-            said = "a part of the shortest edge at the node, at most 1"
-            raise BadInputError(f"relative must be {said}, got {self.fraction!r}")
+            raise BadInputError(
+                f"relative must be a part of the shortest edge at the node, at most 1, got {self.fraction!r}"
+            )
 
 
 @dataclass(frozen=True)

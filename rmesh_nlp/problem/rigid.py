@@ -47,8 +47,9 @@ def in_words(problem: ProblemData, free: Array) -> str:
         turns = magnitude(u - u[0]) > ROUNDING
         at = np.round(-shift / turn if turns else shift / abs(shift), 9) + 0
         name = f"{'rotation about' if turns else 'translation along'} ({at.real:.6g}, {at.imag:.6g})"
-    said = " (friction is not counted)" * problem.frictional
-    return f"{name} of the part with node {np.argmax(nodes)}{said}"
+    return (
+        f"{name} of the part with node {np.argmax(nodes)}" + " (friction is not counted)" * problem.frictional
+    )
 
 
 def _modes(p: Array, part: Mask, components: int) -> Array:

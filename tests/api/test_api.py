@@ -3,6 +3,7 @@
 import ast
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,6 +148,25 @@ def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> 
 def test_a_text_is_no_list_of_formulations() -> None:
     with pytest.raises(ValueError, match="a list of names, got the text 'joint'"):
         rm.compare(rm.EXAMPLES["6.1"](n=3), "joint")
+
+
+@pytest.mark.parametrize(
+    ("misuse", "message"),
+    [
+        (
+            lambda: rm.solve("my.toml"),
+            "problem must be a ContactProblem, which read_problem makes of a file, got",
+        ),
+        (
+            lambda: rm.solve(rm.EXAMPLES["6.1"](n=3), objective=5),
+            "objective must be a text or an Objective, got 5",
+        ),
+        (lambda: rm.EXAMPLES[6.1], "the name of an example must be a text, got 6.1"),
+    ],
+)
+def test_what_is_of_another_kind_is_bad_input(misuse: Callable[[], object], message: str) -> None:
+    with pytest.raises(BadInputError, match=message):
+        misuse()
 
 
 STUB = Path(rm.__file__).with_suffix(".pyi")
