@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -289,6 +290,8 @@ def test_growth_is_said_above_a_hundredth_only() -> None:
     assert growth(CLEAR, 1.9 * CLEAR) is None
     assert growth(0.1 * CLEAR, 0.9 * CLEAR) is None
     assert "holds less well" in (growth(0.1 * CLEAR, 1.1 * CLEAR) or "")
+    page = (Path(__file__).parents[2] / "docs/theory.md").read_text(encoding="utf-8")
+    assert f"A record warns where relocation has more than doubled it, above {CLEAR:g}." in page
 
 
 def test_record_and_summary_have_both_and_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
