@@ -57,15 +57,15 @@ def solve(
     else:
         (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
-    written = (*FILES, SERIES, FIGURES) if columns else (*FILES, SERIES)
-    with writable(folder, SINGLE if stated is None else written) as results:
+    kept = {} if stated is None else kept_problem.names(stated)
+    with writable(folder, (*FILES, *kept, SERIES, *[FIGURES][:columns]) if kept else SINGLE) as results:
         with SolvesProgress(1, quiet=not says) as progress:
             done = _performed(plan, progress, series)
             if done.row["status"] == "refused":
                 raise BadInputError(f"{'' if stated is None else f'{name}: '}{done.row['message']}")
             progress.finish(done.row)
         with deferred() as interrupted:
-            _write(results, done, series, stated)
+            _write(results, done, series, kept)
         try:
             if interrupted():
                 raise KeyboardInterrupt
@@ -80,7 +80,8 @@ def solve(
         print(to_json(done.row))
     elif says:
         _say(done, in_full=stated is not None)
-        names = [name for name in (*FILES, "iterations", "figures") if (folder / name).exists()]
+        own = (name for name in results.manifest.names() if (folder / name).exists())
+        names = dict.fromkeys(name.split("/")[0] for name in own)
         print(f"wrote {folder}: {', '.join(names)}")
     if done.row["status"] == INTERRUPTED:
         raise InterruptedSolveError(f"the best mesh so far is kept in {folder}")
@@ -115,19 +116,21 @@ def _performed(plan: PlannedSolve, progress: SolvesProgress, series: Series | No
         raise InterruptedSolveError("nothing was written") from None
 
 
-def _write(results: Results, done: Done, series: Series | None, stated: ProblemTable | None) -> None:
+def _write(results: Results, done: Done, series: Series | None, kept: Mapping[str, Path]) -> None:
     """Put the files of a solve in place, the result first; what an earlier solve left goes before.
 
-    Of a problem file the relocated mesh and the iterates are written as well.
+    Of a problem file copies are ``kept``, and the relocated mesh and the iterates are written as well. A
+    comparison is set aside.
     """
     folder, solution, manifest = results.folder, done.solution, results.manifest
-    manifest.remove(name for name in manifest.names() if name.startswith(("iterations/", "figures/")))
-    manifest.claim(*SINGLE)
-    if stated is not None:
-        manifest.claim(*FILES, *kept_problem.names(stated))
-        kept_problem.keep(stated, folder)
+    left = manifest.names()
+    if RECORDS in left:
+        manifest.set_aside()
+    manifest.claim(*(FILES if kept else SINGLE), *kept)
+    kept_problem.keep(kept, folder)  # its mesh may be one that an earlier solve left
+    manifest.remove(name for name in left if name not in kept)
     write_single(folder, done.row, done.save)
-    if solution is not None and stated is not None:
+    if solution is not None and kept:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
     if solution is not None and series is not None and series.frames:
         manifest.claim(*(f"iterations/{name}" for name in series.names()))

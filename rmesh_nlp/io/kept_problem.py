@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
@@ -14,12 +15,12 @@ MESH = "given-mesh"  # name, without its ending, of the copy of the mesh file
 
 
 def names(table: ProblemTable) -> dict[str, Path]:
-    """The files that :func:`keep` writes, by name what they are copies of: the problem, and its mesh file."""
+    """What is kept of a problem file, by name what it is a copy of: the problem, and its mesh file."""
     path, mesh = table.source.path, table.mesh.file
     return {PROBLEM: path} | ({} if mesh is None else {MESH + Path(mesh).suffix: path.parent / mesh})
 
 
-def keep(table: ProblemTable, folder: Path) -> None:
-    """Copy a problem file, and the mesh file that it names, into a folder."""
-    for name, source in names(table).items():
+def keep(copies: Mapping[str, Path], folder: Path) -> None:
+    """Copy files into a folder, by their names there."""
+    for name, source in copies.items():
         write_whole(folder / name, partial(shutil.copyfile, source))

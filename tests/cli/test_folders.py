@@ -14,6 +14,7 @@ from rmesh_nlp.io.folder import folder_lock
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run
+from support.planted import plant, raising
 from support.reporting import joint_62
 
 
@@ -36,6 +37,50 @@ def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
     assert said.code == 2
     assert "records.jsonl exists and rmesh did not write it" in said.err
     assert Path("records.jsonl").read_text() == "my own records"
+
+
+def names_in(folder: str) -> set[str]:
+    return {path.name for path in Path(folder).glob("[!.]*")}
+
+
+def test_a_solve_leaves_nothing_of_an_earlier_one(rmesh, monkeypatch) -> None:
+    rmesh("new my.toml")
+    assert rmesh("solve my.toml -f fixed --out one").code == 0
+    for command in ("table one", "report one"):
+        assert rmesh(command).code == 0
+    Path("one/mine.msh").write_text("m")
+    said = rmesh("solve 6.1 -f fixed --n 3 --out one")
+    assert said.out.splitlines()[-1] == "wrote one: record.json, solution.vtu, history.csv"
+    assert names_in("one") == {"record.json", "solution.vtu", "history.csv", "mine.msh"}
+    # the mesh and the problem of an earlier solve may be those of the next one
+    assert rmesh("solve my.toml -f fixed --no-figures --out one").code == 0
+    file = Path("one/problem.toml")
+    table = re.search(r"\[mesh\]\n(.+\n)+", file.read_text())
+    assert table is not None
+    file.write_text(file.read_text().replace(table[0], '[mesh]\nfile = "mesh.msh"\n'))
+    said = rmesh("solve one/problem.toml -f fixed --no-figures --out one")
+    assert said.code == 0, said.err
+    last = said.out.splitlines()[-1].removeprefix("wrote one: ").split(", ")
+    assert {*last} == names_in("one") - {"mine.msh"}
+    assert Path("one/given-mesh.msh").exists()
+    plant(monkeypatch, fixed=raising(RuntimeError("singular")))
+    assert rmesh("solve one/problem.toml -f fixed --out one").code == 1
+    assert names_in("one") == {"record.json", "problem.toml", "given-mesh.msh", "mine.msh"}
+
+
+def test_a_solve_sets_a_comparison_aside(rmesh) -> None:
+    assert rmesh("compare 6.1 --formulations fixed --n 3 --no-figures -q --out one").code == 0
+    before = names_in("one")
+    assert rmesh("solve 6.1 -f fixed --n 3 --out one").code == 0
+    assert names_in("one/previous") == before
+    assert len(read_results(Path("one"))) == 1
+
+
+def test_a_problem_file_of_the_user_s_is_seen_before_a_solve(rmesh) -> None:
+    rmesh("new problem.toml")
+    said = rmesh("solve problem.toml -f fixed --out .")
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert "problem.toml exists and rmesh did not write it" in said.err
 
 
 @pytest.mark.parametrize("command", ["compare", "solve"])

@@ -20,7 +20,7 @@ def test_a_problem_file_and_its_mesh_are_copied(tmp_path, mesh):
     path.write_text(VALID.replace(SHAPE, mesh))
     table = read_table(path)
     assert [*names(table)] == ["problem.toml"] + ["given-mesh.msh"] * ("file" in mesh)
-    keep(table, folder)
+    keep(names(table), folder)
     assert {one.name: one.read_bytes() for one in folder.iterdir()} == {
         name: source.read_bytes() for name, source in names(table).items()
     }
