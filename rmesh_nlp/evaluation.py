@@ -30,6 +30,11 @@ def magnitude(values: ArrayLike) -> float:
     return float(np.max(np.abs(values), initial=0.0))
 
 
+def difference(a: float, b: float) -> float:
+    """``a - b``, 0 where that is rounding."""
+    return 0.0 if abs(a - b) < ROUNDING * max(abs(a), abs(b)) else a - b
+
+
 def is_finite(values: ArrayLike) -> bool:
     """Whether all are finite."""
     return bool(np.all(np.isfinite(values)))

@@ -11,10 +11,26 @@ import pytest
 
 from rmesh_nlp import display
 from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.units import Units, after, bracketed, units_of
 from rmesh_nlp.settings import Number, check_positive
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "wanted"),
+    [
+        (0.1 + 3e-17, 0.1, 0.0),
+        (-1e6, -1e6 - 1e-4, 0.0),
+        (1e-300, 0.0, 1e-300),
+        (-1.0, -1.0 - 2e-9, 2e-9),
+        (math.inf, 1.0, math.inf),
+    ],
+)
+def test_a_difference_within_rounding_is_none(a: float, b: float, wanted: float) -> None:
+    assert difference(a, b) == pytest.approx(wanted, rel=1e-6, abs=0)
+    assert math.isnan(difference(a, math.nan))
 
 
 @pytest.mark.parametrize(

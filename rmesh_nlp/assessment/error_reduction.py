@@ -18,6 +18,7 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.contact_problem import refined
@@ -88,9 +89,9 @@ def error_reduction(
     The first is None where nothing can be claimed: the energy did not fall, or refinements do not show how
     the error falls.
     """
-    exact, fall, finest = after.problem.exact, before.energy - after.energy, None
+    exact, fall, finest = after.problem.exact, difference(before.energy, after.energy), None
     if exact is not None and np.isfinite(exact.energy) and not after.problem.motion.curves:
-        error = after.energy - exact.energy
+        error = difference(after.energy, exact.energy)
         source, bounds = "exact", (error, error) if error > 0 else None
     else:
         source, (bounds, finest) = "refinement", _bounds(after)
@@ -119,7 +120,7 @@ def _bounds(last: Admissible) -> tuple[tuple[float, float] | None, Admissible | 
             return None, None
         if finer.status is not Status.CONVERGED:
             return None, None
-        falls.append(finest.energy - finer.energy)
+        falls.append(difference(finest.energy, finer.energy))
         finest = finer
     if not min(falls) > 0 or any(b >= a for a, b in pairwise(falls)):
         return None, finest

@@ -14,6 +14,7 @@ from pydantic import ConfigDict, ValidationError, create_model
 from pydantic_core import from_json
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_messages import as_text
 from rmesh_nlp.solving.entries import ENTRIES
@@ -49,7 +50,7 @@ def ends_of(record: Record) -> tuple[float | None, float | None]:
 
 def gain_of(before: float | None, after: float | None) -> float | None:
     """A fall in per cent of the size at the start."""
-    return None if after is None or not before else 100 * (before - after) / abs(before)
+    return None if after is None or not before else 100 * difference(before, after) / abs(before)
 
 
 class DamagedRecordsWarning(UserWarning):

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 import pandas as pd
 
 from rmesh_nlp.display import bounds_in_words
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.io.records import Record, ends_of, has_energy
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
@@ -104,7 +105,7 @@ def refinement_rows(records: Sequence[Record]) -> Groups:
         rows = [
             record
             | {"mesh": "as given" if record["nodes"] == given["nodes"] else "refined"}
-            | {"gain": given["energy_initial_audited"] - record["energy_audited"]}
+            | {"gain": difference(given["energy_initial_audited"], record["energy_audited"])}
             for record in own
         ]
         tables.append((name, cells(MESHES, rows)))
@@ -121,11 +122,11 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
         if not moved or not finer:
             continue
         best, refined = min(moved, key=lambda record: record["energy_audited"]), finer[0]
-        gain = start - best["energy_audited"]
+        gain = difference(start, best["energy_audited"])
         if gain <= 0:
             notes.append(f"{name}: no formulation gained on the given mesh.")
             continue
-        ratio = (start - refined["energy_audited"]) / gain
+        ratio = difference(start, refined["energy_audited"]) / gain
         notes.append(
             f"{name}: one uniform refinement ({refined['nodes']} nodes) gains {ratio:.2g} times as much as "
             f"{label(best)} on {coarsest} nodes, in {refined['wall_time_s'] / best['wall_time_s']:.2g} times "

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, difference
 from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.optimize.status import Status
@@ -110,7 +110,7 @@ def summary_table(records: Sequence[Record]) -> Table:
             "formulation": map(variant, records),
             "status": [record["status"] for record in records],
             "instance": map(instance, records),
-            "fall": ends[:, 0] - ends[:, 1],
+            "fall": [difference(*pair) for pair in ends],
             "gain [%]": [gain_of(*ends_of(record)) for record in records],
             "iterations": [record["iterations"] for record in records],
             "contact solves": [record["contact_solves"] for record in records],
@@ -209,7 +209,7 @@ def quality_profiles(table: pd.DataFrame, initial: pd.Series) -> dict[str, Profi
     """
     best = table.min(axis=1)
     gain = initial - best
-    missed = table.sub(best, axis=0).div(gain.where(gain > 0), axis=0)
+    missed = table.sub(best, axis=0).div(gain.where(gain > ROUNDING * best.abs()), axis=0)
     return data_profiles(missed.mask(_is_best(table), 0.0))
 
 

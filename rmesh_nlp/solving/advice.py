@@ -17,6 +17,7 @@ import numpy as np
 from rmesh_nlp.assessment.error_reduction import SLOWEST
 from rmesh_nlp.display import figure
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.meshes.mmg import MISSING, is_available
 from rmesh_nlp.models.attainable import LeastErrors
@@ -214,7 +215,7 @@ class _Prospect:
     def of(given: ContactProblem) -> _Prospect:
         """By contact solves on a mesh and on its uniform refinement."""
         coarse, finer = Solved.of(given), Solved.of(refined(given))
-        fall, order = max(coarse.state.energy - finer.state.energy, 0.0), given.order
+        fall, order = max(difference(coarse.state.energy, finer.state.energy), 0.0), given.order
         if order == 2:  # nearly always limited by singularities, whose rate the estimates show
             smooth = 4.0**order
             times = np.clip(coarse.error / finer.error, SLOWEST, smooth) if finer.error > 0 else smooth

@@ -26,7 +26,7 @@ import math
 from dataclasses import dataclass, field
 
 from rmesh_nlp.assessment.measures import ContactResiduals
-from rmesh_nlp.evaluation import ROUNDING
+from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -95,12 +95,12 @@ class Assessment:
     @property
     def gain(self) -> float:
         """Decrease of the energy by the problem's own rules."""
-        return self.given.energy - self.final.energy
+        return difference(self.given.energy, self.final.energy)
 
     @property
     def gain_audited(self) -> float:
         """Decrease of the energy of the continuous problem."""
-        return self.given.energy_audited - self.final.energy_audited
+        return difference(self.given.energy_audited, self.final.energy_audited)
 
     @property
     def gain_computed(self) -> float:

@@ -11,6 +11,7 @@ from rmesh_nlp.assessment.contact_results import ContactResult, contact_results,
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -88,8 +89,10 @@ def surviving_gain(assessment: Assessment) -> SurvivingGain | None:
         replace(state.problem, mesh=state.mesh, reference=None)
         for state in (assessment.given, assessment.final)
     )
-    fall = _value(before, objective) - _value(after, objective)
-    fall_refined = _value(before, objective, refine=True) - _value(after, objective, refine=True)
+    fall, fall_refined = (
+        difference(_value(before, objective, refine=refine), _value(after, objective, refine=refine))
+        for refine in (False, True)
+    )
     if not (fall > 0 and np.isfinite(fall_refined)):
         return None
     return SurvivingGain(fall_refined / fall, objective.text)
@@ -103,7 +106,7 @@ def _of_displacement(objective: Objective) -> Objective | None:
     return Objective(terms) if terms else None
 
 
-def _value(problem: ContactProblem, objective: Objective, *, refine: bool = False) -> float:
+def _value(problem: ContactProblem, objective: Objective, *, refine: bool) -> float:
     """The objective on a mesh or its refinement; NaN where the contact problem has no solution there."""
     try:
         solver = ContactSolver(refined(problem) if refine else problem)

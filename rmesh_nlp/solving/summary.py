@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
 
@@ -63,7 +64,7 @@ def _objective_rows(solution: Any) -> list[tuple[str, str]]:
             rows.append(("objective at the start", figure(first)))
         rows.append(("objective at the end", figure(last)))
         if first is not None:
-            rows.append(("gain", gain_in_words(first - last, first)))
+            rows.append(("gain", gain_in_words(first, last)))
     if surviving is not None:
         rows.append(("gain left on refined meshes", f"{surviving.share:.0%} of the objective's"))
     for variable in () if solution.designed is None else solution.designed.design:
@@ -87,7 +88,7 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     return [
         ("audited energy on the given mesh", figure(solution.energy_initial_audited)),
         ("audited energy", figure(solution.energy_audited)),
-        ("audited gain", gain_in_words(solution.gain_audited, solution.energy_initial_audited)),
+        ("audited gain", gain_in_words(solution.energy_initial_audited, solution.energy_audited)),
         ("energies by the rule of the problem", by_rule),
     ]
 
@@ -98,13 +99,15 @@ def contact_rows(solution: Any) -> Rows:
     for boundary, results in solution.contact.items():
         for name, values in results.items():
             if name != "tangential_force" or any(values.values()):
-                said = ", ".join(f"{figure(value)} {mesh}" for mesh, value in values.items())
-                if len(set(values.values())) == 1:
-                    said = figure(values["relocated"])
+                figures = {mesh: figure(value) for mesh, value in values.items()}
+                said = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())
+                if len(set(figures.values())) == 1:
+                    said = figures["relocated"]
                 rows.append((f"{boundary}: {name.replace('_', ' ')}", said))
     return rows
 
 
-def gain_in_words(gain: float, initial: float) -> str:
+def gain_in_words(before: float, after: float) -> str:
     """A gain by itself and as a part of the initial value."""
-    return figure(gain) + (f" ({100 * gain / abs(initial):.3g} %)" if initial else "")
+    gain = difference(before, after)
+    return figure(gain) + (f" ({100 * gain / abs(before):.3g} %)" if before else "")

@@ -16,6 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from rmesh_nlp.evaluation import difference
 from rmesh_nlp.io.records import Record, ends_of, gain_of, has_energy, objective_of
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
@@ -103,7 +104,7 @@ def summary(row: Record) -> str:
     if after is not None and (has_energy(row) or what == "objective"):
         line += f", {what} = " + (f"{before:{form}} -> " if before is not None else "") + f"{after:{form}}"
         if before:
-            line += f" (gain {before - after:.4g}, {gain_of(before, after):.3g} %)"
+            line += f" (gain {difference(before, after):.4g}, {gain_of(before, after):.3g} %)"
     design = [f"{name} = {value:.4g}" for name, value in (row.get("design") or {}).items()]
     line += "".join(f", {text}" for text in design[:FEW])
     line += f" and {len(design) - FEW} more" if len(design) > FEW else ""
@@ -127,7 +128,7 @@ def pace(step: Step, limits: Limits, *, of_energy: bool = True) -> str:
     if not of_energy and math.isfinite(step.objective):
         parts.append(f"objective {step.objective_given:.6g} -> {step.objective:.6g}")
     elif of_energy and math.isfinite(step.energy):
-        parts += [f"J = {step.energy:.6g}", f"gain {step.energy_given - step.energy:.3g}"]
+        parts += [f"J = {step.energy:.6g}", f"gain {difference(step.energy_given, step.energy):.3g}"]
     residuals = [r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r)]
     if residuals:  # the larger one, as the solver scales them
         parts.append(f"residual {max(residuals):.1e}")

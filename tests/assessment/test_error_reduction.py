@@ -71,6 +71,12 @@ def test_nothing_is_claimed_where_linear_triangles_lock() -> None:
     assert [claimed(0.499, 1), claimed(0.3, 1), claimed(0.499, 2)] == [False, True, True]
 
 
+def test_nothing_is_claimed_of_a_fall_within_rounding() -> None:
+    before, last = on_square(1.0)
+    assert error_reduction(before, last, 7)[0] is not None
+    assert error_reduction(replace(last, energy=last.energy * (1 - 1e-12)), last, 7)[0] is None
+
+
 def test_an_exact_energy_gives_the_factor_itself() -> None:
     problem = EXAMPLES["6.1"](n=4)
     nodes = np.array(problem.mesh.p)

@@ -1,6 +1,7 @@
 """Problem files on the command line: checked, solved, drawn, compared with refinements of their meshes."""
 
 import json
+import re
 import shutil
 import signal
 from pathlib import Path
@@ -189,6 +190,28 @@ def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Pa
     assert (found["attainable_factor"], found["remeshing_factor"]) == (None, None)
     assert found["recommended"] == "refine"
     assert found["predicted_factor"] > 1
+
+
+def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
+    """Its displacement is linear: all energies agree up to rounding."""
+    Path("flat.toml").write_text(
+        """
+        mesh = { shape = "rectangle", nx = 4, ny = 2, x = [-1, 1] }
+        material = { law = "plane-strain", young = 1000, poisson = 0.0 }
+        dirichlet = { top = [0, -0.01] }
+        contact = { boundary = "bottom", height = 0, friction = 0.5 }
+        motion = { delta = { relative = 0.3 } }
+        """
+    )
+    said = rmesh("compare flat.toml --formulations fixed,joint --no-figures --out c")
+    assert "flat: no formulation gained on the given mesh." in said.out
+    assert said.err.count("(gain 0, 0 %)") == 4
+    solved = rmesh("solve flat.toml -f joint --no-figures --out one")
+    assert re.search(r"audited gain +│ 0 \(0 %\) ", solved.out)
+    assert re.search(r"normal force +│ 20 +│", solved.out)
+    assert not re.search(r"\de-1\d |-0\.00", said.out + said.err + solved.err)
+    found = json.loads(rmesh("advise flat.toml --json").out)
+    assert (found["error"], found["second_order_factor"]) == (0.0, 1.0)
 
 
 def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> None:

@@ -32,6 +32,7 @@ DATA = data_profiles(pd.DataFrame({"a": [1, 10, 100, INF]}))
 QUALITY = quality_profiles(pd.DataFrame({"a": [-10.0, -4.0], "b": [-9.0, INF], "c": [0.0, 0.0]}), [0.0, 0.0])
 # no formulation gains on the first, all fail the second
 USELESS = quality_profiles(pd.DataFrame({"a": [1.0, INF], "b": [2.0, INF]}), [0.0, 0.0])
+ROUNDED = quality_profiles(pd.DataFrame({"a": [1.0 - 1e-15], "b": [1.0]}), [1.0])
 
 
 @pytest.mark.parametrize(
@@ -47,6 +48,7 @@ USELESS = quality_profiles(pd.DataFrame({"a": [1.0, INF], "b": [2.0, INF]}), [0.
         (QUALITY["c"], [0.99, 1], [0, 1]),
         (USELESS["a"], [0, 1e9], [0.5, 0.5]),
         (USELESS["b"], [0, 1e9], [0, 0]),
+        (ROUNDED["b"], [0, 1e9], [0, 0]),
     ],
 )
 def test_profiles_computed_by_hand(profile: Any, at: list[float], shares: list[float]) -> None:

@@ -269,7 +269,8 @@ def test_relocation_stands_beside_refinement() -> None:
     worse, finest = {**moved, "energy_audited": -1.1}, {**finer, "nodes": 1600, "energy_audited": -1.5}
     (note,) = refinement_notes([finest, worse, finer, given, moved])
     assert "one uniform refinement (400 nodes) gains 2 times as much as joint on 100 nodes, in 0.1" in note
-    useless = {**moved, "energy_audited": -1.0}
+    useless = {**moved, "energy_audited": -1.0 - 1e-15}
+    assert refinement_rows([given, useless, finer])[0][1][1][4] == "0"
     assert refinement_notes([given, useless, finer]) == ["6.2: no formulation gained on the given mesh."]
     quadratic = {**given, "order": 2, "nodes": 400}  # another discretisation, no refinement
     assert refinement_rows([given, quadratic]) == []

@@ -78,6 +78,17 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     pulls = solution.multipliers
     for by, what, rate in (("move limits", "nodes", pulls.limit), ("areas", "elements", pulls.area)):
         assert rows[f"limited by {by}"] == f"{np.sum(rate > 0)} {what}, largest {rate.max():.6g}"
+    same = replace(
+        made,
+        assessment=replace(
+            assessment,
+            given=with_energies(assessment.given, 0.1, 0.1),
+            final=with_energies(assessment.final, 0.1 - 1.4e-17, 0.1 + 1.4e-17),
+        ),
+    )
+    assert [same.record()[name] for name in ("gain", "gain_audited")] == [0.0, 0.0]
+    assert dict(same.summary())["audited gain"] == "0 (0 %)"
+    assert "(gain 0, 0 %)" in one_line(same.record())
     unknown = replace(made, assessment=replace(made.assessment, first_order=FirstOrder()))
     assert "limited by move limits" not in dict(unknown.summary())
     assert "error reduction" not in rows
