@@ -143,11 +143,11 @@ def _say(done: Done, *, in_full: bool) -> None:
         return
     if in_full:
         Console().print(solution)
-        for warning in done.row.get("warnings") or []:
-            print(f"warning: {warning}")
     else:
         for what, value in contact_rows(solution):
             print(f"{what} {value}")
+    for warning in solution.warnings:
+        print(f"warning: {warning}")
     if (certificate := solution.certificate) is not None:
         print(
             f"{certificate.sentence}; least energy between "

@@ -55,6 +55,12 @@ def test_without_a_folder_the_solve_names_its_own(rmesh) -> None:
     assert said.err.startswith("6.3 fixed: converged, audited J = ")
 
 
+def test_warnings_of_an_example_are_printed(rmesh) -> None:
+    said = rmesh("solve 6.3 -f fixed --n 4x2 --out one")
+    (warning,) = record()["warnings"]
+    assert f"warning: {warning}" in said.out.splitlines()
+
+
 def test_a_solve_that_raises_is_recorded_and_exit_code_1(rmesh, monkeypatch: pytest.MonkeyPatch) -> None:
     assert rmesh("solve 6.1 -f fixed --n 3 --out one").code == 0
     plant(monkeypatch, fixed=raising(RuntimeError("singular")))
