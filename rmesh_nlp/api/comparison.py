@@ -15,6 +15,7 @@ from rmesh_nlp.report.blocks import in_common_units
 from rmesh_nlp.report.tables import frame, markdown
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, check_taken, taken
 from rmesh_nlp.solving.parts import DESIGN
+from rmesh_nlp.solving.plan import compared
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.plan import planned
 from rmesh_nlp.study.runner import perform
@@ -22,7 +23,7 @@ from rmesh_nlp.study.runner import perform
 # what is shown first; the whole records are beside them
 ENERGIES = ("energy_initial_audited", "energy_audited", "gain_audited")
 OBJECTIVE = ("objective_initial", "objective_value", "gain_surviving")  # of another than the energy
-COLUMNS = (*("iterations", "contact_solves", "wall_time_s", "status", "success"),)
+COLUMNS = ("iterations", "contact_solves", "wall_time_s", "status", "success")
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,7 @@ def _last(solution: Solution) -> float:
 
 def compare(
     problem: ContactProblem,
-    formulations: Sequence[str | Formulation | Chooser] = ("fixed", "nested", "joint", "mpcc"),
+    formulations: Sequence[str | Formulation | Chooser] = (),
     **options: Any,
 ) -> Comparison:
     """Solve a problem by several formulations.
@@ -99,9 +100,10 @@ def compare(
     Parameters
     ----------
     problem : ContactProblem
-    formulations : sequence of str or Formulation
+    formulations : sequence of str or Formulation, optional
         Names of installed formulations, or objects such as ``Joint(first_barrier=1e-2)``; an object is
-        called by its name and its settings that differ from the defaults, ``joint(first_barrier=0.01)``.
+        called by its name and its settings that differ from the defaults, ``joint(first_barrier=0.01)``. By
+        default those of "fixed", "nested", "joint" and "mpcc" that take the problem.
     options
         Those of :func:`rmesh_nlp.solve`, such as ``seed`` or ``limits``, for the formulations that take them.
 
@@ -112,6 +114,7 @@ def compare(
     """
     if isinstance(formulations, str):
         raise BadInputError(f"formulations is a list of names, got the text {formulations!r}")
+    formulations = formulations or compared(problem, options)
     names = [one if isinstance(one, str) else described(one) for one in formulations]
     if len(set(names)) < len(names):
         raise BadInputError(f"a formulation is named twice in {names}")

@@ -235,12 +235,13 @@ def compare(
         list[str] | None, Argument(help="Examples, or problem files; the three examples by default.")
     ] = None,
     formulations: Annotated[
-        str,
+        str | None,
         Option(
             metavar="NAMES",
-            help="Formulations, separated by commas; options of their own as in mpcc:start=joint.",
+            help="Formulations, separated by commas; options of their own as in mpcc:start=joint. Default: "
+            "those of fixed, nested, joint, mpcc that take the problem.",
         ),
-    ] = "fixed,nested,joint,mpcc",
+    ] = None,
     n: o.Size = None,
     delta: o.Delta = None,
     order: o.Order = None,
@@ -280,7 +281,8 @@ def compare(
     rmesh compare 6.1 --formulations fixed,nested,joint --n 16 --out fine
     rmesh compare --out results --resume
     """
-    names, chosen = tuple(dict.fromkeys(examples or ())), o.parse_names(formulations)
+    names = tuple(dict.fromkeys(examples or ()))
+    chosen = () if formulations is None else o.parse_names(formulations)
     given, voice = o.keywords(context.params), _voice(json, quiet)
     work = load("cli.solving").compare
     return work(names, chosen, given, out, resume, jobs, voice, figures, verbose)

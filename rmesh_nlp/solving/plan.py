@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Chooser, Formulation, check_start
+from rmesh_nlp.solving.formulation import Chooser, Formulation, check_start, find
 from rmesh_nlp.solving.start import Start
+
+COMPARED = ("fixed", "nested", "joint", "mpcc")
+"""Formulations of a comparison that names none."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +56,16 @@ class Plan:
         if not chosen.relocates:
             start = seed = None
         return cls(chosen, choice.problem, objective, tolerance, start, seed, formulation.name, choice.why)
+
+
+def compared(problem: ContactProblem, options: Mapping[str, Any]) -> Sequence[str]:
+    """Those of ``COMPARED`` that take a problem with the objective of some options; all where none does."""
+    objective, names = parse_objective(options.get("objective", "energy")), []
+    for name in COMPARED:
+        with suppress(BadInputError):
+            Plan.of(problem, find(name)(), objective, 1.0, None, None)
+            names.append(name)
+    return names or COMPARED
 
 
 def _check_energy(problem: ContactProblem, objective: Objective, formulation: Formulation) -> None:

@@ -26,6 +26,7 @@ from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import from_texts
 from rmesh_nlp.solving.formulation import check_taken, checked, taken
 from rmesh_nlp.solving.monitor import OnStep
+from rmesh_nlp.solving.plan import COMPARED, compared
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, build_example, planned
 from rmesh_nlp.study.runner import INTERRUPTED, perform
@@ -52,6 +53,8 @@ def plan_comparison(
 ) -> list[PlannedSolve]:
     """All pairs of problems and formulations, with the same settings.
 
+    Without ``formulations`` they are those of ``COMPARED`` that take the problem.
+
     An option goes to those formulations that take it; of ``objective`` and ``seed`` there may be several, as
     lists. A formulation may have options of its own, see :func:`formulation_options`. The problem of a file,
     whose name ends with ``.toml``, has the objective of its ``[solve]`` unless one is given; ``order`` takes
@@ -76,7 +79,7 @@ def plan_comparison(
         )
     if errors:
         problems = [(stated, with_reference(problem), {}) for stated, problem, _ in problems]
-    chosen = [formulation_options(text) for text in formulations]
+    chosen = [formulation_options(text) for text in formulations or COMPARED]
     check_taken(options, [name for name, _ in chosen])
     several = {name: as_tuple(options[name]) for name in ("objective", "seed") if name in options}
     commons = [
@@ -85,6 +88,8 @@ def plan_comparison(
     solves = []
     for (stated, problem, default), common, (name, own_options) in product(problems, commons, chosen):
         asked = checked(name, {**taken(name, {**default, **common}), **own_options})
+        if not formulations and name not in compared(problem, asked):
+            continue
         limit = asked.get("limits", {}).get("seconds", math.inf)
         about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
         solves.append(planned(problem, name, asked, **about))

@@ -21,6 +21,7 @@ from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.study.comparison import formulation_options
+from support.problems import coulomb_slab
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +67,10 @@ def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
         rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["joint", Joint()])
     with pytest.raises(BadInputError, match=r"tol = 0\.001: not an option of joint"):
         rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), [Joint()], tol=1e-3)
+
+
+def test_by_default_formulations_are_compared_that_take_the_problem() -> None:
+    assert rm.compare(coulomb_slab(n=(4, 2))).names == ("fixed",)
 
 
 def test_a_formulation_that_refuses_leaves_its_record() -> None:

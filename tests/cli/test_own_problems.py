@@ -192,17 +192,26 @@ def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Pa
     assert found["predicted_factor"] > 1
 
 
+PRESSED = """
+mesh = { shape = "rectangle", nx = 4, ny = 2, x = [-1, 1] }
+material = { law = "plane-strain", young = 1000, poisson = 0.0 }
+dirichlet = { top = [0, -0.01] }
+contact = { boundary = "bottom", height = 0, friction = 0.5 }
+motion = { delta = { relative = 0.3 } }
+"""
+
+
+def test_with_coulomb_friction_the_given_mesh_is_compared(rmesh) -> None:
+    Path("pressed.toml").write_text(PRESSED.replace("friction", "coulomb"))
+    assert rmesh("compare pressed.toml --no-figures -q --out c").code == 0
+    (row,) = map(json.loads, Path("c/records.jsonl").read_text().splitlines())
+    assert row["formulation"] == "fixed"
+    assert rmesh("compare pressed.toml --formulations fixed,joint --no-figures -q --out c").code == 1
+
+
 def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
     """Its displacement is linear: all energies agree up to rounding."""
-    Path("flat.toml").write_text(
-        """
-        mesh = { shape = "rectangle", nx = 4, ny = 2, x = [-1, 1] }
-        material = { law = "plane-strain", young = 1000, poisson = 0.0 }
-        dirichlet = { top = [0, -0.01] }
-        contact = { boundary = "bottom", height = 0, friction = 0.5 }
-        motion = { delta = { relative = 0.3 } }
-        """
-    )
+    Path("flat.toml").write_text(PRESSED)
     said = rmesh("compare flat.toml --formulations fixed,joint --no-figures --out c")
     assert "flat: no formulation gained on the given mesh." in said.out
     assert said.err.count("(gain 0, 0 %)") == 4

@@ -53,6 +53,26 @@ def test_a_file_is_compared_by_its_own_objective(file):
         plan_comparison([file], ["nested"])
 
 
+COULOMB = VALID.replace("friction =", "coulomb =")
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "able"),
+    [
+        (VALID, {}, ["fixed", "nested", "joint", "mpcc"]),
+        (COULOMB, {}, ["fixed"]),
+        (COULOMB, {"objective": ["energy", "area"]}, ["fixed", "fixed", "nested", "mpcc"]),
+        (VALID.replace("[materials.hard]", DESIGN), {}, ["fixed"]),
+    ],
+)
+def test_by_default_formulations_are_compared_that_take_the_problem(file, text, options, able):
+    Path(file).write_text(text)
+    plan = [one for one in plan_comparison([file], (), options=options) if one.built.size == "48 triangles"]
+    assert [one.formulation for one in plan] == able
+    named = plan_comparison([file], ["joint"], options=options)
+    assert {one.formulation for one in named} >= {"joint"}  # its refusal is a row
+
+
 def test_keys_are_file_names_and_settings_reach_the_example():
     options = {"seed": 3, "objective": "error-l2 + 0.01*quality"}
     (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
