@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -32,7 +33,7 @@ def magnitude(values: ArrayLike) -> float:
 
 def difference(a: float, b: float) -> float:
     """``a - b``, 0 where that is rounding."""
-    return 0.0 if abs(a - b) < ROUNDING * max(abs(a), abs(b)) else a - b
+    return 0.0 if math.isclose(a, b, rel_tol=ROUNDING) else a - b
 
 
 def is_finite(values: ArrayLike) -> bool:

@@ -85,8 +85,11 @@ def worse(
     before: Mapping[str, ContactResult], after: Mapping[str, ContactResult], true: Mapping[str, ContactResult]
 ) -> list[str]:
     """A sentence for each result that is farther from its value on a refined mesh than before."""
-    labels = {"peak_pressure": "largest pressure", "normal_force": "normal force"}
-    labels |= {"contact_length": "length of contact"}
+    labels = {
+        "peak_pressure": "largest pressure",
+        "normal_force": "normal force",
+        "contact_length": "length of contact",
+    }
     sentences, places = [], before.keys() & after.keys() & true.keys()
     for name, label in labels.items():
         size = max((abs(getattr(true[place], name)) for place in places), default=0.0)

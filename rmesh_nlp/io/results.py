@@ -161,12 +161,9 @@ def single_result(folder: Path, record: Record) -> Result:
 
 
 def write_single(folder: Path, record: Record, save: Callable[[Result], object]) -> None:
-    """Write the record, and let ``save`` write fields and history to their places; older ones go before."""
-    result = single_result(folder, record)
-    for path in (result.vtu, result.history):
-        path.unlink(missing_ok=True)
+    """Write the record, and let ``save`` write fields and history to their places."""
     write_text(folder / RECORD, to_json(record, indent=2) + "\n")  # small, if the disk is full it fits
-    save(result)
+    save(single_result(folder, record))
 
 
 def write_history(path: Path, rows: Sequence[dict[str, Any]]) -> None:

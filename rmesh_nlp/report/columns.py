@@ -234,8 +234,7 @@ KINDS = (
         "Work",
         (
             Column("formulation", short_label),
-            *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s"),
-            *of("stationarity_residual"),
+            *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s", "stationarity_residual"),
             BIACTIVE,
         ),
         "KKT factorisations: at least as many as Ipopt took iterations. Time: build, solve and audit. "

@@ -80,8 +80,7 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     """The page as text."""
     records = [result.record for result in results]
     failed = [i for i, r in enumerate(records) if not r["success"] and r["status"] != "refused"]
-    remarks = block_notes(records)
-    remarks = study_notes(records) if is_study(records) else [*shared_notes(records), *remarks]
+    remarks = study_notes(records) if is_study(records) else shared_notes(records) + block_notes(records)
     with rc_context(CHART.settings):
         profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results)]
         convergence, not_drawn = _convergence(results)

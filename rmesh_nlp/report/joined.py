@@ -103,9 +103,11 @@ def refinement_rows(records: Sequence[Record]) -> Groups:
     for name, own in _several_meshes(records).items():
         given = own[0]
         rows = [
-            record
-            | {"mesh": "as given" if record["nodes"] == given["nodes"] else "refined"}
-            | {"gain": difference(given["energy_initial_audited"], record["energy_audited"])}
+            {
+                **record,
+                "mesh": "as given" if record["nodes"] == given["nodes"] else "refined",
+                "gain": difference(given["energy_initial_audited"], record["energy_audited"]),
+            }
             for record in own
         ]
         tables.append((name, cells(MESHES, rows)))

@@ -14,15 +14,14 @@ from rmesh_nlp.report.joined import refinement_notes
 
 def main_notes(records: Sequence[Record]) -> list[str]:
     """What is needed to read the main tables: units, what refinement gains, and how solves ended."""
-    below = [note for block in blocks(records) for note in below_infimum(block)]
     failures = [
         f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
         for block in blocks(records)
         for record in block.records
         if not record["success"]
     ]
-    finer = refinement_notes(records)
-    return [*finer, *units_notes(records), *below, *stopped_early(records), *shared_notes(records), *failures]
+    said = (refinement_notes, units_notes, block_notes, stopped_early, shared_notes)
+    return [*(note for notes in said for note in notes(records)), *failures]
 
 
 def block_notes(records: Sequence[Record]) -> list[str]:

@@ -111,7 +111,7 @@ def summary_table(records: Sequence[Record]) -> Table:
             "status": [record["status"] for record in records],
             "instance": map(instance, records),
             "fall": [difference(*pair) for pair in ends],
-            "gain [%]": [gain_of(*ends_of(record)) for record in records],
+            "gain [%]": [gain_of(*pair) for pair in ends],
             "iterations": [record["iterations"] for record in records],
             "contact solves": [record["contact_solves"] for record in records],
             "build + solve [s]": map(seconds_of_work, records),

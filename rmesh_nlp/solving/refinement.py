@@ -85,13 +85,12 @@ def surviving_gain(assessment: Assessment) -> SurvivingGain | None:
     objective, point = _of_displacement(assessment.objective), assessment.final.point
     if not assessment.success or objective is None or point is None or not np.any(point.q):
         return None
-    before, after = (
+    problems = [
         replace(state.problem, mesh=state.mesh, reference=None)
         for state in (assessment.given, assessment.final)
-    )
+    ]
     fall, fall_refined = (
-        difference(_value(before, objective, refine=refine), _value(after, objective, refine=refine))
-        for refine in (False, True)
+        difference(*(_value(problem, objective, refine) for problem in problems)) for refine in (False, True)
     )
     if not (fall > 0 and np.isfinite(fall_refined)):
         return None
@@ -106,7 +105,7 @@ def _of_displacement(objective: Objective) -> Objective | None:
     return Objective(terms) if terms else None
 
 
-def _value(problem: ContactProblem, objective: Objective, *, refine: bool) -> float:
+def _value(problem: ContactProblem, objective: Objective, refine: bool) -> float:
     """The objective on a mesh or its refinement; NaN where the contact problem has no solution there."""
     try:
         solver = ContactSolver(refined(problem) if refine else problem)

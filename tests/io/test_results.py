@@ -85,10 +85,8 @@ def test_which_of_several_records_a_folder_is_read_from(tmp_path):
     assert read("noted", {}, [RECORDS]) == []
 
 
-def test_single_solve_is_recorded_though_the_disk_is_full_and_older_files_go(tmp_path):
+def test_single_solve_is_recorded_though_the_disk_is_full(tmp_path):
     known = single_result(tmp_path, fixed_61())
-    for path in (known.vtu, known.history):
-        path.write_text("of another solve")
 
     def save(places: Any) -> None:
         assert (places.vtu, places.history) == (known.vtu, known.history)
@@ -96,8 +94,6 @@ def test_single_solve_is_recorded_though_the_disk_is_full_and_older_files_go(tmp
 
     with pytest.raises(OSError, match="no space"):
         write_single(tmp_path, fixed_61(), save)
-    assert not known.vtu.exists()
-    assert not known.history.exists()
     text = (tmp_path / RECORD).read_text()
     assert json.loads(text) == fixed_61()
     assert text.startswith('{\n  "')  # for people
