@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -66,19 +66,6 @@ def contact_results(
             contact_length=float(np.sum(weights[rows][pressing])),
         )
     return results
-
-
-def of_all(results: Mapping[str, ContactResult]) -> ContactResult | None:
-    """The results of all boundaries together; None without contact."""
-    if not results:
-        return None
-    columns = {
-        field.name: [getattr(result, field.name) for result in results.values()]
-        for field in fields(ContactResult)
-    }
-    return ContactResult(
-        **{name: max(column) if name == "peak_pressure" else sum(column) for name, column in columns.items()}
-    )
 
 
 def worse(

@@ -50,9 +50,33 @@ def of(*names: str) -> tuple[Column, ...]:
     return tuple(Column(entry.heading, entry.name, entry.digits) for entry in entries)
 
 
+OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
+
+
+def by_boundary(record: Record) -> Record:
+    """Results of each of several contact boundaries on the final mesh, by headings; none of a single one."""
+    contact = record.get("contact") or {}
+    return {
+        f"{name.replace('_', ' ')} ({boundary})": values.get("relocated")
+        for boundary, results in contact.items()
+        for name, values in results.items()
+        if len(contact) > 1
+    }
+
+
+def contact_columns(records: Sequence[Record]) -> list[Column]:
+    """A column for each of them."""
+    names = dict.fromkeys(name for record in records for name in by_boundary(record))
+    return [Column(name.replace(" ", "|"), name, ".4g") for name in names]
+
+
 def cells(columns: Sequence[Column], records: Sequence[Record]) -> list[list[str]]:
-    """A row for each record."""
-    return [[column.cell(record) for column in columns] for record in records]
+    """A row for each record; of several contact boundaries each has its results, and none is of all."""
+    return [
+        [column.cell({**record, **dict.fromkeys(each and OF_ALL), **each}) for column in columns]
+        for record in records
+        for each in (by_boundary(record),)
+    ]
 
 
 def table_of(columns: Sequence[Column], groups: Groups, **options: Any) -> Table:
@@ -151,6 +175,8 @@ ENERGIES = (
 class Kind:
     """A table with a row for each solve of a block: its title in Markdown, columns and caption.
 
+    Without columns it has :func:`contact_columns`.
+
     ``is_wanted`` says which blocks it has; ``is_detail`` that it is in ``table.md`` and not printed.
     """
 
@@ -211,6 +237,13 @@ KINDS = (
         ),
         "Bounds of the least energy, and of the error in the energy norm in per cent of the norm.",
         _with(lambda record: "certificate_remark" in record),
+        is_detail=False,
+    ),
+    Kind(
+        "Contact boundaries",
+        (),
+        "Results of each contact boundary on the relocated mesh.",
+        lambda block: any(map(by_boundary, block.records)),
         is_detail=False,
     ),
     Kind(

@@ -34,7 +34,7 @@ from rmesh_nlp.report.blocks import (
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.columns import KINDS, Column, cells, of, table_of
+from rmesh_nlp.report.columns import KINDS, Column, cells, contact_columns, of, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
@@ -101,7 +101,9 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
+        solves=_solves(
+            comparable, [*printed, *_design_columns(records), *contact_columns(records)], failed={*failed}
+        ),
         more=_solves(comparable, others, failed={*failed}),
         failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
         remarks=[

@@ -8,14 +8,13 @@ outcome; their declarations have no value of a Solution.
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.assessment.contact_results import of_all
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
@@ -75,18 +74,24 @@ def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
 def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
     """Results of the contact on one of the meshes."""
 
-    def on(name: str) -> Callable[[Solution], float | None]:
-        return lambda solution: attribute(of_all(attribute(solution, path)), name)
+    def on(name: str, total: Callable[[Iterable[float]], float] = sum) -> Callable[[Solution], float | None]:
+        def value(solution: Solution) -> float | None:
+            results = attribute(solution, path).values()
+            return total(getattr(result, name) for result in results) if results else None
+
+        return value
 
     return (
         Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
-              on("peak_pressure"), unit="force/length^2", heading="peak|pressure",
+              on("peak_pressure", max), unit="force/length^2", heading="peak|pressure",
               digits=".4g"),
         Entry(f"resultant{suffix}", Number,
-              f"Integral of the contact pressure on {where}: the sum of all normal forces.",
+              f"Sum of the normal forces of all contact boundaries on {where}, the integrals of their "
+              "pressures, whatever their directions; `contact` has each.",
               on("normal_force"), unit="force/length", heading="normal|force", digits=".4g"),
         Entry(f"contact_length{suffix}", Number,
-              f"Length of the boundary that presses on {where}; of an interior obstacle an area.",
+              f"Length of all contact boundaries where they press on {where}; of an interior obstacle an "
+              "area.",
               on("contact_length"), unit="length"),
     )
 

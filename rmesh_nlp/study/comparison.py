@@ -91,8 +91,9 @@ def plan_comparison(
         if not formulations and name not in compared(problem, asked):
             continue
         limit = asked.get("limits", {}).get("seconds", math.inf)
-        about: dict[str, Any] = {"problem": stated, "certify": certify, "repeats": repeats, "time_s": limit}
-        solves.append(planned(problem, name, asked, **about))
+        solves.append(
+            planned(problem, name, asked, problem=stated, certify=certify, repeats=repeats, time_s=limit)
+        )
     if len(commons) > 1:  # a formulation that takes no seed would be solved once for each of them
         solves = list({solve.key: solve for solve in solves}.values())
     finer = (fine for problem, _ in own for fine in _refinements(problem))

@@ -13,7 +13,7 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.admissible import admissible
-from rmesh_nlp.assessment.contact_results import CLEAR, ContactResult, contact_results, of_all, worse
+from rmesh_nlp.assessment.contact_results import CLEAR, ContactResult, contact_results, worse
 from rmesh_nlp.assessment.coulomb import coulomb_residual, growth
 from rmesh_nlp.assessment.measures import EXPLOITS, corrections, residuals
 from rmesh_nlp.contact.solver import ContactSolver
@@ -122,15 +122,11 @@ def test_quantities_count_nodes_that_press() -> None:
     normal[order], tangential[order] = force, sideways
     active = ActiveSet(normal > 0, np.zeros(5, dtype=np.int8))
     state = Equilibrium(found.state.u, 0.0, normal, tangential, active, Status.CONVERGED, 1)
-    values = of_all(contact_results(found.parts.space, problem.mesh.p, found.system, state))
-    assert values is not None
+    (values,) = contact_results(found.parts.space, problem.mesh.p, found.system, state).values()
     assert vars(values) == pytest.approx(vars(ContactResult(9.0, 12.0, 12.0, 1.0)))
     free = ContactProblem(problem.mesh, LAW, ("left",))
     alone = admissible(free)
     assert not contact_results(alone.parts.space, free.mesh.p, alone.system, alone.state)
-    assert of_all({}) is None
-    both = {"a": ContactResult(1.0, 2.0, 3.0, 4.0), "b": ContactResult(5.0, 6.0, 1.0, 8.0)}
-    assert of_all(both) == ContactResult(6.0, 8.0, 3.0, 12.0)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.io.records import REQUIRED, Record
+from rmesh_nlp.io.results import Results
+from rmesh_nlp.report.html_page import page
 from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
 from rmesh_nlp.report.notes import block_notes, main_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
@@ -252,6 +254,38 @@ def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path: Path) ->
     log = (tmp_path / "page.log").read_text()
     assert "Overfull" not in log
     assert "too large" not in log
+
+
+CONTACT = {
+    name: {"normal_force": {"given": 9.0, "relocated": force}, "tangential_force": {"relocated": 0.0},
+           "peak_pressure": {"relocated": 3.25}, "contact_length": {"relocated": 0.5}}
+    for name, force in (("lower", 1.5), ("upper side", 2.5))
+}  # fmt: skip
+
+
+def test_each_of_several_contact_boundaries_has_columns(tmp_path: Path) -> None:
+    two, one = (
+        joint_62(contact=CONTACT, resultant=4.0),
+        joint_62(n="24x12", contact={"lower": CONTACT["lower"]}),
+    )
+    printed, *_ = markdown([two], short=True).split("Results of each contact boundary")
+    assert (
+        "| formulation | normal force (lower) | tangential force (lower) | peak pressure (lower) "
+        "| contact length (lower) | normal force (upper side) |"
+    ) in printed
+    assert (
+        "| joint       |                  1.5 |                        0 |                  3.25 |" in printed
+    )
+    assert "| normal force |" not in markdown([two])
+    assert "(lower)" not in markdown([one])
+    assert "| normal force | peak pressure |" in markdown([one])
+    assert markdown([two, one]).count("(upper side)") == 4  # in one table
+    assert r"normal\\ {force}\\ {(upper}\\ {side)}" in latex([two])
+    (row,) = csv.DictReader(io.StringIO(as_csv([two])))
+    assert [row["normal force (lower)"], row["contact length (upper side)"], row["resultant"]] == [
+        "1.5", "0.5", "4.0"
+    ]  # fmt: skip
+    assert "contact length (upper side)</th>" in page(tmp_path, [Results(tmp_path).result(two)], "", "t")
 
 
 def test_relocation_stands_beside_refinement() -> None:

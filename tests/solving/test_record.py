@@ -13,6 +13,7 @@ import pytest
 
 import rmesh_nlp as rm
 from gallery import signorini
+from rmesh_nlp.assessment.contact_results import ContactResult
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -248,6 +249,18 @@ def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -
     always = {name for name, entry in ENTRIES.items() if entry.of is not None and entry.presence is not KNOWN}
     assert always <= set(record)
     assert read_record(to_json(record), "here")["formulation"] == record["formulation"]
+
+
+def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure(solution: Solution) -> None:
+    both = {"a": ContactResult(1.0, 2.0, 3.0, 4.0), "b": ContactResult(5.0, 6.0, 1.0, 8.0)}
+
+    def found(contact: dict[str, ContactResult]) -> list[Any]:
+        final = replace(solution.assessment.final, contact=contact)
+        record = replace(solution, assessment=replace(solution.assessment, final=final)).record()
+        return [record.get(name) for name in ("resultant", "peak_pressure", "contact_length")]
+
+    assert found(both) == [6.0, 3.0, 12.0]
+    assert found({}) == [None] * 3
 
 
 def test_every_entry_has_a_meaning_and_a_type() -> None:
