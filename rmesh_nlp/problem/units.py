@@ -21,9 +21,14 @@ class Units:
     force: str = ""
 
     @property
+    def line_force(self) -> str:
+        """Force per unit of depth; empty unless both units are named."""
+        return f"{self.force}/{self.length}" if self.length and self.force else ""
+
+    @property
     def stress(self) -> str:
         """Force per area; empty unless both units are named."""
-        return f"{self.force}/{self.length}²" if self.length and self.force else ""
+        return self.line_force and f"{self.line_force}²"
 
 
 NO_UNITS = Units()

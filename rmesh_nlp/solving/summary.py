@@ -10,6 +10,7 @@ from rmesh_nlp.display import Rows, bounds_in_words, figure
 from rmesh_nlp.evaluation import difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
+from rmesh_nlp.problem.units import NO_UNITS, bracketed
 
 
 def summary(solution: Any) -> Rows:
@@ -95,7 +96,8 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
 
 def contact_rows(solution: Any) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
-    rows = []
+    rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS
+    named = {"peak_pressure": units.stress, "contact_length": units.length}
     for boundary, results in solution.contact.items():
         for name, values in results.items():
             if name != "tangential_force" or any(values.values()):
@@ -103,7 +105,8 @@ def contact_rows(solution: Any) -> Rows:
                 said = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())
                 if len(set(figures.values())) == 1:
                     said = figures["relocated"]
-                rows.append((f"{boundary}: {name.replace('_', ' ')}", said))
+                unit = bracketed(named.get(name, units.line_force))
+                rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
     return rows
 
 

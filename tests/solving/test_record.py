@@ -21,6 +21,7 @@ from rmesh_nlp.io.records import FIELDS, read_record, to_json
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem import Constraint, Motion
+from rmesh_nlp.problem.units import Units
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
@@ -29,6 +30,7 @@ from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study.progress import summary as one_line
 from support.conclusions import compared, with_energies
 from support.designs import BOW, LIMITED, E, block
@@ -249,6 +251,19 @@ def test_every_entry_of_a_record_is_declared_and_of_its_type(formulation: str) -
     always = {name for name, entry in ENTRIES.items() if entry.of is not None and entry.presence is not KNOWN}
     assert always <= set(record)
     assert read_record(to_json(record), "here")["formulation"] == record["formulation"]
+
+
+def test_contact_results_have_the_units_of_the_problem() -> None:
+    def labels(example: str) -> list[str]:
+        problem = replace(EXAMPLES[example]((4, 2)), units=Units("mm", "N"))
+        return [label for label, _ in contact_rows(fixed.solve(problem))]
+
+    assert labels("6.2") == [
+        "contact: normal force [N/mm]",
+        "contact: peak pressure [N/mm²]",
+        "contact: contact length [mm]",
+    ]
+    assert labels("6.1")[0] == "contact: normal force"  # as in its figures
 
 
 def test_results_of_all_contact_boundaries_are_sums_and_the_largest_pressure(solution: Solution) -> None:
