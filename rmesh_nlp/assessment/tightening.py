@@ -141,7 +141,7 @@ def tightened(
         springs = springs.at(x, stiffness=times * unit)
         x = springs.minimised(x)
     for _ in range(REPEATS):
-        least = min(float(np.min(part.gaps(displacement(x)))) for part in cells)
+        least = min(np.min(part.gaps(displacement(x))) for part in cells)
         if least > 0:
             return _equilibrium(system, springs, x, last)
         springs = springs.at(x, distance=springs.distance - least + NOTHING * magnitude(x))

@@ -123,12 +123,12 @@ def _write(results: Results, done: Done, series: Series | None, kept: Mapping[st
     comparison is set aside.
     """
     folder, solution, manifest = results.folder, done.solution, results.manifest
-    left = manifest.names()
-    if RECORDS in left:
+    older = manifest.names()
+    if RECORDS in older:
         manifest.set_aside()
     manifest.claim(*(FILES if kept else SINGLE), *kept)
     kept_problem.keep(kept, folder)  # its mesh may be one that an earlier solve left
-    manifest.remove(name for name in left if name not in kept)
+    manifest.remove(name for name in older if name not in kept)
     write_single(folder, done.row, done.save)
     if solution is not None and kept:
         write_whole(folder / "mesh.msh", lambda aside: write_mesh(solution.mesh, aside))
