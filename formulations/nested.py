@@ -57,13 +57,13 @@ class Nested(NestedSettings, Formulation):
         monitor.work += Work(kkt_factorisations=result.factorised)
         monitor.budget.check()
         end, status, method = result.q, result.status, result.method
+        if status is Status.INTERRUPTED:  # it creeps, and its last step may be a long one
+            end, status = track.best(end), Status.STALLED
         if not is_asked:
             finish = finished(outer, end, monitor)
             end, method = finish.q, ", then ".join(filter(None, (method, finish.method)))
             if finish.is_stationary:
                 status = Status.CONVERGED
-            elif status is Status.INTERRUPTED:
-                status = Status.STALLED
         weak = outer.contact.contact_nodes[outer.function(end).weak]
         return Outcome(outer, end, status, details={"outer": method, "biactive_nodes": weak.tolist()})
 

@@ -58,7 +58,7 @@ class _Springs:
             k * np.maximum(self.distance + dip - part.along(x) - part.low, 0.0)
             for part, dip in zip(self.cells, self.dips, strict=True)
         ]
-        stored = sum(float(np.vdot(push, push)) for push in pushes) - friction @ friction
+        stored = sum(np.vdot(push, push) for push in pushes) - friction @ friction
         energy = u @ (program.stiffness @ u / 2 - program.load) + friction @ slip
         return float(energy + stored / (2 * k)), friction, pushes
 
@@ -120,8 +120,9 @@ def tightened(
     touches where its share is positive.
     """
     indices = [np.moveaxis(field.index[:, part.nodes], 2, 0) for part in cells]
-    acts = [np.any(part.normals != 0, axis=2).T for part in cells]
-    acted = [index[act].ravel() for index, act in zip(indices, acts, strict=True)]
+    acted = [
+        index[np.any(part.normals != 0, axis=2).T].ravel() for part, index in zip(cells, indices, strict=True)
+    ]
     last = np.unique(np.concatenate([system.tangents[: system.slip_bound.size].indices, *acted]))
     last = last[last >= 0]
     program = system.condensed(last)
