@@ -23,7 +23,7 @@ import scipy.sparse as sp
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.standoff import Cells
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, magnitude
+from rmesh_nlp.evaluation import ROUNDING, Array, Index
 from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.optimize.status import Status
 
@@ -32,9 +32,6 @@ STIFFNESSES = tuple(10.0**k for k in range(7))
 
 STEPS, REPEATS = 50, 10
 """Most steps of Newton's method with springs of one stiffness, and times that the points keep off farther."""
-
-NOTHING = 1e-12
-"""Gap in units of the displacement that counts as none."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class _Springs:
         ]
         stored = sum(np.vdot(push, push) for push in pushes) - friction @ friction
         energy = u @ (program.stiffness @ u / 2 - program.load) + friction @ slip
-        return float(energy + stored / (2 * k)), friction, pushes
+        return energy + stored / (2 * k), friction, pushes
 
     def linearised(
         self, u: Array, friction: Array, pushes: Sequence[Array]
@@ -119,7 +116,7 @@ def tightened(
     displacement as a function of the unknowns. The forces at points are shared among their nodes; a node
     touches where its share is positive.
     """
-    indices = [np.moveaxis(field.index[:, part.nodes], 2, 0) for part in cells]
+    n, indices = state.u.size, [np.moveaxis(field.index[:, part.nodes], 2, 0) for part in cells]
     acted = [
         index[np.any(part.normals != 0, axis=2).T].ravel() for part, index in zip(cells, indices, strict=True)
     ]
@@ -127,25 +124,28 @@ def tightened(
     last = last[last >= 0]
     program = system.condensed(last)
     if program is None:
-        program, last = system, np.arange(state.u.size)
-    place = np.full(state.u.size + 1, -1)  # the last one is that of no unknown
+        program, last = system, np.arange(n)
+    place = np.full(n + 1, -1)  # the last one is that of no unknown
     place[last] = np.arange(last.size)
 
     def displacement(x: Array) -> Array:
-        u = np.zeros(state.u.size)  # of the others no gap depends
+        u = np.zeros(n)  # of the others no gap depends
         u[last] = x
         return field.values(u)
 
+    x, unit = state.u[last], np.max(program.stiffness.diagonal())
+    # else a body that only contact holds would have no step where nothing presses
+    ground = ROUNDING * unit * sp.eye_array(last.size, format="csc")
+    program = replace(program, stiffness=program.stiffness + ground)
     springs = _Springs(program, cells, [place[index] for index in indices], displacement)
-    x, unit = state.u[last], float(np.max(program.stiffness.diagonal()))
     for times in STIFFNESSES:
         springs = springs.at(x, stiffness=times * unit)
         x = springs.minimised(x)
     for _ in range(REPEATS):
         least = min(np.min(part.gaps(displacement(x))) for part in cells)
-        if least > 0:
+        if least >= 0:
             return _equilibrium(system, springs, x, last)
-        springs = springs.at(x, distance=springs.distance - least + NOTHING * magnitude(x))
+        springs = springs.at(x, distance=springs.distance - 2 * least)
         x = springs.minimised(x)
     return None
 
@@ -161,5 +161,5 @@ def _equilibrium(system: ContactSystem, springs: _Springs, x: Array, last: Index
     for part, pressures in zip(springs.cells, pushes, strict=True):
         free = part.rows >= 0
         np.add.at(force, part.rows[free], (part.shares @ pressures.T)[free])
-    active = ActiveSet(force > 0, np.where(sliding, np.sign(friction), 0).astype(np.int8))
+    active = ActiveSet(force > 0, (sliding * np.sign(friction)).astype(np.int8))
     return Equilibrium(u, system.energy(u), force, -friction, active, Status.CONVERGED, 1)

@@ -179,14 +179,12 @@ def end_like_interrupts() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
-Handler = Callable[[int, FrameType | None], object]
-
 _handlers: list[Any] = [signal.default_int_handler]
 """Those of the contexts of :func:`signals_to` after Python's own."""
 
 
 @contextmanager
-def signals_to(handle: Handler) -> Iterator[None]:
+def signals_to(handle: Callable[[int, FrameType | None], object]) -> Iterator[None]:
     """Give Ctrl-C and SIGTERM to ``handle`` where they would raise a KeyboardInterrupt in the main thread.
 
     Within another such context to the inner handler alone.

@@ -28,6 +28,7 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import refined
 from support.orders import ORDERS
 from support.penetration import penetration
+from truth.draws import aimed
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
 BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
@@ -399,3 +400,10 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
     assert np.all(gaps <= exact)
     assert np.min(gaps) <= 1.0  # not above the least gap, which no sample has
     assert np.min(gaps) > 1 - 1e-3
+
+
+def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_first() -> None:
+    """Of a coarse quarter of a disc nodes keep off so far that the springs begin without any force."""
+    problem = replace(aimed()[17].problem(), order=2)
+    high = Continuous(problem).solve(tighten=False)
+    assert admissible(problem).energy < high.energy - 0.05 * abs(high.energy)
