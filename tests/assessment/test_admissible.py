@@ -55,13 +55,13 @@ def deepest(found: Admissible) -> float:
 @pytest.mark.parametrize("order", ORDERS)
 @pytest.mark.parametrize(("name", "n"), [("6.1", 4), ("6.2", (6, 3)), ("6.3", (6, 3))])
 def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: object, order: int) -> None:
-    """At order 2 it is less where contact ends within an edge, as it does on Example 6.2 alone."""
+    """At order 2 it is less where contact ends within an edge, as it does on Examples 6.1 and 6.2."""
     problem = replace(EXAMPLES[name](n=n), order=order)
     exact = ContactSolver(problem.with_rule(25)).solve(problem.mesh.p)
     found = admissible(problem, start=exact.active)
     assert 0 <= found.doubt < 1e-6
-    if (name, order) == ("6.2", 2):
-        assert 1e-4 < (exact.energy - found.energy) / abs(exact.energy) < 1e-3
+    if order == 2 and name != "6.3":
+        assert 1e-5 < (exact.energy - found.energy) / abs(exact.energy) < 1e-3
     else:
         assert found.energy == pytest.approx(exact.energy, rel=1e-9)
         assert not np.any(standoff(found))
