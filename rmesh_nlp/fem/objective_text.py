@@ -90,7 +90,9 @@ def load_of(text: str, problem: ContactProblem) -> Traction:
     kind, _, rest = text.strip().partition("(")
     boundary, *expressions = _split(rest[:-1], ",")
     if kind not in ("boundary", "mean") or len(expressions) != 1 or not rest.endswith(")"):
-        raise BadInputError(f"{text!r} has no bounds: boundary(NAME, EXPR) and mean(NAME, EXPR) have")
+        raise BadInputError(
+            f"{text!r} has no bounds: mean, boundary and resultants of contact boundaries have"
+        )
     x, y, u = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("u", problem.components)
     try:
         value = ca.SX(_density(text, expressions[0], {})(x, y, u))

@@ -48,7 +48,8 @@ def certify(
     ----------
     solution : Solution
     quantities : sequence of str
-        Linear ones that are bounded as well: "mean(top, -uy)" or "boundary(top, x*ux)".
+        Linear ones that are bounded as well: "mean(top, -uy)" or "boundary(top, x*ux)". The resultants of
+        the contact boundaries, "resultant(bottom)", always are.
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
@@ -76,7 +77,9 @@ def bounded(
     problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
-    nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in quantities}
+    resultants = {name: f"resultant({name})" for name in final.contact}
+    others = (text for text in quantities if text not in resultants.values())
+    nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
     before, why = after, after.why
@@ -94,7 +97,7 @@ def bounded(
         if is_new:  # the elements of a file are those of the last mesh
             before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
     bounds = {
-        f"resultant({name})": Bounds(low, final.contact[name].normal_force, high)
+        resultants[name]: Bounds(low, final.contact[name].normal_force, high)
         for name, (low, high) in force_bounds(exact, after.lower).items()
     }
     bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}

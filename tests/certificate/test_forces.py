@@ -95,10 +95,11 @@ def solved_body(n: int, order: int, friction: float) -> Solution:
 def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: int, friction: float) -> None:
     displacements = ("mean(top, -uy)", "boundary(right, (1+y)*ux)") if friction else ()
     fine = refined(body(8, order, friction))
-    coarse, close = (certify(solved_body(n, order, friction), quantities=displacements) for n in (2, 4))
+    asked = ("resultant(bottom)", *displacements)
+    coarse, close = (certify(solved_body(n, order, friction), quantities=asked) for n in (2, 4))
     assert coarse.guaranteed_bounds
     assert close.guaranteed_bounds
-    assert set(coarse.bounds) == {"resultant(bottom)", *displacements}
+    assert set(coarse.bounds) == {*asked}
     for quantity, rough in coarse.bounds.items():
         value, better = value_of(fine, quantity), close.bounds[quantity]
         for bounds in (rough, better):
@@ -120,7 +121,7 @@ def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "quantity", ["mean(top, ux*uy)", "mean(top, uy+1)", "resultant(bottom)", "mean(middle, uy)"]
+    "quantity", ["mean(top, ux*uy)", "mean(top, uy+1)", "resultant(top)", "mean(middle, uy)"]
 )
 def test_what_is_not_linear_in_the_displacement_has_no_bounds(quantity: str) -> None:
     with pytest.raises(BadInputError, match=r"no bounds|middle"):
