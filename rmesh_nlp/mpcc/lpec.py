@@ -89,6 +89,7 @@ def steepness(jacobian: sp.csr_matrix) -> Array:
 class Direction:
     """Answer of an LPEC: the best decrease (0 or negative), whether it is proven best, and the step.
 
+    Best among the branches that were searched.
     ``zero[0, i]``: pair i keeps ``G = 0`` along the step, ``zero[1, i]``: ``H = 0``.
     """
 
@@ -98,20 +99,29 @@ class Direction:
     proven: bool = True
 
 
-def descent(lifted: Lifted, lin: Linearisation, budget: Budget | None = None) -> Direction | None:
-    """Solve the LPEC at a feasible point; None if it could not be solved within its limits."""
+def descent(
+    lifted: Lifted, lin: Linearisation, budget: Budget | None = None, signs: Array | None = None
+) -> Direction | None:
+    """Solve the LPEC at a feasible point; None if it could not be solved within its limits.
+
+    ``signs``, multipliers of the members (2, n_pairs), name one branch, and its linear program is solved
+    alone: of each biactive pair the member with the larger one is free.
+    """
     (row_lower, z_lower), (row_upper, z_upper) = (
         np.split(active, [lifted.nlp.n_g]) for active in (lin.lower, lin.upper)
     )
     lower, upper = np.where(z_lower, 0.0, -1.0), np.where(z_upper, 0.0, 1.0)
     lower[lifted.pairs[lin.zero]] = 0.0
-    upper[lifted.pairs[lin.zero & ~lin.zero[::-1]]] = 0.0
+    corner = np.all(lin.zero, axis=0)
+    kept = lin.zero & (~corner if signs is None else ~corner | on_side(signs[0] <= signs[1]))
+    upper[lifted.pairs[kept]] = 0.0
     active = np.flatnonzero(row_lower | row_upper)
     rows = LinearConstraint(
         lin.jacobian[active], np.where(row_lower[active], 0, -np.inf), np.where(row_upper[active], 0, np.inf)
     )
     members = np.zeros(lifted.nlp.n_x)
-    direction = _milp(lin.gradient, rows, lower, upper, lifted, lin.zero[0], lin.biactive, members, budget)
+    either = np.flatnonzero(corner & ~np.any(kept, axis=0))
+    direction = _milp(lin.gradient, rows, lower, upper, lifted, kept[0], either, members, budget)
     # that no descent was found is an answer only if all branches were searched
     return None if direction is None or (not direction.proven and direction.decrease >= 0) else direction
 

@@ -93,11 +93,12 @@ def stationarity(
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)
-    direction = descent(lifted, lin, budget)
-    if direction is None:
-        return Stationarity(label, multipliers)
-    flat = direction.decrease >= -tolerance * lin.scale
-    return Stationarity(label, multipliers, flat, None if flat else direction)
+    # one linear program first: most of the branches along which f falls are named by the signs
+    for signs in (None,) if multipliers is None else (multipliers.pairs, None):
+        direction = descent(lifted, lin, budget, signs)
+        if direction is not None and direction.decrease < -tolerance * lin.scale:
+            return Stationarity(label, multipliers, False, direction)
+    return Stationarity(label, multipliers, None if direction is None else True)
 
 
 class _MultiplierLP:

@@ -62,6 +62,14 @@ def test_direction_of_closed_form(name, f, changes, point, decrease, step):
 
 
 @pytest.mark.parametrize(
+    ("signs", "step"), [([[3], [1]], [1, 0]), ([[1], [3]], [0, 1]), ([[-3], [-1]], [0, 1])]
+)
+def test_signs_name_the_branch_that_is_searched_alone(signs, step):
+    found = descent(*linearised(MPCC(XY, -x - 2 * y, None, x, y), [0, 0]), signs=np.array(signs))
+    assert found.step[:2] == pytest.approx(step)
+
+
+@pytest.mark.parametrize(
     ("x_is", "status", "fun", "decided"),
     [
         (None, 2, None, False),
