@@ -66,8 +66,9 @@ class IterationCallback(PythonFunction):
 
     def eval_buffer(self, arg: list[memoryview | None], res: list[memoryview]) -> int:
         """Pass the iterate on; an argument None is zero."""
-        x, f, _, _, lam_g, _ = (
-            np.zeros(self.nnz_in(k)) if a is None else np.frombuffer(a).copy() for k, a in enumerate(arg)
+        x, f, lam_g = (
+            np.zeros(self.nnz_in(k)) if (given := arg[k]) is None else np.frombuffer(given).copy()
+            for k in (0, 1, 4)
         )
         try:
             if self._monitor is not None and self._monitor(self._iteration, x, float(f[0]), lam_g):
