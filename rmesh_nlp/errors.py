@@ -28,6 +28,12 @@ class InterruptedSolveError(Exception):
     """The user interrupted a solve; the message says what is kept."""
 
 
+def expect(name: str, value: object, kind: type, hint: str = "") -> None:
+    """Refuse what is of another kind."""
+    if not isinstance(value, kind):
+        raise BadInputError(f"{name} must be {kind.__name__}{hint}, got {one_line(repr(value))[:60]}")
+
+
 def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose from none") -> BadInputError:
     """The error for a name that is not known, with the nearest one that is, or ``otherwise`` if none is."""
     names = list(known)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.blocks import in_common_units
@@ -112,6 +112,7 @@ def compare(
     ValueError
         If a formulation does not exist, or none takes an option.
     """
+    expect("problem", problem, ContactProblem)
     if isinstance(formulations, str):
         raise BadInputError(f"formulations is a list of names, got the text {formulations!r}")
     formulations = formulations or compared(problem, options)

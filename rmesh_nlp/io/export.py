@@ -12,6 +12,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -98,6 +99,7 @@ def write_solution(solution: Solution, path: str | Path, file_format: str | None
 
     Formats without quadratic triangles get the vertices alone, with the values there.
     """
+    expect("solution", solution, Solution)
     fields = fields_of(solution)
     points, cells = fields.final.nodes, fields.triangles
     of_nodes, of_cells = fields.point_data(), cell_data(solution)

@@ -8,6 +8,7 @@ from itertools import chain, islice
 
 from numpy.typing import ArrayLike
 
+from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish, labelled, settled
 from rmesh_nlp.mpcc.homotopy import Path, follow
@@ -36,6 +37,7 @@ class MPCCSolver:
     """
 
     def __init__(self, mpcc: MPCC, options: Options | None = None, **changes: object) -> None:
+        expect("mpcc", mpcc, MPCC)
         self.mpcc = mpcc
         self.options = (options or Options()).having(changes)
         self.nlps = CompiledNLPs(mpcc, self.options)

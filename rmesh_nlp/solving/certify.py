@@ -17,7 +17,7 @@ from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.errors import one_line
+from rmesh_nlp.errors import expect, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -64,6 +64,7 @@ def certify(
     BadInputError
         If a quantity is not linear in the displacement.
     """
+    expect("solution", solution, Solution)
     return bounded(solution.assessment, quantities, refinements)
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import expect
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits, timed
@@ -86,10 +86,7 @@ def solve(
     BadInputError
         If there is no such formulation, or it does not take the problem or an option.
     """
-    if not isinstance(problem, ContactProblem):
-        raise BadInputError(
-            f"problem must be a ContactProblem, which read_problem makes of a file, got {problem!r}"
-        )
+    expect("problem", problem, ContactProblem, ", which read_problem makes of a file")
     Keywords(tolerance, seed)
     monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
     asked = composed(formulation, settings)

@@ -8,6 +8,7 @@ import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, Shown
+from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -100,6 +101,7 @@ def verify_gradient(
     ValueError
         If the objective is unknown or does not suit the problem, or no node may move.
     """
+    expect("problem", problem, ContactProblem)
     outer = Outer.of(problem, objective)
     function, n = outer.function, outer.n
     if n == 0:

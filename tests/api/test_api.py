@@ -160,8 +160,12 @@ def test_a_text_is_no_list_of_formulations() -> None:
     [
         (
             lambda: rm.solve("my.toml"),
-            "problem must be a ContactProblem, which read_problem makes of a file, got",
+            "problem must be ContactProblem, which read_problem makes of a file, got",
         ),
+        (lambda: rm.compare(None), "problem must be ContactProblem, got None"),
+        (lambda: rm.certify(rm.EXAMPLES["6.1"](n=3)), "solution must be Solution, got "),
+        (lambda: rm.write_solution({}, "solution.vtu"), "solution must be Solution, got {}"),
+        (lambda: rm.solve_mpcc({"x": 1}, [0]), "mpcc must be MPCC, got {'x': 1}"),
         (
             lambda: rm.solve(rm.EXAMPLES["6.1"](n=3), objective=5),
             "objective must be a text or an Objective, got 5",
