@@ -83,7 +83,9 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
             for record, fields in moved
             if record["objective"] == objective
         ]
-        if (bodies or not moved) and (stresses := contact_figure([*given, *bodies], page, units)) is not None:
+        if (bodies or (given and not moved)) and (
+            stresses := contact_figure([*given, *bodies], page, units)
+        ) is not None:
             yield f"{name}-stress", stresses
     for objective, what, figure in progress_figures(block, results, page):
         yield f"{stem if objective == 'energy' else f'{stem}-{objective}'}-{what}", figure

@@ -85,6 +85,8 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
     said = rmesh("check block.toml")
     assert said.code == 2
     assert "the load does not press it on them" in said.err
+    rows = rmesh("compare block.toml --formulations fixed --out c")
+    assert (rows.code, rows.out.count("| refused |")) == (1, 3)  # and no picture of anything
 
 
 @pytest.mark.parametrize("command", ["check", "solve"])
