@@ -50,33 +50,32 @@ def of(*names: str) -> tuple[Column, ...]:
     return tuple(Column(entry.heading, entry.name, entry.digits) for entry in entries)
 
 
+RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length")
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 
-def by_boundary(record: Record) -> Record:
-    """Results of each of several contact boundaries on the final mesh, by headings; none of a single one."""
+def of_boundaries(records: Sequence[Record]) -> list[Record]:
+    """A row for each of several contact boundaries, with its results on the final mesh."""
+    return [
+        {
+            **record,
+            **{"boundary": name, "contact": None},
+            **{result: results.get(result, {}).get("relocated") for result in RESULTS},
+        }
+        for record in records
+        for name, results in _several(record).items()
+    ]
+
+
+def _several(record: Record) -> Record:
     contact = record.get("contact") or {}
-    return {
-        f"{name.replace('_', ' ')} ({boundary})": values.get("relocated")
-        for boundary, results in contact.items()
-        for name, values in results.items()
-        if len(contact) > 1
-    }
-
-
-def contact_columns(records: Sequence[Record]) -> list[Column]:
-    """A column for each of them."""
-    names = dict.fromkeys(name for record in records for name in by_boundary(record))
-    return [Column(name.replace(" ", "|"), name, ".4g") for name in names]
+    return contact if len(contact) > 1 else {}
 
 
 def cells(columns: Sequence[Column], records: Sequence[Record]) -> list[list[str]]:
-    """A row for each record; of several contact boundaries each has its results, and none is of all."""
-    return [
-        [column.cell({**record, **dict.fromkeys(each and OF_ALL), **each}) for column in columns]
-        for record in records
-        for each in (by_boundary(record),)
-    ]
+    """A row for each record; of several contact boundaries none has what is of all."""
+    rows = [{**record, **dict.fromkeys(OF_ALL if _several(record) else ())} for record in records]
+    return [[column.cell(row) for column in columns] for row in rows]
 
 
 def table_of(columns: Sequence[Column], groups: Groups, **options: Any) -> Table:
@@ -204,6 +203,11 @@ LABELS = (
     "Label: the stationarity that was computed; S (KKT) is S-stationarity without a biactive pair, that is, "
     "a KKT point. Biactive: pairs of gap and contact force that both vanish."
 )
+CONTACT = (
+    FORMULATION,
+    Column("boundary", "boundary"),
+    *(Column(name.replace("_", "|"), name, ".4g") for name in RESULTS),
+)
 MAIN = Kind(
     "",
     (
@@ -241,9 +245,9 @@ KINDS = (
     ),
     Kind(
         "Contact boundaries",
-        (),
+        CONTACT,
         "Results of each contact boundary on the relocated mesh.",
-        lambda block: any(map(by_boundary, block.records)),
+        lambda block: any(map(_several, block.records)),
         is_detail=False,
     ),
     Kind(
@@ -345,6 +349,8 @@ KINDS = (
 
 def body(columns: Sequence[Column], block: Block) -> list[list[str]]:
     """The rows of a block, those of the paper first where its settings were used."""
+    if columns is CONTACT:
+        return cells(columns, of_boundaries(block.records))
     return cells(columns, [*(_of_paper(block) if columns is ENERGIES else ()), *block.records])
 
 

@@ -34,7 +34,7 @@ from rmesh_nlp.report.blocks import (
     variants_of,
     with_order,
 )
-from rmesh_nlp.report.columns import KINDS, Column, cells, contact_columns, of, table_of
+from rmesh_nlp.report.columns import CONTACT, KINDS, Column, cells, of, of_boundaries, table_of
 from rmesh_nlp.report.curves import profile_figure
 from rmesh_nlp.report.figures import progress_figures
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
@@ -85,7 +85,12 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results)]
         convergence, not_drawn = _convergence(results)
     meshes, meshes_left = _meshes(results)
-    printed = [column for kind in KINDS if not kind.is_detail for column in kind.columns[1:]]
+    printed = [
+        column
+        for kind in KINDS
+        if not kind.is_detail and kind.columns is not CONTACT
+        for column in kind.columns[1:]
+    ]
     others = [column for kind in KINDS if kind.is_detail for column in kind.columns[1:]]
     others = [column for column in (*of("unknowns"), *others) if column not in printed]
     comparable = [_without_energies(record) for record in records]
@@ -101,9 +106,8 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
-        solves=_solves(
-            comparable, [*printed, *_design_columns(records), *contact_columns(records)], failed={*failed}
-        ),
+        solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
+        boundaries=_solves(of_boundaries(records), CONTACT[1:], texts=4),
         more=_solves(comparable, others, failed={*failed}),
         failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
         remarks=[

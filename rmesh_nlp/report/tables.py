@@ -13,7 +13,7 @@ from rmesh_nlp.io.folder import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, order_of
-from rmesh_nlp.report.columns import FORMULATION, KINDS, MAIN, body, by_boundary, contact_columns, table_of
+from rmesh_nlp.report.columns import KINDS, MAIN, RESULTS, body, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
 from rmesh_nlp.report.notes import block_notes, main_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import is_study, median_table, study_notes, summary_table
@@ -42,10 +42,9 @@ def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
         wanted = {title: block for title, block in sections.items() if kind.is_wanted(block)}
         if not wanted:
             continue
-        columns = kind.columns or (FORMULATION, *contact_columns(records))
         table = table_of(
-            columns,
-            [(title, body(columns, block)) for title, block in wanted.items()],
+            kind.columns,
+            [(title, body(kind.columns, block)) for title, block in wanted.items()],
             title=kind.title,
             caption=kind.caption,
             notes=units if kind.is_detail else [*units, *early],
@@ -106,9 +105,9 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
         paper = block.paper
         for record in block.records:
             row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
-            row |= by_boundary(record) | {
-                DESIGN + name: value for name, value in (record.get("design") or {}).items()
-            }
+            row |= {DESIGN + name: value for name, value in (record.get("design") or {}).items()}
+            for own in of_boundaries([record]):
+                row |= {f"{name.replace('_', ' ')} ({own['boundary']})": own[name] for name in RESULTS}
             for text, one in (record.get("constraints") or {}).items():
                 row[f"constraint.{text}"] = one.get("value")
             row["order"] = order_of(record)
