@@ -15,7 +15,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
-from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
@@ -55,11 +55,11 @@ def is_below(f: float, other: float) -> bool:
     return f < other - _DECREASE * (1 + abs(other))
 
 
-def finish(run: Run, z: Array, *, search: bool, warm: NLPResult | None = None) -> Finish:
+def finish(run: Run, z: Array, *, search: bool, warm: Warm = None) -> Finish:
     """Make the pairs of a relaxed point exact and descend to a stationary branch.
 
     ``search`` looks for another branch if the one next to the point is infeasible, from the multipliers
-    ``warm`` of the lifted problem at ``z`` on.
+    ``warm`` at ``z`` on.
     """
     zero = run.lifted.smaller(z)
     result = _by_signs(run, z, zero, warm) if search else None
@@ -107,7 +107,7 @@ def pivot(run: Run, point: Finish) -> Finish:
     return replace(point, status=Status.ITERATION_LIMIT)
 
 
-def _by_signs(run: Run, z: Array, zero: Mask, warm: NLPResult | None) -> NLPResult | None:
+def _by_signs(run: Run, z: Array, zero: Mask, warm: Warm) -> NLPResult | None:
     """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
 
     The branch next to ``z`` if none is. Where the pairs determine the rest (a lower level with one solution)

@@ -10,7 +10,7 @@ import numpy as np
 from rmesh_nlp.evaluation import ROUNDING, Array, Mask, is_finite
 from rmesh_nlp.mpcc.finish import Finish, finish, proved
 from rmesh_nlp.mpcc.result import is_same
-from rmesh_nlp.mpcc.run import Run
+from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
@@ -59,21 +59,20 @@ def follow(
     path: Path,
     z0: Array,
     t0: float,
-    first: NLPResult | None = None,
+    first: Warm = None,
     former: Sequence[Mapping[float, float]] = (),
     dependent: bool = False,
 ) -> None:
     """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
 
     Where the pairs cost nothing at ``t0``, to first order, they hold nothing up, and the next step is the
-    last. Where a step fails, the finish begins at the one before. ``first`` holds multipliers of the lifted
-    problem for the first step, ``former`` the levels of trajectories that this one may join; ``dependent``
+    last. Where a step fails, the finish begins at the one before. ``first`` are multipliers for the
+    first step, ``former`` the levels of trajectories that this one may join; ``dependent``
     relaxations reckon with equations that follow from each other.
     """
     options = run.options
     t, t_final = t0, options.t_final
-    warm = None if first is None else run.padded(first)
-    z, is_first, clear = z0, True, None
+    z, warm, lam, is_first = z0, first, None, True
     sides: Mask | None = None
     while True:
         result = run.relaxed(z, t, warm, first=is_first, dependent=dependent)
@@ -87,24 +86,24 @@ def follow(
         if path.joined is not None:
             return
         if t == t0 and run.cost(result, t) <= _FREE * abs(objective):
-            last = run.relaxed(result.x, t_final, result, last=True)
+            last = run.relaxed(result.x, t_final, (result.lam_x, result.lam_g), last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last
                 t = t_final
         before, sides = sides, run.lifted.smaller(result.x)
-        clear = run.without_relaxation(result, t)
+        lam = result.lam_x, result.lam_g
         if run.exact(result.x) or t <= t_final:
             break
         is_settled = before is not None and _settled(before, sides)
         if is_settled and t <= options.crossover * (1 + ROUNDING):
-            near = proved(run, run.branch(result.x, sides, warm=clear))
+            near = proved(run, run.branch(result.x, sides, warm=lam))
             if near.solved and path.keep(near) and _at_the_limit(near.f, objective):
                 return
-        z, is_first, warm = result.x, False, result if options.warm_duals else None
+        z, is_first, warm = result.x, False, lam if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)
     z = path.relaxed.x
     if is_finite(z) and (path.finish is None or path.failure is None):
-        path.keep(finish(run, z, search=clear is not None, warm=clear))
+        path.keep(finish(run, z, search=lam is not None, warm=lam))
 
 
 def _next(t: float, factor: float, product: float, t_final: float) -> float:

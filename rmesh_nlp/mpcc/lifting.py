@@ -19,8 +19,6 @@ from rmesh_nlp.evaluation import Array, Block, Evaluator, Index, Mask, magnitude
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
-from rmesh_nlp.optimize.solver import NLPResult
-from rmesh_nlp.optimize.status import Status
 
 _DENSE = 0.1  # part of the entries of a Jacobian that are not zero, from which on it counts as dense
 
@@ -151,8 +149,8 @@ def lift(mpcc: MPCC) -> Lifted:
     )  # fmt: skip
 
 
-def warm_start(lifted: Lifted, z0: Array, weight: float, duals: MPCCResult | Duals) -> NLPResult:
-    """A point and multipliers of the source problem as a start of the lifted one.
+def warm_start(lifted: Lifted, weight: float, duals: MPCCResult | Duals) -> tuple[Array, Array]:
+    """Multipliers of the source problem as those of the unknowns and rows of the lifted one.
 
     A slack ``s = G_i(x)`` inherits the multiplier of its pair; of a member that is itself an unknown the
     multipliers of its bound and of its pair add up. NaN counts as zero.
@@ -162,10 +160,7 @@ def warm_start(lifted: Lifted, z0: Array, weight: float, duals: MPCCResult | Dua
     lam_z = np.zeros(lifted.nlp.n_x)
     lam_z[: source.n_x] = weight * np.nan_to_num(duals.lam_x)
     np.add.at(lam_z, lifted.pairs.ravel(), column[source.n_g :])
-    return NLPResult(
-        x=z0, f=0.0, g=np.zeros(lifted.nlp.n_g), lam_x=lam_z, lam_g=column[lifted.rows],
-        status=Status.CONVERGED, iterations=0, history={}, seconds=0.0,
-    )  # fmt: skip
+    return lam_z, column[lifted.rows]
 
 
 def automatic_derivatives(x: Symbolic, p: Symbolic, f: Symbolic, g: Symbolic) -> Derivatives:

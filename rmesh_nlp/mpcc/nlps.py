@@ -8,7 +8,6 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.mpcc.lifting import Lifted, lift
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
@@ -34,7 +33,7 @@ class CompiledNLPs:
         self.build_seconds = watch.elapsed
 
     @cached_property
-    def relaxed(self) -> tuple[NLP, Evaluator]:
+    def relaxed(self) -> tuple[NLP, ca.Function]:
         """See :func:`relaxed_nlp`."""
         return relaxed_nlp(self.lifted, self.options.relaxation)
 
@@ -63,25 +62,20 @@ class CompiledNLPs:
         return self._solvers[key]
 
 
-def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, Evaluator]:
-    """The lifted NLP with the rows and the penalty of a relaxation, t the last parameter; and its pull.
+def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, ca.Function]:
+    """The lifted NLP with the rows and the penalty of a relaxation, t the last parameter; and its slope in t.
 
-    The pull is ``(a, b, t, lam) -> (force on a, force on b, slope in t)``, the gradient of ``penalty + lam^T
-    rows``.
+    That is ``(z, t, lam) ->`` the derivative of ``penalty + lam^T rows``.
     """
     nlp, relax = lifted.nlp, relaxation(name)
     t = ca.MX.sym("t")
     # one unknown taken at no place is a row of none, and rows of none do not join columns
     a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in lifted.pairs)
     relaxed = relax(a, b, t)
-    n_rows = relaxed.rows.shape[0]
+    lam = ca.MX.sym("lam", relaxed.rows.shape[0])
+    slope = ca.gradient(relaxed.penalty + ca.dot(lam, relaxed.rows), t)
     if not relaxed.signs:
         slacks = np.full(nlp.n_x - lifted.source.n_x, -np.inf)
         nlp = replace(nlp, lbx=np.append(lifted.source.lbx, slacks))
-    nlp = nlp.extended(p=t, f=relaxed.penalty, g=relaxed.rows, ubg=0)
-    a, b = (ca.MX.sym(name, lifted.source.n_pairs) for name in "ab")
-    s, lam = ca.MX.sym("s"), ca.MX.sym("lam", n_rows)
-    parts = relax(a, b, s)
-    total = ca.MX(parts.penalty + (ca.dot(lam, parts.rows) if n_rows else 0))
-    forces = [ca.densify(ca.gradient(total, part)) for part in (a, b, s)]
-    return nlp, Evaluator(ca.Function("pull", [a, b, s, lam], forces))
+    longer = nlp.extended(p=t, f=relaxed.penalty, g=relaxed.rows, ubg=0)
+    return longer, ca.Function("slope", [nlp.x, t, lam], [slope])

@@ -19,6 +19,8 @@ from rmesh_nlp.optimize.status import Status
 
 Watchers = tuple[Callable[[str], None] | None, Callable[[Iterate], None] | None]
 """Who is told of lines, one per NLP, and of iterations."""
+Warm = tuple[Array, Array] | None
+"""Multipliers to start from: of the unknowns, and of the rows, those of the problem first."""
 
 
 class Run:
@@ -72,14 +74,11 @@ class Run:
         except StoppedError as stop:
             self.limit = stop.status
 
-    def relaxed(self, z: Array, t: float, warm: NLPResult | None = None, **how: bool) -> NLPResult:
-        """Solve the relaxation at ``t`` from ``z``, and from the multipliers of ``warm``.
-
-        The words of ``how`` are those of :meth:`Options.relaxed`.
-        """
+    def relaxed(self, z: Array, t: float, warm: Warm = None, **how: bool) -> NLPResult:
+        """Solve the relaxation at ``t`` from ``z``; ``how`` as :meth:`Options.relaxed`."""
         nlp, _ = self.nlps.relaxed
         solver = self.nlps.solver(nlp, self.options.relaxed(nlp.n_x, warm is not None, **how))
-        return self.solve("relaxed", t, solver, z, p=np.append(self.p, t), **_multipliers(warm))
+        return self.solve("relaxed", t, solver, z, warm, p=np.append(self.p, t))
 
     def branch(
         self,
@@ -88,16 +87,16 @@ class Run:
         *,
         phase: str = "branch",
         free_signs: bool = False,
-        warm: NLPResult | None = None,
+        warm: Warm = None,
     ) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``.
 
-        ``free_signs`` lets the other members be negative; ``warm`` has multipliers of the lifted NLP.
+        ``free_signs`` lets the other members be negative.
         """
         nlp, (lower, upper) = self.lifted.nlp, self._bounds(zero, free_signs)
         solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x, warm is not None))
         start = np.clip(z, lower, upper)
-        return self.solve(phase, 0.0, solver, start, p=self.p, lbx=lower, ubx=upper, **_multipliers(warm))
+        return self.solve(phase, 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
 
     def least_violation(self, z: Array, zero: Mask) -> NLPResult:
         """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
@@ -109,9 +108,9 @@ class Run:
         rows, _ = self.lifted.jacobian(z, self.p)
         apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
         start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
-        solver, others = self.nlps.solver(nlp, self.options.exact(nlp.n_x)), np.zeros(2 * nlp.n_g)
-        bounds = {"lbx": np.append(lower, others), "ubx": np.append(upper, others + np.inf)}
-        return self.solve("feasible", 0.0, solver, start, p=self.p, **bounds)
+        lower, upper = np.append(lower, nlp.lbx[z.size :]), np.append(upper, nlp.ubx[z.size :])
+        solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x))
+        return self.solve("feasible", 0.0, solver, start, p=self.p, lbx=lower, ubx=upper)
 
     def _bounds(self, zero: Mask, free_signs: bool = False) -> tuple[Array, Array]:
         """Bounds of the lifted unknowns with the given members at zero."""
@@ -122,10 +121,15 @@ class Run:
         lower[fixed] = upper[fixed] = 0.0
         return lower, upper
 
-    def solve(self, phase: str, t: float, solver: Solver, z: Array, **arguments: Array) -> NLPResult:
+    def solve(
+        self, phase: str, t: float, solver: Solver, z: Array, warm: Warm = None, **arguments: Array
+    ) -> NLPResult:
         """Solve an NLP within the limits, watched and recorded; idle unknowns of the solver are left out."""
         self.budget.check()
         before, n, idle = self.budget.iterations, self.lifted.nlp.n_x, np.zeros(solver.nlp.n_x - z.size)
+        if warm is not None:  # rows that only one of two NLPs has come last
+            n_g = solver.nlp.n_g
+            arguments |= {"lam_x0": warm[0], "lam_g0": np.append(warm[1], np.zeros(n_g))[:n_g]}
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], idle + fill)
@@ -198,26 +202,10 @@ class Run:
         )
         return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
 
-    def without_relaxation(self, result: NLPResult, t: float) -> NLPResult:
-        """The same point; what the relaxation exerts on a member becomes the multiplier of its bound."""
-        lifted, n_rows = self.lifted, self.lifted.nlp.n_g
-        _, pull = self.nlps.relaxed
-        lam = result.lam_x.copy()
-        *forces, _ = pull(*result.x[lifted.pairs], t, result.lam_g[n_rows:])
-        np.add.at(lam, lifted.pairs, np.array(forces))
-        return replace(result, lam_x=lam, lam_g=result.lam_g[:n_rows], g=result.g[:n_rows])
-
     def cost(self, result: NLPResult, t: float) -> float:
         """What the objective would change by if t fell to zero, to first order."""
-        _, pull = self.nlps.relaxed
-        *_, slope = pull(*result.x[self.lifted.pairs], t, result.lam_g[self.lifted.nlp.n_g :])
-        return t * abs(float(slope[0]))
-
-    def padded(self, result: NLPResult) -> NLPResult:
-        """Multipliers of the lifted NLP as a start of the relaxation: its own rows get zero."""
-        n_rows = self.lifted.nlp.n_g
-        extra = self.nlps.relaxed[0].n_g - n_rows
-        return replace(result, lam_g=np.append(result.lam_g[:n_rows], np.zeros(extra)))
+        _, slope = self.nlps.relaxed
+        return t * abs(float(slope(result.x, t, result.lam_g[self.lifted.nlp.n_g :])))
 
     @property
     def iterations(self) -> int:
@@ -243,7 +231,3 @@ class Run:
         near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
         biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
         return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **vars(res)}
-
-
-def _multipliers(warm: NLPResult | None) -> dict[str, Array]:
-    return {} if warm is None else {"lam_x0": warm.lam_x, "lam_g0": warm.lam_g}

@@ -78,7 +78,7 @@ class MPCCSolver:
         """Solve from one start; also the trajectory of the homotopy, which may have joined a former one."""
         lifted, paths, main = self.nlps.lifted, list[Path](), Path()
         z0 = lifted.start(given, run.p[:-1])
-        first = None if start is None else warm_start(lifted, z0, run.p[-1], start)
+        first = None if start is None else warm_start(lifted, run.p[-1], start)
         with run.limited():
             if first is not None:
                 paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))

@@ -10,7 +10,7 @@ from rmesh_nlp.mpcc.nlps import relaxed_nlp
 from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import excess, residuals
 from support.derivatives import assert_derivatives_are_casadis
-from support.scripted_run import ON_G, ON_H, START, XY, XYW, ended, run_of, two_minima, w, x, y
+from support.scripted_run import ON_G, ON_H, START, XY, XYW, run_of, two_minima, w, x, y
 
 p = ca.SX.sym("p")
 NONE, INF = np.zeros(0), np.inf
@@ -65,13 +65,12 @@ def test_known_multipliers_are_put_on_rows_bounds_and_members():
     """Pair (x, 2 y): that of x joins its bound, that of 2 y its slack and its row; NaN counts as zero."""
     lifted = lift(MPCC(XYW, x, w, x, 2 * y))
     known = Duals(np.array([1.0, np.nan, 3.0]), np.array([5.0]), np.array([7.0]), np.array([11.0]))
-    warm = warm_start(lifted, np.ones(4), 2.0, known)
-    assert list(warm.lam_x) == [2 * (1 + 7), 0, 6, 2 * 11]
-    assert list(warm.lam_g) == [10, 22]
-    assert warm.converged
+    of_unknowns, of_rows = warm_start(lifted, 2.0, known)
+    assert list(of_unknowns) == [2 * (1 + 7), 0, 6, 2 * 11]
+    assert list(of_rows) == [10, 22]
     twice = lift(MPCC(XYW, x, None, ca.vertcat(x, x), ca.vertcat(y, w)))
     known = Duals(np.zeros(3), NONE, np.array([1.0, 2.0]), np.zeros(2))
-    assert list(warm_start(twice, np.ones(3), 1.0, known).lam_x) == [3, 0, 0]
+    assert list(warm_start(twice, 1.0, known)[0]) == [3, 0, 0]
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])
@@ -225,7 +224,7 @@ def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     """One equation three times on one free unknown, from the relaxed multipliers too."""
     g = ca.vertcat(y - 1, 2 * y - 2, 3 * y - 3)
     own = compiled(MPCC(XY, scale * (x + y), g, x, y, lbg=0, ubg=0))
-    result = own.branch(np.array([0.0, 0.5]), ON_G, warm=ended([0, 0.5], lam_g=np.zeros(3)))
+    result = own.branch(np.array([0.0, 0.5]), ON_G, warm=(np.zeros(2), np.zeros(3)))
     assert result.x == pytest.approx([0, 1], abs=1e-7)
     assert (result.x.size, result.lam_x.size, result.f) == (2, 2, pytest.approx(scale))
     assert solve(MPCC(XY, x, g, x, y, lbg=0, ubg=0), 0.5).success
