@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Block, Evaluator, Index, Mask, magnitude, numbered
+from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, magnitude
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
@@ -70,10 +70,6 @@ class Lifted:
         """The smaller member of each pair, of equal ones the first."""
         return on_side(z[self.pairs[0]] <= z[self.pairs[1]])
 
-    @cached_property
-    def _rows(self) -> Block:
-        return Block(numbered(self.jacobian.function.sparsity_out(1)), slice(None), slice(None))
-
     def curvature(self, z: Array, p: Array, lam_rows: Array) -> Array:
         """Hessian of the Lagrangian, dense, where the source problem has one."""
         assert self.nlp.derivatives is not None
@@ -106,7 +102,7 @@ class Lifted:
         """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
         f, gradient = self.value(z, p)
         rows, nonzeros = self.jacobian(z, p)
-        return float(f[0]), gradient, rows, sp.csr_matrix(self._rows(nonzeros))
+        return float(f[0]), gradient, rows, sp.csr_matrix((nonzeros, self.pattern), (rows.size, z.size))
 
 
 def on_side(first: Mask) -> Mask:

@@ -22,7 +22,6 @@ from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.relaxations import relaxation
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.callbacks import PythonFunction
@@ -184,7 +183,6 @@ def mpccsol(
     ValueError
         If the relaxation, a key of the problem or an option is unknown.
     """
-    relaxation(plugin)
     for key in problem:
         if key not in _KEYS:
             raise unknown("key", key, _KEYS)

@@ -11,7 +11,7 @@ import numpy as np
 from rmesh_nlp.mpcc.lifting import Lifted, lift
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
-from rmesh_nlp.mpcc.relaxations import relaxation
+from rmesh_nlp.mpcc.relaxations import RELAXATIONS
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import PluginOptions, Solver
@@ -28,7 +28,6 @@ class CompiledNLPs:
         watch = Budget()
         self.options = options
         self.lifted = lift(mpcc)
-        relaxation(options.relaxation)  # an unknown name is an error now, not at the first solve
         self._solvers: dict[tuple[object, ...], Solver] = {}
         self.build_seconds = watch.elapsed
 
@@ -67,11 +66,10 @@ def relaxed_nlp(lifted: Lifted, name: str) -> tuple[NLP, ca.Function]:
 
     That is ``(z, t, lam) ->`` the derivative of ``penalty + lam^T rows``.
     """
-    nlp, relax = lifted.nlp, relaxation(name)
-    t = ca.MX.sym("t")
+    nlp, t = lifted.nlp, ca.MX.sym("t")
     # one unknown taken at no place is a row of none, and rows of none do not join columns
     a, b = (ca.reshape(nlp.x[places.tolist()], -1, 1) for places in lifted.pairs)
-    relaxed = relax(a, b, t)
+    relaxed = RELAXATIONS[name](a, b, t)
     lam = ca.MX.sym("lam", relaxed.rows.shape[0])
     slope = ca.gradient(relaxed.penalty + ca.dot(lam, relaxed.rows), t)
     if not relaxed.signs:

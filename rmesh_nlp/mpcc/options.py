@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from rmesh_nlp.errors import unknown
+from rmesh_nlp.mpcc.relaxations import RELAXATIONS
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP, ZERO
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.solver import PluginOptions
@@ -98,6 +100,8 @@ class Options(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if self.relaxation not in RELAXATIONS:
+            raise unknown("relaxation", self.relaxation, RELAXATIONS)
         if self.t_final > self.t0:
             raise ValueError(f"t_final = {self.t_final} lies above t0 = {self.t0}")
 

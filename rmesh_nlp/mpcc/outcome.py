@@ -17,7 +17,7 @@ from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
-_SADDLES, _LENGTHS = 4, (0.1, 1e-2, 1e-3)  # saddles left, by steps of these lengths, relative
+_SADDLES, _LENGTH = 4, 0.1  # saddles that are left, and the length of a step from one, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 _UNTOLD = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
 """What a path may have ended with that says no more than that it was not at a solution."""
@@ -35,21 +35,13 @@ def leave_saddles(run: Run, paths: list[Path]) -> None:
         if end is None or not end.solved:
             return
         run.curvature, d = descent_of_curvature(run, end)
-        lower = None if d is None else _beyond(run, end, d)
-        if lower is None:
+        if d is None:
+            return
+        z = end.z + _LENGTH * (1.0 + magnitude(end.z)) / magnitude(d) * d
+        lower = finish(run, np.clip(z, run.lifted.nlp.lbx, run.lifted.nlp.ubx), search=False)
+        if not (lower.solved and is_below(lower.f, end.f)):
             return
         paths.append(Path(finish=lower))
-
-
-def _beyond(run: Run, saddle: Finish, d: Array) -> Finish | None:
-    """A stationary point lower than a saddle, from steps along a direction of negative curvature."""
-    nlp, size = run.lifted.nlp, 1.0 + magnitude(saddle.z)
-    for length in _LENGTHS:
-        z = np.clip(saddle.z + length * size / magnitude(d) * d, nlp.lbx, nlp.ubx)
-        end = finish(run, z, search=False)
-        if end.solved and is_below(end.f, saddle.f):
-            return end
-    return None
 
 
 def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
@@ -102,7 +94,7 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
         message=f"{status.message} {where}".strip(), lower_level=check, curvature=run.curvature,
-        **vars(res),
+        **res,
         stationarity="" if stationarity is None else stationarity.label,
         b_stationary=None if stationarity is None else stationarity.b_stationary,
         lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,

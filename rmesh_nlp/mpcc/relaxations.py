@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import casadi as ca
 
@@ -27,10 +26,6 @@ class Relaxation:
     rows: Symbolic
     penalty: Symbolic | float = 0.0
     signs: bool = True
-
-
-Relax: TypeAlias = Callable[[Symbolic, Symbolic, Symbolic], Relaxation]
-"""``(a, b, t) -> Relaxation``."""
 
 
 def scholtes(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
@@ -99,7 +94,7 @@ def l1_penalty(a: Symbolic, b: Symbolic, t: Symbolic) -> Relaxation:
     return Relaxation(type(a).zeros(0, 1), ca.dot(a, b) / ca.sqrt(t))
 
 
-RELAXATIONS: Mapping[str, Relax] = {
+RELAXATIONS: Mapping[str, Callable[[Symbolic, Symbolic, Symbolic], Relaxation]] = {
     "scholtes": scholtes,
     "lin-fukushima": lin_fukushima,
     "steffensen-ulbrich": steffensen_ulbrich,
@@ -107,11 +102,3 @@ RELAXATIONS: Mapping[str, Relax] = {
     "fischer-burmeister": fischer_burmeister,
     "l1-penalty": l1_penalty,
 }
-
-
-def relaxation(name: str) -> Relax:
-    """Return the relaxation of that name; raises ValueError with the names there are."""
-    try:
-        return RELAXATIONS[name]
-    except KeyError:
-        raise ValueError(f"unknown relaxation {name!r}; there are {', '.join(RELAXATIONS)}") from None

@@ -87,24 +87,14 @@ class Iterate(Measured):
     x: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Residuals:
-    """Residuals of the source problem at a point, measured and not taken from a solver."""
-
-    constraint_violation: float
-    complementarity: float
-    product: float
-
-
-def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> Residuals:
-    """Largest violation of bounds, of g and of the signs of G and H; and how far the pairs are from zero."""
-    violation = max(
-        excess(x, mpcc.lbx, mpcc.ubx),
-        excess(g, mpcc.lbg, mpcc.ubg),
-        excess(np.append(G, H), 0.0, np.inf),
-    )
-    smaller = np.minimum(np.abs(G), np.abs(H))
-    return Residuals(violation, float(np.max(smaller, initial=0.0)), magnitude(G * H))
+def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> dict[str, float]:
+    """The fields of ``MPCCResult`` that say how far a point is from a solution."""
+    signs = excess(np.append(G, H), 0.0, np.inf)
+    return {
+        "constraint_violation": max(excess(x, mpcc.lbx, mpcc.ubx), excess(g, mpcc.lbg, mpcc.ubg), signs),
+        "complementarity": magnitude(np.minimum(np.abs(G), np.abs(H))),
+        "product": magnitude(G * H),
+    }
 
 
 def excess(value: Array, lower: Array | float, upper: Array | float) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.result import Iterate, Residuals, Step, excess, residuals
+from rmesh_nlp.mpcc.result import Iterate, Step, excess, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -167,7 +167,7 @@ class Run:
         """Weighted objective at a lifted point, as in a ``Finish``."""
         return float(self.lifted.value(z, self.p)[0][0])
 
-    def measure(self, z: Array) -> tuple[float, Residuals, tuple[Array, Array, Array]]:
+    def measure(self, z: Array) -> tuple[float, dict[str, Any], tuple[Array, Array, Array]]:
         """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
         source = self.lifted.source
         x = z[: source.n_x]
@@ -230,4 +230,4 @@ class Run:
         f, res, (_, G, H) = self.measure(z)
         near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
         biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
-        return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **vars(res)}
+        return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **res}
