@@ -58,20 +58,19 @@ def follow(
     run: Run,
     path: Path,
     z0: Array,
-    t0: float,
     first: Warm = None,
     former: Sequence[Mapping[float, float]] = (),
     dependent: bool = False,
 ) -> None:
-    """Follow the relaxed solutions from ``t0`` to ``t_final``, finish exactly, keep all in ``path``.
+    """Follow the relaxed solutions from t0 to t_final, finish exactly, keep all in ``path``.
 
-    Where the pairs cost nothing at ``t0``, to first order, they hold nothing up, and the next step is the
+    Where the pairs cost nothing at t0, to first order, they hold nothing up, and the next step is the
     last. Where a step fails, the finish begins at the one before. ``first`` are multipliers for the
     first step, ``former`` the levels of trajectories that this one may join; ``dependent``
     relaxations reckon with equations that follow from each other.
     """
     options = run.options
-    t, t_final = t0, options.t_final
+    t, t_final = options.t0, options.t_final
     z, warm, lam, is_first = z0, first, None, True
     sides: Mask | None = None
     while True:
@@ -85,7 +84,7 @@ def follow(
         path.joined = next(matches, None)
         if path.joined is not None:
             return
-        if t == t0 and run.cost(result, t) <= _FREE * abs(objective):
+        if t == options.t0 and run.cost(result, t) <= _FREE * abs(objective):
             last = run.relaxed(result.x, t_final, (result.lam_x, result.lam_g), last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last

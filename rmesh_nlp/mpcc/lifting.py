@@ -205,23 +205,17 @@ def _derivatives_of(function: ca.Function, kind: type[Symbolic]) -> Derivatives:
 def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> Index:
     """For each row of (G, H) the unknown it equals, or -1.
 
-    A row equals ``x_j`` if its Jacobian has the single structural entry j, with value 1 at two random
-    points, and its value is x_j there: asked numerically, so that it works for any oracle.
+    A row equals ``x_j`` if its Jacobian has the single structural entry j, with value 1 at a random point and
+    at its negative, and its value is x_j there: asked numerically, so that it works for any oracle.
     """
     sparsity = derivatives.jac_g.sparsity_out(1)
-    n_rows = sparsity.size1()
-    plain = np.full(n_rows, -1, dtype=np.int64)
     row_of, column_of = (np.asarray(part, dtype=np.int64) for part in sparsity.get_triplet())
-    if n_rows == n_g or row_of.size == 0:
-        return plain[n_g:]
-    entry = np.zeros(n_rows, dtype=np.int64)
-    entry[row_of] = np.arange(row_of.size)
-    unknown = column_of[entry]
-    candidate = np.bincount(row_of, minlength=n_rows) == 1
+    is_plain = np.bincount(row_of, minlength=1)[row_of] == 1
     jacobian, random = Evaluator(derivatives.jac_g), np.random.default_rng(0)
-    for _ in range(2):
-        x = random.uniform(0.3, 1.3, n_x)
-        value, nonzeros = jacobian(x, random.uniform(0.3, 1.3, derivatives.jac_g.numel_in(1)))
-        candidate &= (nonzeros[entry] == 1.0) & (value == x[unknown])
-    plain[candidate] = unknown[candidate]
+    x, p = (random.uniform(0.3, 1.3, n) for n in (n_x, derivatives.jac_g.numel_in(1)))
+    for point in (x, -x):
+        value, nonzeros = jacobian(point, p)
+        is_plain &= (nonzeros == 1.0) & (value[row_of] == point[column_of])
+    plain = np.full(sparsity.size1(), -1, dtype=np.int64)
+    plain[row_of[is_plain]] = column_of[is_plain]
     return plain[n_g:]

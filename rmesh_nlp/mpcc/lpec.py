@@ -115,10 +115,7 @@ def descent(
     corner = np.all(lin.zero, axis=0)
     kept = lin.zero & (~corner if signs is None else ~corner | on_side(signs[0] <= signs[1]))
     upper[lifted.pairs[kept]] = 0.0
-    active = np.flatnonzero(row_lower | row_upper)
-    rows = LinearConstraint(
-        lin.jacobian[active], np.where(row_lower[active], 0, -np.inf), np.where(row_upper[active], 0, np.inf)
-    )
+    rows = LinearConstraint(lin.jacobian, np.where(row_lower, 0, -np.inf), np.where(row_upper, 0, np.inf))
     members = np.zeros(lifted.nlp.n_x)
     either = np.flatnonzero(corner & ~np.any(kept, axis=0))
     direction = _milp(lin.gradient, rows, lower, upper, lifted, kept[0], either, members, budget)

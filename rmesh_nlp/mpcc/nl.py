@@ -64,8 +64,8 @@ class Rows:
     """A ``.nl`` file as read: unknowns, rows with their linear parts, bounds, start, first objective.
 
     ``complements`` maps a row to the bits k and the unknown of its condition. Unknowns have the names of the
-    ``.col`` file, ``row_names`` those of the ``.row`` file (or ``g[3]``). ``options`` are the numbers of the
-    first line, which a ``.sol`` file repeats.
+    ``.col`` file, ``row_names`` those of the ``.row`` file (or ``g[3]``). ``sign`` is -1 for a maximum.
+    ``options`` are the numbers of the first line, which a ``.sol`` file repeats.
     """
 
     x: ca.SX
@@ -76,7 +76,7 @@ class Rows:
     ubx: Array
     x0: Array
     f: ca.SX
-    maximise: bool = False
+    sign: float = 1.0
     complements: dict[int, tuple[int, int]] = field(default_factory=dict)
     row_names: list[str] = field(default_factory=list)
     options: tuple[str, ...] = ()
@@ -177,7 +177,7 @@ class _Reader:
                 expression = self._expression()
                 if number == 0:
                     rows.f += expression
-                    rows.maximise = sense == 1
+                    rows.sign = -1.0 if sense == 1 else 1.0
             case "V":
                 number, n_terms, _ = read("iii")
                 terms = self.table("if", n_terms)

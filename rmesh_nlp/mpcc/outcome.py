@@ -67,9 +67,9 @@ def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
 def result_of(run: Run, end: Finish) -> MPCCResult:
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.lifted, run.lifted.source
-    f, res, (g, G, H) = run.measure(end.z)
+    f, res, values = run.measure(end.z)
     stationarity = end.stationarity
-    column = np.full(mpcc.n_g + 2 * mpcc.n_pairs, np.nan)
+    column = np.full(values.size, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
     if stationarity is not None and stationarity.multipliers is not None:
         own = stationarity.multipliers
@@ -77,7 +77,9 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
         column[lifted.rows] = own.rows
         column /= run.p[-1]
         lam_x = own.z[: mpcc.n_x] / run.p[-1]
-    lam_g, lam_G, lam_H = np.split(column, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs])
+    (lam_g, lam_G, lam_H), (g, G, H) = (
+        np.split(part, [mpcc.n_g, mpcc.n_g + mpcc.n_pairs]) for part in (column, values)
+    )
     level, check, status = mpcc.lower_level, None, end.status
     if level is not None and level.nlp.n_x <= DENSE:
         check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], search=end.solved)

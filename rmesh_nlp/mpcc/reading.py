@@ -83,15 +83,11 @@ def read(source: str | PathLike[str] | Any) -> Problem:
     return READERS[path.suffix.lower()](path)
 
 
-def _sign(rows: Rows) -> float:
-    return -1.0 if rows.maximise else 1.0
-
-
 def read_nl(path: Path) -> Problem:
     """Read an AMPL ``.nl`` file as an MPCC; a maximised objective changes its sign."""
     rows = read_rows(path)
     try:
-        return Problem(path.stem, mpcc_of(rows), rows.x0, sign=_sign(rows), rows=rows)
+        return Problem(path.stem, mpcc_of(rows), rows.x0, sign=rows.sign, rows=rows)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -113,7 +109,7 @@ def mpcc_of(rows: Rows, p: ca.SX | None = None) -> MPCC:
         raise ValueError(f"{row} complements an infinite bound of {unknown}")
     kept = [i for i in range(len(rows.bodies)) if i not in rows.complements]
     return MPCC.mixed(
-        rows.x, _sign(rows) * rows.f, [rows.bodies[i] for i in kept],
+        rows.x, rows.sign * rows.f, [rows.bodies[i] for i in kept],
         G=[rows.bodies[i] for i in at], lbG=np.where(is_lower & ~is_upper, 0.0, -np.inf),
         ubG=np.where(is_upper & ~is_lower, 0.0, np.inf), H=rows.x[j.tolist()], lbH=lower, ubH=upper,
         lbx=rows.lbx, ubx=rows.ubx, lbg=rows.lower[kept], ubg=rows.upper[kept], p=p,

@@ -46,7 +46,7 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
             break
         paths.append(Path())
         run.rescues += 1
-        follow(run, paths[-1], run.lifted.start(x, run.p[:-1]), run.options.t0, dependent=True)
+        follow(run, paths[-1], run.lifted.start(x, run.p[:-1]), dependent=True)
 
 
 def phase_one(run: Run, z: Array) -> tuple[Array, Status]:

@@ -87,13 +87,19 @@ class Iterate(Measured):
     x: Array
 
 
-def residuals(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> dict[str, float]:
-    """The fields of ``MPCCResult`` that say how far a point is from a solution."""
-    signs = excess(np.append(G, H), 0.0, np.inf)
+def residuals(mpcc: MPCC, x: Array, column: Array, scale: Array | float) -> dict[str, float]:
+    """The fields of ``MPCCResult`` that say how far a point is from a solution.
+
+    ``column`` is ``vertcat(g, G, H)`` there, whose rows are measured in units of ``scale``.
+    """
+    lower = np.append(mpcc.lbg, np.zeros(2 * mpcc.n_pairs)) / scale
+    upper = np.append(mpcc.ubg, np.full(2 * mpcc.n_pairs, np.inf)) / scale
+    rows = column / scale
+    pairs = np.abs(rows[mpcc.n_g :]).reshape(2, -1)
     return {
-        "constraint_violation": max(excess(x, mpcc.lbx, mpcc.ubx), excess(g, mpcc.lbg, mpcc.ubg), signs),
-        "complementarity": magnitude(np.minimum(np.abs(G), np.abs(H))),
-        "product": magnitude(G * H),
+        "constraint_violation": max(excess(x, mpcc.lbx, mpcc.ubx), excess(rows, lower, upper)),
+        "complementarity": magnitude(np.min(pairs, axis=0)),
+        "product": magnitude(np.prod(pairs, axis=0)),
     }
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Mask
+from rmesh_nlp.evaluation import Array, Mask, is_finite
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.result import Iterate, Step, excess, residuals
+from rmesh_nlp.mpcc.result import Iterate, Step, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -167,13 +167,11 @@ class Run:
         """Weighted objective at a lifted point, as in a ``Finish``."""
         return float(self.lifted.value(z, self.p)[0][0])
 
-    def measure(self, z: Array) -> tuple[float, dict[str, Any], tuple[Array, Array, Array]]:
-        """Objective, residuals and (g, G, H) of the source problem at a lifted point."""
-        source = self.lifted.source
-        x = z[: source.n_x]
+    def measure(self, z: Array, scale: Array | float = 1.0) -> tuple[float, dict[str, Any], Array]:
+        """Objective, residuals and vertcat(g, G, H) of the source problem at a lifted point."""
+        x = z[: self.lifted.source.n_x]
         f, column = self.lifted.source_values(x, self.p[:-1])
-        g, G, H = np.split(column, [source.n_g, source.n_g + source.n_pairs])
-        return float(f[0]), residuals(source, x, g, G, H), (g, G, H)
+        return float(f[0]), residuals(self.lifted.source, x, column, scale), column
 
     def exact(self, z: Array) -> bool:
         """Whether the source problem is feasible and complementary at ``z``, within the scaled tolerances."""
@@ -184,23 +182,16 @@ class Run:
 
         A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1), as rounding is.
         """
-        lifted, options, source = self.lifted, self.options, self.lifted.source
-        x = z[: source.n_x]
+        lifted, options = self.lifted, self.options
         _, nonzeros = lifted.jacobian(z, self.p)
         row_of, column_of = lifted.pattern
-        scale = np.ones(source.n_g + 2 * source.n_pairs)
+        scale = np.ones(lifted.source.n_g + 2 * lifted.source.n_pairs)
         with np.errstate(invalid="ignore"):  # what is not finite is infinitely far away, below
             np.maximum.at(scale, lifted.rows[row_of], np.abs(nonzeros * z[column_of]))
-        f, rows = lifted.source_values(x, self.p[:-1])
-        lower = np.append(source.lbg, np.zeros(2 * source.n_pairs))
-        upper = np.append(source.ubg, np.full(2 * source.n_pairs, np.inf))
-        G, H = np.split(np.abs(rows[source.n_g :]) / scale[source.n_g :], 2)
-        worst = max(
-            excess(rows / scale, lower / scale, upper / scale) / options.feasibility,
-            excess(x, source.lbx, source.ubx) / options.feasibility,
-            np.max(np.minimum(G, H), initial=0.0) / options.complementarity,
-        )
-        return worst if np.isfinite(worst) and np.isfinite(f[0]) else np.inf
+        f, res, _ = self.measure(z, scale)
+        violation = res["constraint_violation"] / options.feasibility
+        worst = max(violation, res["complementarity"] / options.complementarity)
+        return worst if is_finite([worst, f]) else np.inf
 
     def cost(self, result: NLPResult, t: float) -> float:
         """What the objective would change by if t fell to zero, to first order."""
@@ -227,7 +218,8 @@ class Run:
         return after
 
     def _measured(self, phase: str, t: float, z: Array) -> dict[str, Any]:
-        f, res, (_, G, H) = self.measure(z)
+        f, res, column = self.measure(z)
         near = max(self.options.corner, 2 * np.sqrt(t))  # the corner of every relaxation is at sqrt(t)
-        biactive = int(np.count_nonzero(np.maximum(np.abs(G), np.abs(H)) <= near))
+        pairs = np.abs(column[self.lifted.source.n_g :]).reshape(2, -1)
+        biactive = int(np.count_nonzero(np.max(pairs, axis=0) <= near))
         return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **res}

@@ -86,8 +86,7 @@ def _duals(rows: Rows, result: MPCCResult) -> tuple[Array, Array]:
         ca.jacobian(ca.vertcat(linear.g, linear.G, linear.H), both)
     ])(0, 0)  # fmt: skip
     duals = np.asarray(ca.mtimes(jacobian.T, multipliers)).ravel()
-    sign = 1.0 if rows.maximise else -1.0
-    return sign * duals[:m], sign * (duals[m : m + n] + result.lam_x[:n])
+    return -rows.sign * duals[:m], -rows.sign * (duals[m : m + n] + result.lam_x[:n])
 
 
 def _options(rows: Rows, n_duals: int) -> list[str]:

@@ -84,7 +84,7 @@ class MPCCSolver:
                 paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))
             if not any(path.ended for path in paths):
                 paths.append(main)
-                follow(run, main, z0, self.options.t0, first, former)
+                follow(run, main, z0, first, former)
             if not former:
                 rescue(run, paths, given, z0)
             if main.joined is None:

@@ -14,7 +14,7 @@ TENTHS = [10.0**-k for k in range(9)]
 
 def followed(answers, **options):
     run, path = ScriptedRun(answers, **options), Path()
-    follow(run, path, START, 1.0)
+    follow(run, path, START)
     return run, path
 
 

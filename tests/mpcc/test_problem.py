@@ -61,7 +61,7 @@ def test_bad_start_is_refused(x0, words):
 def test_bad_parameters_and_options_are_refused():
     with pytest.raises(ValueError, match="p has length 0, expected 1"):
         solve(corner(f=x * stray, p=stray), [0, 0])
-    with pytest.raises(ValueError, match="unknown relaxation 'none'; there are scholtes"):
+    with pytest.raises(ValueError, match="unknown relaxation 'none': choose from scholtes"):
         solve(corner(), [0, 0], relaxation="none")
     for name, value, words in (
         ("factor", 2.0, r"factor must be below 1, got 2\.0"),
