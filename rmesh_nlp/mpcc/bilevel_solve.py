@@ -7,8 +7,7 @@ constraint: with the violations r(x) of y_k, positive where it is infeasible ::
 
     f(x, y) - f(x, y_k) <= s,   0 <= s  _|_  w >= 0,   sum lambda_i r_i(x) + w >= 0,   sum lambda = 1.
 
-There y_k is put inside the constraints as far as half of what it gains allows, so that the cut holds around
-x. A. Mitsos, P. Lemonidis, P. I. Barton, Global solution of bilevel programs with a nonconvex inner program,
+A. Mitsos, P. Lemonidis, P. I. Barton, Global solution of bilevel programs with a nonconvex inner program,
 J. Global Optim. 42 (2008) 475-513.
 """
 
@@ -31,7 +30,6 @@ from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.solver import MPCCSolver
 from rmesh_nlp.optimize.nlp import Symbolic
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 
 
@@ -101,18 +99,15 @@ def solve_bilevel(
         if lowest is None or made == cuts or budget.is_over():
             break
         x, y, multipliers = level.split(end.x)
-        program = _with_cut(program, level, x, y, lowest, parameters)
+        program = _with_cut(program, level, lowest)
         starts = [starts[0], np.concatenate([x, y, multipliers]), level.start(x, lowest, p=parameters)]
     best = min(found, key=lambda end: end.f, default=end)
     x, y, _ = level.split(best.x)
     return BilevelResult(x, y, best.f, best.success, made, best)
 
 
-def _with_cut(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Array, p: Array) -> MPCC:
-    """The program with the cut by ``lowest``, a point of the lower level with a lower value than y has.
-
-    A start of the program without cuts is completed.
-    """
+def _with_cut(program: MPCC, level: LowerLevel, lowest: Array) -> MPCC:
+    """The program with the cut by ``lowest``; a start of the program without cuts is completed."""
     nlp, sides = level.nlp, level.sides
     kind, upper = type(program.x), ca.vertcat(program.parts["upper"], program.p)
     depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
@@ -121,8 +116,6 @@ def _with_cut(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Arra
     sign, bound = ca.DM(sides.sign[moves]), ca.DM(sides.bound[moves])
     rows = sign * (ca.vertcat(kind(0, 1), *entries) - bound)
     lower = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, rows])
-    if np.any(moves):
-        lowest = _inside(level, rows, lower, np.append(x, p), y, lowest)
     value, violations = lower(kind(ca.DM(lowest)), upper)
     gain, n = lower(program.parts["lower"], upper)[0] - value, len(entries)
     if n == 0:
@@ -142,16 +135,3 @@ def _with_cut(program: MPCC, level: LowerLevel, x: Array, y: Array, lowest: Arra
         lbg=[-np.inf, -np.inf, 0], ubg=0,
     )  # fmt: skip
     return replace(longer, n_added=longer.n_x - level.size, completion=completion)
-
-
-def _inside(
-    level: LowerLevel, rows: Symbolic, lower: ca.Function, parameters: Array, y: Array, lowest: Array
-) -> Array:
-    """A point as far inside the rows as half of the gain allows; ``lowest`` if none is found."""
-    nlp, room = level.nlp, type(level.nlp.x).sym("room")
-    most = float(lower(y, parameters)[0] + lower(lowest, parameters)[0]) / 2
-    deeper = nlp.extended(
-        x=room, weight=0, f=-room, g=ca.vertcat(rows + room, nlp.f - most), lbx=0, ubx=1, ubg=0
-    )
-    end = Solver(deeper)(np.append(lowest, 0.0), p=parameters)
-    return end.x[:-1] if end.converged else lowest
