@@ -23,12 +23,12 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
 
     ``"not negative"``, ``"negative"``, or ``"not tested"``: no finite Hessian, no S, or too large.
     """
-    stationarity, lin, lifted = end.stationarity, end.lin, run.lifted
-    if stationarity is None or lin is None or stationarity.multipliers is None or stationarity.label != "S":
+    own, lin, lifted = end.stationarity.multipliers, end.lin, run.lifted
+    if own is None or lin is None or end.stationarity.label != "S":
         return "not tested", None
     if lifted.base.hess_lag is None or lifted.nlp.n_x > MOST:
         return "not tested", None
-    own, columns = stationarity.multipliers, columns_of(lifted, lin)
+    columns = columns_of(lifted, lin)
     hessian = lifted.curvature(end.z, run.p, own.rows)
     if not is_finite(hessian):
         return "not tested", None

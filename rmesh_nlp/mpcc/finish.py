@@ -16,7 +16,7 @@ import numpy as np
 from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
 from rmesh_nlp.mpcc.run import Run, Warm
-from rmesh_nlp.mpcc.stationarity import Stationarity, stationarity
+from rmesh_nlp.mpcc.stationarity import UNLABELLED, Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
@@ -26,15 +26,16 @@ _SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """End of the exact finish: a lifted point, its weighted objective, and its label if it is exact.
+    """End of the exact finish: a lifted point, its weighted objective, and its label.
 
     ``status`` is CONVERGED: S- or B-stationary; ACCEPTABLE: a label, B undecided; otherwise why it stopped.
+    The linearisation is that of an exact point.
     """
 
     z: Array
     f: float
     status: Status
-    stationarity: Stationarity | None = None
+    stationarity: Stationarity = UNLABELLED
     lin: Linearisation | None = None
     pivots: int = 0
 
@@ -47,7 +48,7 @@ class Finish:
     def rank(self) -> tuple[bool, bool, bool, float]:
         """Sort key: solved, unbounded, exact but not stationary, inexact; of equals the lower objective."""
         is_unbounded, f = self.status is Status.UNBOUNDED, self.f if np.isfinite(self.f) else np.inf
-        return self.solved, is_unbounded, self.stationarity is not None, -f
+        return self.solved, is_unbounded, self.lin is not None, -f
 
 
 def is_below(f: float, other: float) -> bool:
@@ -95,7 +96,7 @@ def pivot(run: Run, point: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
     for pivots in range(run.options.max_pivots + 1):
         point = replace(point, pivots=pivots)
-        direction = None if point.stationarity is None else point.stationarity.direction
+        direction = point.stationarity.direction
         if direction is None:
             return point
         if pivots == run.options.max_pivots:

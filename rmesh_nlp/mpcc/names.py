@@ -20,18 +20,11 @@ def symbol_names(x: Symbolic) -> list[str]:
     return names
 
 
-def named(x: Symbolic, i: int) -> str:
-    """Entry i of the unknowns: ``x[3]``, or ``x[3] (pressure)`` where it has a name of its own."""
-    return f"x[{i}]{of_symbol(x, i)}"
-
-
-def of_symbol(symbols: Symbolic | None, i: int) -> str:
-    """`` (pressure)`` to stand after the place of entry i; nothing where the name is only its place."""
-    if symbols is None:
-        return ""
-    name = symbol_names(symbols)[i]
-    is_place = name in {f"{letter}{place}" for letter in "xp" for place in (f"_{i}", f"[{i}]")}
-    return "" if is_place else f" ({name})"
+def named(symbols: Symbolic | None, i: int, column: str = "x") -> str:
+    """Entry i of a column: ``x[3]``, or ``x[3] (pressure)`` where its symbol has a name of its own."""
+    places = [f"{letter}{place}" for letter in "xp" for place in (f"_{i}", f"[{i}]")]
+    name = places[0] if symbols is None else symbol_names(symbols)[i]
+    return f"{column}[{i}]" + ("" if name in places else f" ({name})")
 
 
 def in_short(expression: Symbolic) -> str:

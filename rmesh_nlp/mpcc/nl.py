@@ -40,11 +40,7 @@ _BINARY: dict[int, Operation] = {
 _TERNARY: dict[int, Operation] = {35: ca.if_else}
 _FOLDED: dict[int, Operation] = {11: ca.fmin, 12: ca.fmax, 54: operator.add}  # of any number of terms
 _UNSUPPORTED: dict[int | str, str] = {
-    55: "integer division", 56: "precision", 57: "round", 58: "trunc", 59: "count", 60: "numberof",
-    61: "numberof of strings", 62: "atleast", 63: "atmost", 64: "a piecewise-linear term",
-    65: "if of strings", 66: "exactly", 70: "and of a list", 71: "or of a list", 72: "implies",
-    73: "if and only if", 74: "alldiff", "F": "imported functions", "L": "logical rows",
-    "f": "imported functions", "h": "strings",
+    64: "a piecewise-linear term", "F": "imported functions", "f": "imported functions", "L": "logical rows"
 }  # fmt: skip
 """Names of operations, by their number, of segments and of expressions."""
 _MOST = 10_000_000  # unknowns or rows: more stand in damaged headers alone

@@ -47,7 +47,7 @@ def leave_saddles(run: Run, paths: list[Path]) -> None:
 def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
     end = best(paths)
-    if end is not None and end.stationarity is not None:
+    if end is not None and end.lin is not None:
         return end if end.solved or run.limit is None else replace(end, status=run.limit)
     z, f, excess = run.nearest or (z0, np.nan, np.inf)
     if run.limit is not None:
@@ -68,11 +68,10 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
     """Measure the point on the source problem and put everything together."""
     lifted, mpcc = run.lifted, run.lifted.source
     f, res, values = run.measure(end.z)
-    stationarity = end.stationarity
+    own = end.stationarity.multipliers
     column = np.full(values.size, np.nan)
     lam_x = np.full(mpcc.n_x, np.nan)
-    if stationarity is not None and stationarity.multipliers is not None:
-        own = stationarity.multipliers
+    if own is not None:
         column[mpcc.n_g :] = own.pairs.ravel()  # of members that keep their place
         column[lifted.rows] = own.rows
         column /= run.p[-1]
@@ -97,8 +96,7 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
         message=f"{status.message} {where}".strip(), lower_level=check, curvature=run.curvature,
         **res,
-        stationarity="" if stationarity is None else stationarity.label,
-        b_stationary=None if stationarity is None else stationarity.b_stationary,
+        stationarity=end.stationarity.label, b_stationary=end.stationarity.b_stationary,
         lam_x=lam_x, lam_g=lam_g, lam_G=lam_G, lam_H=lam_H, g=g, G=G, H=H,
         biactive=np.zeros(0, dtype=np.int64) if end.lin is None else end.lin.biactive,
         history=tuple(run.steps),

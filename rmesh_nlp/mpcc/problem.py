@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import plain_pairs
-from rmesh_nlp.mpcc.names import of_symbol
+from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic, longer
 
 
@@ -257,8 +257,8 @@ def _values(
     bad = np.flatnonzero(~np.isfinite(array) if finite else np.isnan(array))
     if bad.size:
         i = int(bad[0])
-        place = f"{name}[{i}]{of_symbol(symbols, i)}"
-        raise ValueError(f"{place} is {array[i]}, not a {'finite ' if finite else ''}number")
+        what = "finite number" if finite else "number"
+        raise ValueError(f"{named(symbols, i, name)} is {array[i]}, not a {what}")
     return array
 
 
@@ -293,7 +293,7 @@ def _bounds(
     if wrong.size:
         i = int(wrong[0])
         raise ValueError(
-            f"lb{name}[{i}]{of_symbol(symbols, i)} = {lower[i]} and ub{name}[{i}] = {upper[i]} "
+            f"{named(symbols, i, f'lb{name}')} = {lower[i]} and ub{name}[{i}] = {upper[i]} "
             "leave no value: the lower bound must not lie above the upper, "
             "and both cannot be the same infinity"
         )

@@ -69,6 +69,9 @@ class Stationarity:
         return Status.ACCEPTABLE if undecided else Status.STALLED
 
 
+UNLABELLED = Stationarity("")
+
+
 def stationarity(
     lifted: Lifted,
     lin: Linearisation,
@@ -84,12 +87,12 @@ def stationarity(
     do, or nothing without ``search``.
     """
     if not (is_finite(lin.gradient) and is_finite(lin.jacobian.data)):
-        return Stationarity("")
+        return UNLABELLED
     proof = None if lam_rows is None else proving(lifted, lin, lam_rows, tolerance)
     if proof is not None:
         return Stationarity("S", proof, True)
     if not search:
-        return Stationarity("")
+        return UNLABELLED
     label, multipliers = strongest(lifted, lin, tolerance, budget)
     if label == "S":  # S implies B
         return Stationarity(label, multipliers, True)

@@ -109,7 +109,7 @@ def test_every_operation_of_an_nl_file(nl, code):
         ("J0 2\n0 0", "J0 2\n0 0 1", "2 numbers are expected, got '0 0 1'"),  # old files without segment k
         ("C0", "L0", r"segment L .logical rows. is not supported"),
         ("o44", "f0 1", r"line 29: expression f .imported functions. is not"),
-        ("o44", "h3:abc", r"expression h .strings. is not supported"),
+        ("o44", "h3:abc", r"expression h is not supported"),
         ("o44", "o64", r"operation o64 .a piecewise-linear term. is not supported"),
         ("k2", "S0 1 sosno\n0 1\nk2", "special ordered sets .suffix sosno."),
         ("k2", "Q2", "segment Q is not supported"),

@@ -11,19 +11,20 @@ from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
 from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
+from support.scripted_run import START, XY, XYW, ScriptedRun, ended, linearised, two_minima, w, x, y
 
 KINDS = [ca.SX, ca.MX]
 S = Status
 HERE = np.array([2.0, 0.0])
 LABELLED = Stationarity("W")
+LIN = linearised(two_minima(), HERE)[1]
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
 TRAP = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
 EQUATION = {"lbg": 0, "ubg": 0}
 
 
 def end_of(f, status=Status.CONVERGED, label=LABELLED):
-    return Path(finish=Finish(HERE, f, status, label))
+    return Path(finish=Finish(HERE, f, status, label, LIN))
 
 
 INEXACT = Path(finish=Finish(HERE, -9.0, Status.INACCURATE))
@@ -97,7 +98,7 @@ def test_without_an_exact_end_the_nearest_point_has_the_reason(failures, excess,
     paths = [Path(failure=status) for status in failures]
     for limit in (None, S.TIME_LIMIT):
         found = chosen(*paths, limit=limit, infeasible=infeasible, nearest=(HERE, 1.0, excess))
-        assert (found.z is HERE, found.stationarity, found.status) == (True, None, limit or said)
+        assert (found.z is HERE, found.lin, found.status) == (True, None, limit or said)
     assert chosen(Path(failure=S.STALLED)).z is START  # before any NLP has ended
 
 
