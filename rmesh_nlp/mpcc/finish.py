@@ -118,7 +118,7 @@ def _by_signs(run: Run, z: Array, zero: Mask, warm: Warm) -> NLPResult | None:
     """
     worst = np.inf
     for _ in range(_SIGN_STEPS):
-        result = run.branch(z, zero, phase="signs", free_signs=True, warm=warm)
+        result = run.branch(z, zero, free_signs=True, warm=warm)
         z, warm = result.x, None
         G, H = z[run.lifted.pairs]
         free = np.where(zero[0], H, G)

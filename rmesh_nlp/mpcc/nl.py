@@ -32,7 +32,7 @@ _UNARY: dict[int, Operation] = {
     47: ca.atanh, 49: ca.atan, 50: ca.asinh, 51: ca.asin, 52: ca.acosh, 53: ca.acos, 76: lambda a: a * a,
 }  # fmt: skip
 _BINARY: dict[int, Operation] = {
-    0: operator.add, 1: operator.sub, 2: operator.mul, 3: operator.truediv, 4: ca.remainder,
+    0: operator.add, 1: operator.sub, 2: operator.mul, 3: operator.truediv, 4: ca.fmod,
     5: operator.pow, 6: lambda a, b: ca.fmax(a - b, 0), 20: ca.logic_or, 21: ca.logic_and,
     22: operator.lt, 23: operator.le, 24: operator.eq, 28: operator.ge, 29: operator.gt, 30: operator.ne,
     48: ca.atan2, 75: operator.pow, 77: operator.pow,

@@ -235,8 +235,6 @@ class MPCC:
 
 def _numbers(name: str, value: object) -> Array:
     """``value`` as an array of numbers."""
-    if isinstance(value, ca.DM):
-        return value.full()
     try:
         return np.asarray(value, dtype=float)
     except (TypeError, ValueError, RuntimeError) as error:

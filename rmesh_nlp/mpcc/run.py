@@ -85,7 +85,6 @@ class Run:
         z: Array,
         zero: Mask,
         *,
-        phase: str = "branch",
         free_signs: bool = False,
         warm: Warm = None,
     ) -> NLPResult:
@@ -96,6 +95,7 @@ class Run:
         nlp, (lower, upper) = self.lifted.nlp, self._bounds(zero, free_signs)
         solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x, warm is not None))
         start = np.clip(z, lower, upper)
+        phase = "signs" if free_signs else "branch"
         return self.solve(phase, 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
 
     def least_violation(self, z: Array, zero: Mask) -> NLPResult:

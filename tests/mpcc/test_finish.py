@@ -122,7 +122,7 @@ def test_multipliers_that_lead_nowhere_are_left_and_so_is_a_place_without_a_feas
 def test_signs_within_the_tolerance_are_right(negative, signs):
     run = scripted(at([0.0, -negative]), at([2.0, 0.0], f=1.0))
     assert finish(run, np.array([0.1, 0.2]), search=True).z[1] <= 0
-    assert len([call for call in run.branch_calls if call.options.get("phase") == "signs"]) == signs
+    assert len([call for call in run.branch_calls if call.options.get("free_signs")]) == signs
 
 
 @pytest.mark.parametrize(("lam_rows", "solved"), [([0.0], True), ([1.0], False)])

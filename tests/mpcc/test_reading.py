@@ -89,7 +89,7 @@ OPERATIONS = {
     "o50\nn1": np.arcsinh(1), "o51\nn0.5": np.arcsin(0.5), "o52\nn2": np.arccosh(2),
     "o53\nn0.5": np.arccos(0.5),
     "o3\nn1\nn4": 0.25, "o2\nn3\nn4": 12, "o6\nn3\nn1": 2, "o6\nn1\nn3": 0, "o48\nn1\nn2": np.arctan2(1, 2),
-    "o75\nn2\nn3": 8, "o77\nn2\nn3": 8, "o11\n3\nn2\nn1\nn3": 1, "o12\n3\nn2\nn1\nn3": 3,
+    "o4\nn5\nn3": 2, "o75\nn2\nn3": 8, "o77\nn2\nn3": 8, "o11\n3\nn2\nn1\nn3": 1, "o12\n3\nn2\nn1\nn3": 3,
     "o35\no22\nn1\nn2\nn7\nn8": 7, "o35\no29\nn1\nn2\nn7\nn8": 8,
 }  # fmt: skip
 
