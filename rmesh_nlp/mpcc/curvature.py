@@ -40,9 +40,7 @@ def descent_of_curvature(run: Run, end: Finish) -> tuple[str, Array | None]:
     weak = -sign[:, None] * gradients[~strong]
     if least_eigenvalue(hessian, directions(gradients[strong]))[0] >= -flat:
         return "not negative", None
-    of_members = columns.members % max(lifted.pairs.shape[1], 1)
-    pair = np.append(np.full(columns.active.size, -1), of_members)[~strong]
-    value, d, is_complete = least_critical(hessian, gradients[strong], weak, pair)
+    value, d, is_complete = least_critical(hessian, gradients[strong], weak, columns.pair[~strong])
     if value < -flat:
         return "negative", d
     return "not negative" if is_complete else "not tested", None

@@ -80,16 +80,13 @@ class Lifted:
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
 
-        The gradient is that at the start, where it may vanish, and at two random points near it. Multipliers
-        of an objective of size 1e-6 would be lost among tolerances.
+        The gradient is that at a random point near the start, where it may vanish. Multipliers of an
+        objective of size 1e-6 would be lost among tolerances.
         """
-        random = np.random.default_rng(0)
-        near = [x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)) for _ in range(2)]
-        points = [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]
-        p, slack = np.append(p, 1.0), np.zeros(self.nlp.n_x - x0.size)
-        slopes = [magnitude(self.value(np.append(x, slack), p)[1]) for x in points]
-        largest = float(np.max(slopes, where=np.isfinite(slopes), initial=0.0))
-        return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
+        near = x0 + np.random.default_rng(0).uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0))
+        x, slack = np.clip(near, self.source.lbx, self.source.ubx), np.zeros(self.nlp.n_x - x0.size)
+        slope = magnitude(self.value(np.append(x, slack), np.append(p, 1.0))[1])
+        return 1.0 / slope if 0.0 < slope < 1.0 else 1.0
 
     def start(self, x0: Array, p: Array) -> Array:
         """Extend a start by slacks that satisfy their rows, as far as the signs allow; p without weight."""
@@ -115,8 +112,7 @@ def lift(mpcc: MPCC) -> Lifted:
 
     In MX whatever the source is: its functions stay one call, their graph is not copied.
     """
-    source = ca.Function("source", [mpcc.x, mpcc.p], [mpcc.f, ca.vertcat(mpcc.g, mpcc.G, mpcc.H)])
-    base = mpcc.derivatives or _derivatives_of(source, type(mpcc.x))
+    base = mpcc.derivatives or _derivatives_of(mpcc)
     n_x, n_g, lbx, ubx = mpcc.n_x, mpcc.n_g, mpcc.lbx, mpcc.ubx
     plain = _plain_unknowns(base, n_x, n_g)
     # a slack takes the sign of an unknown whose own bounds exclude zero: its row then shows the conflict
@@ -130,7 +126,8 @@ def lift(mpcc: MPCC) -> Lifted:
         ca.MX.sym(name, size)
         for name, size in (("x", n_x), ("p", mpcc.p.shape[0]), ("slack", slack_rows.size), ("weight", 1))
     )
-    zero, (f, column) = np.zeros(2 * mpcc.n_pairs), source(x, p)
+    zero, (f, *columns) = np.zeros(2 * mpcc.n_pairs), mpcc.oracle(x, p)
+    column = ca.vertcat(*columns)
     nlp = NLP(x, p, f, column, lbx, ubx, np.append(mpcc.lbg, zero), np.append(mpcc.ubg, zero), base)
     nlp = nlp.extended(
         x=slack, p=weight, weight=weight, rows=rows.tolist(), shift=ca.vertcat(ca.MX(n_g, 1), -slack)
@@ -141,7 +138,7 @@ def lift(mpcc: MPCC) -> Lifted:
     return Lifted(
         mpcc, nlp, place.reshape(2, mpcc.n_pairs), rows, base,
         value=Evaluator(own.grad_f), jacobian=Evaluator(own.jac_g),
-        source_values=Evaluator(source),
+        source_values=Evaluator(ca.Function("source", [x, p], [ca.densify(f), column])),
     )  # fmt: skip
 
 
@@ -196,10 +193,12 @@ def _constant_jacobian(rows: Symbolic, x: Symbolic, p: Symbolic) -> ca.DM | None
     return ca.project(columns, sparsity) if columns.is_regular() else None
 
 
-def _derivatives_of(function: ca.Function, kind: type[Symbolic]) -> Derivatives:
-    """Those of ``(x, p) -> (f, g)``, in one symbol for x and one for p, which CasADi can derive."""
-    x, p = kind.sym("x", function.size1_in(0)), kind.sym("p", function.size1_in(1))
-    return automatic_derivatives(x, p, *function.call([x, p], True, False))
+def _derivatives_of(mpcc: MPCC) -> Derivatives:
+    """Those of an MPCC, in one symbol for x and one for p, which CasADi can derive."""
+    kind = type(mpcc.x)
+    x, p = kind.sym("x", mpcc.n_x), kind.sym("p", mpcc.p.shape[0])
+    f, *columns = mpcc.oracle.call([x, p], True, False)
+    return automatic_derivatives(x, p, f, ca.vertcat(*columns))
 
 
 def _plain_unknowns(derivatives: Derivatives, n_x: int, n_g: int) -> Index:

@@ -265,7 +265,7 @@ def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:
 
 
 def least_critical(
-    matrix: Array, strong: Array, weak: Array, pair: Array | None = None
+    matrix: Array, strong: Array, weak: Array, pair: Index | None = None
 ) -> tuple[float, Array, bool]:
     """Least curvature found along d with ``strong d = 0``, ``weak d <= 0``; d, and whether all was searched.
 

@@ -111,7 +111,7 @@ class _Solve(PythonFunction):
         self._mpcc, self._name, self._options, self._error_on_fail = mpcc, name, options, error_on_fail
         sums = {"gamma": _COLUMNS}
         weights = [f"lam:{column}" for column in _COLUMNS]
-        self._slope = _oracle(mpcc).factory("slope", ["x", "p", *weights], ["grad:gamma:p"], sums)
+        self._slope = mpcc.oracle.factory("slope", ["x", "p", *weights], ["grad:gamma:p"], sums)
         self._solver = lru_cache(_KEPT)(self._made)
         self.result: MPCCResult | None = None
         self.error: BaseException | None = None
@@ -155,12 +155,6 @@ class _Solve(PythonFunction):
         return solver
 
 
-def _oracle(mpcc: MPCC) -> ca.Function:
-    """``(x, p) -> (f, g, G, H)``."""
-    columns = [getattr(mpcc, column) for column in _COLUMNS]
-    return ca.Function("oracle", [mpcc.x, mpcc.p], columns, ["x", "p"], _COLUMNS)
-
-
 def mpccsol(
     name: str, plugin: str, problem: Mapping[str, Any], options: Mapping[str, Any] | None = None
 ) -> MPCCFunction:
@@ -198,6 +192,6 @@ def mpccsol(
     mpcc = MPCC(**parts)
     if expand:
         x, p = ca.SX.sym("x", mpcc.n_x), ca.SX.sym("p", mpcc.p.shape[0])
-        columns = _oracle(mpcc).expand().call([x, p])
+        columns = mpcc.oracle.expand().call([x, p])
         mpcc = replace(mpcc, x=x, p=p, **dict(zip(_COLUMNS, columns, strict=True)))
     return MPCCFunction(name, _Solve(name, mpcc, changed, fails, own))

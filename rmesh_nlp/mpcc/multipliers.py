@@ -32,14 +32,15 @@ class Columns:
 
     Attributes
     ----------
-    lin : Linearisation
     matrix : sparse (n_x, number of columns)
-    active : int array
-        The active ones of the rows and of the unknowns, in one numbering.
-    members : int array
-        Places of the zero members in the raveled pairs.
+    mask : bool array
+        Which of the rows, unknowns and raveled pairs have a column.
+    ends : int, int
+        Where the rows and where the unknowns end among these.
     unknowns : int array
         The unknown that a bound or a member is, of the columns after the ``n_rows`` first.
+    pair : int array
+        Of each column the pair that it is a member of, or -1.
     corner : bool array
         Of each column whether it is a member of a biactive pair.
     may_fall, may_rise : bool arrays
@@ -47,11 +48,11 @@ class Columns:
         signs of W. With those of S multipliers of the corner may not rise.
     """
 
-    lin: Linearisation
     matrix: sp.csc_matrix
-    active: Index
-    members: Index
+    mask: Mask
+    ends: tuple[int, int]
     unknowns: Index
+    pair: Index
     corner: Mask
     may_fall: Mask
     may_rise: Mask
@@ -69,32 +70,32 @@ class Columns:
 
     def scattered(self, values: Array) -> Multipliers:
         """Multipliers of the columns at their places."""
-        own, pairs = np.zeros(self.lin.lower.size), np.zeros(self.lin.zero.shape)
-        own[self.active], pairs.reshape(-1)[self.members] = np.split(values, [self.active.size])
-        n_rows = self.lin.jacobian.shape[0]
-        return Multipliers(own[:n_rows], own[n_rows:], pairs)
+        every = np.zeros(self.mask.size)
+        every[self.mask] = values
+        rows, z, pairs = np.split(every, self.ends)
+        return Multipliers(rows, z, pairs.reshape(2, -1))
 
     def gathered(self, multipliers: Multipliers) -> Array:
         """The multipliers of the columns."""
-        own = np.append(multipliers.rows, multipliers.z)[self.active]
-        return np.append(own, multipliers.pairs.reshape(-1)[self.members])
+        every = [multipliers.rows, multipliers.z, multipliers.pairs.ravel()]
+        return np.concatenate(every)[self.mask]
 
 
 def columns_of(lifted: Lifted, lin: Linearisation) -> Columns:
     """What is active at a linearised point."""
-    n_g, active = lifted.nlp.n_g, np.flatnonzero(lin.lower | lin.upper)
-    rows = active[active < n_g]
-    unknowns = np.append(active[rows.size :] - n_g, lifted.pairs[lin.zero])
-    eye, every = sp.identity(lifted.nlp.n_x, format="csc"), np.ones(np.count_nonzero(lin.zero), dtype=bool)
+    n_g, n_x, k = lifted.nlp.n_g, lifted.nlp.n_x, lifted.pairs.shape[1]
+    members, none = lifted.pairs.ravel(), np.zeros(n_g + n_x, dtype=bool)
+    may_fall, may_rise = np.append(lin.lower, lin.zero), np.append(lin.upper, lin.zero)
+    mask, eye = may_fall | may_rise, sp.identity(n_x, format="csc")
     return Columns(
-        lin=lin,
-        matrix=sp.hstack([lin.jacobian[rows].T, eye[:, unknowns]], format="csc"),
-        active=active,
-        members=np.flatnonzero(lin.zero),
-        unknowns=unknowns,
-        corner=np.append(np.zeros(active.size, dtype=bool), (lin.zero & lin.zero[::-1])[lin.zero]),
-        may_fall=np.append(lin.lower[active], every),
-        may_rise=np.append(lin.upper[active], every),
+        matrix=sp.hstack([lin.jacobian.T, eye, eye[:, members]], format="csc")[:, mask],
+        mask=mask,
+        ends=(n_g, n_g + n_x),
+        unknowns=np.append(np.arange(n_x), members)[mask[n_g:]],
+        pair=np.append(np.full(none.size, -1), np.tile(np.arange(k), 2))[mask],
+        corner=np.append(none, lin.zero & lin.zero[::-1])[mask],
+        may_fall=may_fall[mask],
+        may_rise=may_rise[mask],
     )
 
 
@@ -105,7 +106,8 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
     """
     columns = columns_of(lifted, lin)
     n_rows, unknowns = columns.n_rows, columns.unknowns
-    values = columns.signed(np.append(lam_rows[columns.active[:n_rows]], np.zeros(unknowns.size)))
+    active = columns.mask[: lam_rows.size]
+    values = columns.signed(np.append(lam_rows[active], np.zeros(unknowns.size)))
     rest = -(lin.gradient + columns.matrix @ values)
     # an unknown may be a member of several pairs: the one with the freest sign takes all
     order = np.argsort(columns.corner[n_rows:], kind="stable")

@@ -101,9 +101,14 @@ class MPCC:
         n_G, n_H = columns["G"].shape[0], columns["H"].shape[0]
         if n_G != n_H:
             raise ValueError(f"G has length {n_G} and H has length {n_H}: they must pair up")
-        _refuse_free_symbols(columns)
         for name, value in columns.items():
             object.__setattr__(self, name, value)
+        try:
+            free = self.oracle.get_free() if self.oracle.has_free() else []
+        except RuntimeError as error:  # the same symbol twice
+            raise ValueError(f"x and p must be distinct symbols: {error}") from error
+        if free:
+            raise ValueError(f"free symbols {free}: they are neither in x nor in p")
         for name, n in (("x", self.n_x), ("g", self.n_g)):
             symbols = x if name == "x" else None
             lower, upper = _bounds(name, getattr(self, f"lb{name}"), getattr(self, f"ub{name}"), n, symbols)
@@ -115,6 +120,13 @@ class MPCC:
                 raise ValueError(
                     f"derivatives.jac_g gives a Jacobian of shape {got}, vertcat(g, G, H) needs {needed}"
                 )
+
+    @cached_property
+    def oracle(self) -> ca.Function:
+        """``(x, p) -> (f, g, G, H)``."""
+        symbols, columns = [self.x, self.p], [self.f, self.g, self.G, self.H]
+        names = ["x", "p"], ["f", "g", "G", "H"]
+        return ca.Function("oracle", symbols, columns, *names, {"allow_free": True})
 
     @cached_property
     def n_x(self) -> int:
@@ -296,14 +308,3 @@ def _bounds(
             "and both cannot be the same infinity"
         )
     return lower, upper
-
-
-def _refuse_free_symbols(columns: dict[str, Symbolic]) -> None:
-    """Raise a ValueError for symbols that are neither unknowns nor parameters."""
-    rows = [columns[name] for name in ("f", "g", "G", "H") if columns[name].numel() > 0]
-    try:
-        oracle = ca.Function("check", [columns["x"], columns["p"]], rows, {"allow_free": True})
-    except RuntimeError as error:  # the same symbol twice
-        raise ValueError(f"x and p must be distinct symbols: {error}") from error
-    if oracle.has_free():
-        raise ValueError(f"free symbols {oracle.get_free()}: they are neither in x nor in p")
