@@ -74,10 +74,9 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
         raise ValueError("lower: x is not the column of the variables; it may be left out")
     above = _level("upper", upper, [y, p])
     below = _level("lower", {**lower, "x": y}, [x, p])
-    oracle = ca.Function("oracle", [below.x, below.p], [below.f, below.g], ["y", "p"], ["f", "g"])
     # in pure symbols, so that CasADi can derive it
     pure_y, pure_p = kind.sym("y", below.n_x), kind.sym("p", below.p.shape[0])
-    f, g = oracle.call([pure_y, pure_p], True, False)
+    f, g, *_ = below.oracle.call([pure_y, pure_p], True, False)
     level = LowerLevel(NLP(pure_y, pure_p, f, g, below.lbx, below.ubx, below.lbg, below.ubg), above.n_x)
     sides, n_sides, n_y = level.sides, level.sides.entry.size, below.n_x
     shape, n_pairs = (n_y + below.n_g, n_sides), int(np.sum(~sides.equal))
@@ -85,7 +84,7 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     multiplier = kind.sym("multiplier", n_sides)
     lam_x, lam_g, _ = ca.vertsplit(ca.densify(signs @ multiplier), [0, n_y, shape[0], shape[0]])
     lagrangian = {"gamma": ["f", "g"]}
-    gradient = oracle.factory("slope", ["y", "p", "lam:f", "lam:g"], ["grad:gamma:y"], lagrangian)
+    gradient = below.oracle.factory("slope", ["x", "p", "lam:f", "lam:g"], ["grad:gamma:x"], lagrangian)
     (slope,) = gradient.call([below.x, below.p, kind(1), lam_g], True, False)
     room = ca.DM(sides.sign * sides.bound) - signs.T @ ca.vertcat(below.x, below.g)
     member, _ = ca.vertsplit(multiplier, [0, n_pairs, n_sides])

@@ -94,18 +94,15 @@ def labelled(
 
 def pivot(run: Run, point: Finish) -> Finish:
     """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
-    for pivots in range(run.options.max_pivots + 1):
-        point = replace(point, pivots=pivots)
-        direction = point.stationarity.direction
-        if direction is None:
-            return point
-        if pivots == run.options.max_pivots:
-            break
+    while (direction := point.stationarity.direction) is not None:
+        if point.pivots == run.options.max_pivots:
+            return replace(point, status=Status.ITERATION_LIMIT)
         better = run.branch(point.z, direction.zero)
         if not (run.exact(better.x) and is_below(better.f, point.f)):
-            return point
-        point = labelled(run, better.x, better.f, better.status, better.lam_g)
-    return replace(point, status=Status.ITERATION_LIMIT)
+            break
+        lower = labelled(run, better.x, better.f, better.status, better.lam_g)
+        point = replace(lower, pivots=point.pivots + 1)
+    return point
 
 
 def _by_signs(run: Run, z: Array, zero: Mask, warm: Warm) -> NLPResult | None:
