@@ -10,9 +10,9 @@ here (``scripts/truth``): assembly, contact solver, friction integral, exact fou
 The truth is the continuous problem on the domain of the true curves (polygons where no curve is stated), with
 gaps and slips linear in the displacement and Tresca friction on the whole contact boundary. J is its energy.
 The true error of a mesh is the least J of all displacements that are linear on its triangles (quadratic with
-``--order 2``) and admissible everywhere, minus J*, which is extrapolated from two locally refined meshes and
-known to a bar. Two witnesses stand beside: the energy norm of the difference to the reference solution, and J
-of the displacement that the package computed, which may penetrate. Faults are
+``--order 2``) and admissible everywhere, minus J*, which is extrapolated from three locally refined meshes,
+to a bar. Two witnesses stand beside: the energy norm of the difference to the reference solution, and J of
+the displacement that the package computed, which may penetrate. Faults are
 
 a  a success whose true error is larger than that of the given mesh by more than 2 %, or whose own J is larger
    by as much than those of the displacements of the given mesh, the best and the computed ones;
@@ -58,7 +58,7 @@ from truth.reference import Reference, distance, reference  # noqa: E402
 
 MARGIN, OVERCLAIM, LONGEST, SUCCEED, KNOWN = 0.02, 1.2, 60.0, 0.95, 0.05
 LEVELS, SHARP = (1000, 3000, 9000), 0.02
-"""Nodes of the coarser reference; the next one is taken while J* is not known to a part of the errors."""
+"""Nodes of the last but one mesh of J*; the next is taken while J* is not known to a part of the errors."""
 
 
 def solved(data: Data, formulation: str, **options: Any) -> Any:

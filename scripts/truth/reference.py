@@ -1,4 +1,4 @@
-"""Reference solutions: local refinement along the true curves, two levels, the energy extrapolated."""
+"""Reference solutions: local refinement along the true curves, three levels, the energy extrapolated."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ UNIFORM, CONTACT_EDGES = 400, 80
 
 @dataclass(frozen=True)
 class Reference:
-    """``energy`` extrapolates J*, ``bar`` is the doubt; ``state`` is the finer of the two solutions."""
+    """``energy`` extrapolates J*, ``bar`` is the doubt; ``state`` is the finest of the solutions."""
 
     state: Equilibrium
     energy: float
@@ -27,29 +27,41 @@ class Reference:
 
 
 def reference(data: Data, nodes: int) -> Reference:
-    """Local refinement to ``nodes``, then a uniform one.
+    """Local refinement to a quarter of ``nodes``, then two uniform ones.
 
     On locally refined meshes errors of the energy fall like one over the number of nodes to the power of the
-    order: J* is a third of the last decrease below the last energy (of order 2 a fifteenth), and that third
-    is the doubt. Gaps hold at nodes: what passes between them is of the same order, and extrapolated with the
-    rest.
+    order: J* is a third of the last decrease below the last energy (of order 2 a fifteenth). Gaps hold at
+    nodes: what passes between them is of the same order, and extrapolated with the rest.
     """
     mesh, last, levels = data.mesh, None, []
-    while (size := Body(data, mesh).size) < nodes:
+    while (size := Body(data, mesh).size) < nodes / 4:
         marks = None
-        if size >= min(UNIFORM, nodes / 2):
+        if size >= min(UNIFORM, nodes / 8):
             body = Body(data, mesh)
             last = equilibrium(body, body.loads(3), tolerance=1e-6, start=last)
             marks = marked(body, last.u)
         mesh = refined(data, mesh, marks)
-    for _ in range(2):
+    for _ in range(3):
         body = Body(data, mesh)
         last = equilibrium(body, body.loads(4), tolerance=1e-8, start=last)
         levels.append(last)
         mesh = refined(data, mesh)
-    decrease, energy = levels[0].energy - levels[1].energy, levels[1].energy
-    J, bar = energy - decrease / (4**data.order - 1), max(abs(decrease) / 3, 1e-8 * abs(energy))
-    return Reference(levels[1], J, bar, all(level.converged for level in levels))
+    first, second, energy = (level.energy for level in levels)
+    bar = max(doubt(first - second, second - energy, 4**data.order), 1e-8 * abs(energy))
+    J = energy - (second - energy) / (4**data.order - 1)
+    return Reference(levels[-1], J, bar, all(level.converged for level in levels))
+
+
+def doubt(first: float, second: float, fall: float) -> float:
+    """How far an energy is from its limit, by its last two decreases, of which each is to be 1 / ``fall``.
+
+    A second decrease that is smaller than that may be one of two errors that cancel, and does not count. One
+    that is less than halved, or changes its sign, says nothing of the rest.
+    """
+    if first * second <= 0 or 2 * abs(second) > abs(first):
+        return max(abs(first), abs(second))
+    rate = min(first / second, 4.0)
+    return max(abs(second), abs(first) / fall) / (rate - 1)
 
 
 def refined(data: Data, mesh: MeshTri, elements: np.ndarray | None = None) -> MeshTri:
