@@ -20,15 +20,14 @@ CHECK = 512, 96
 class Equilibrium:
     """A displacement (unknowns,) of a mesh, with friction integrated in its ``energy`` J.
 
-    ``stress`` (nodes, c) are contact forces over the length or area of their nodes, ``peak`` is the largest
-    normal one, ``resultant`` the sum of all normal forces, ``length`` is where they act.
+    ``peak`` is the largest normal force over the length or area of its node, ``resultant`` the sum of all
+    normal forces, ``length`` is where they act.
     """
 
     body: Body
     u: np.ndarray
     energy: float
     converged: bool
-    stress: np.ndarray
     peak: float
     resultant: float
     length: float
@@ -88,41 +87,28 @@ def accurate_loads(body: Body) -> np.ndarray:
 def contact_rows(body: Body, parts: int) -> tuple[Rows, int]:
     """Rows of friction, then of gaps, that are not given by supports, and the number of the first."""
     A, d, use = gap_rows(body, parts)
-    A, d, none = A[use], d[use], np.zeros(np.sum(use))
+    A, d = A[use], d[use]
     if body.data.foundation.friction == 0:
-        return (A, d, none, none + np.inf), 0
+        return (A, d, np.full(d.size, np.inf)), 0
     B, bound = slip_rows(body, *composite(4 * parts, 2))
     use = (np.asarray(np.abs(B[:, ~body.given[0]]).sum(axis=1)).ravel() > 1e-9) & (bound > 0)
     B, bound = B[use], bound[use]
-    limits = np.append(-bound, none), np.append(bound, none + np.inf)
-    return (vstack([B, A]).tocsr(), np.append(0 * bound, d), *limits), bound.size
+    limits = np.append(bound, np.full(d.size, np.inf))
+    return (vstack([B, A]).tocsr(), np.append(0 * bound, d), limits), bound.size
 
 
-def equilibrium(
-    body: Body,
-    F: np.ndarray,
-    parts: int = 1,
-    check: int = 0,
-    tolerance: float = 1e-9,
-    start: Equilibrium | None = None,
-) -> Equilibrium:
+def equilibrium(body: Body, F: np.ndarray, parts: int = 1, check: int = 0) -> Equilibrium:
     """The least energy with gaps at the ends of ``parts`` (of order 2 twice as many) of edges or triangles.
 
-    With ``check`` points where the gap is most negative among so many more are added, until none is. A
-    ``start`` on another mesh saves steps.
+    With ``check`` points where the gap is most negative among so many more are added, until none is.
     """
     held, u = body.given
     free, c, weight, u = ~held, body.c, nodal_weights(body), u.copy()
-    (A, d, low, high), slips = contact_rows(body, parts * body.data.order)
-    begin, fine = None, gap_rows(body, check) if check else None
-    if start is not None:
-        onto = start.body.at(start.body.locate(body.places), body.places[:, :, None])
-        coarse, stress = (onto @ part.reshape(-1, c) for part in (start.u, start.stress))
-        entries = np.maximum(np.asarray(np.abs(A).sum(axis=0)).reshape(-1, c), 1e-300)
-        begin = coarse.ravel()[free], A @ (stress * weight[:, None] / entries).ravel()
+    (A, d, bound), slips = contact_rows(body, parts * body.data.order)
+    fine = gap_rows(body, check) if check else None
     K, f, given = body.stiffness[free][:, free], (F - body.stiffness @ u)[free], np.where(held, u, 0.0)
     for _ in range(60):
-        u[free], mu, converged = minimise(K, f, (A[:, free], d + A @ given, low, high), tolerance, begin)
+        u[free], mu, converged = minimise(K, f, (A[:, free], d + A @ given, bound))
         if fine is None:
             break
         z = np.where(fine[2], fine[0] @ u + fine[1], np.inf).reshape(body.cells, -1)
@@ -132,15 +118,13 @@ def equilibrium(
         if converged or not cells.size:
             break
         new = cells * z.shape[1] + z[cells].argmin(axis=1)
-        A, d, none = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new]), np.zeros(new.size)
-        low, high = np.append(low, none), np.append(high, none + np.inf)
-        begin = u[free], np.append(mu, none)
+        A, d = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new])
+        bound = np.append(bound, np.full(new.size, np.inf))
     on = np.where(weight > 1e-12 * np.max(weight), weight, np.inf)
     pressure = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1) / on
     peak, resultant = float(np.max(pressure)), float(np.sum(mu[slips:]))
     length = float(np.sum(weight[pressure > 1e-6 * peak]))
-    stress = (A.T @ mu).reshape(-1, c) / on[:, None]
-    return Equilibrium(body, u, energy(body, F, u), converged, stress, peak, resultant, length)
+    return Equilibrium(body, u, energy(body, F, u), converged, peak, resultant, length)
 
 
 def least(data: Data, mesh: MeshTri) -> Equilibrium:

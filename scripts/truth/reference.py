@@ -33,18 +33,16 @@ def reference(data: Data, nodes: int) -> Reference:
     order: J* is a third of the last decrease below the last energy (of order 2 a fifteenth). Gaps hold at
     nodes: what passes between them is of the same order, and extrapolated with the rest.
     """
-    mesh, last, levels = data.mesh, None, []
+    mesh, levels = data.mesh, []
     while (size := Body(data, mesh).size) < nodes / 4:
         marks = None
         if size >= min(UNIFORM, nodes / 8):
             body = Body(data, mesh)
-            last = equilibrium(body, body.loads(3), tolerance=1e-6, start=last)
-            marks = marked(body, last.u)
+            marks = marked(body, equilibrium(body, body.loads(3)).u)
         mesh = refined(data, mesh, marks)
     for _ in range(3):
         body = Body(data, mesh)
-        last = equilibrium(body, body.loads(4), tolerance=1e-8, start=last)
-        levels.append(last)
+        levels.append(equilibrium(body, body.loads(4)))
         mesh = refined(data, mesh)
     first, second, energy = (level.energy for level in levels)
     bar = max(doubt(first - second, second - energy, 4**data.order), 1e-8 * abs(energy))
