@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import inspect
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
 import rmesh_nlp
 
 ROOT = Path(__file__).parent.parent
-sys.path.insert(0, str(ROOT / "scripts" / "gallery"))
 
 project = "rmesh_nlp"
 author = "the authors of rmesh_nlp"

@@ -1,16 +1,13 @@
-"""Coulomb friction against a closed form, published figures, and all active sets of small problems.
+"""Coulomb friction against a closed form and published figures.
 
 python scripts/benchmark_coulomb.py partial       partial slip of Cattaneo and Mindlin
 python scripts/benchmark_coulomb.py plate         a plate that is pressed and pushed, five published figures
-python scripts/benchmark_coulomb.py hard          all coefficients, orders and meshes: is each solved?
-python scripts/benchmark_coulomb.py several       small blocks by all active sets: what is warned of
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
@@ -18,18 +15,11 @@ from scipy.optimize import brentq
 from skfem import MeshTri
 
 import rmesh_nlp as rm
-from gallery import coulomb_kink
-from rmesh_nlp.assessment.measures import equilibrium_residual, law_residual
-from rmesh_nlp.contact.active_set import at_rest, solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.contact.uniqueness import contraction
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.contact_problem import refined
 from rows import command_line, markdown
 
 COEFFICIENT, RADIUS, PRESS = 0.3, 10.0, 0.19
@@ -188,119 +178,9 @@ def plates() -> pd.DataFrame:
     return pd.DataFrame(lines, columns=["squares", "order", *(f"x = {1e3 * x:g} mm" for x in PLATE)])
 
 
-def with_coefficient(system: ContactSystem, coefficient: float) -> ContactSystem:
-    """The same with one coefficient everywhere."""
-    return replace(system, coulomb=np.full(system.offset.size, coefficient))
-
-
-def system_of(problem: ContactProblem) -> ContactSystem:
-    """The contact system on the mesh as given."""
-    return ContactSolver(problem).system(np.asarray(problem.mesh.p))
-
-
-def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
-    """Whether the laws hold, whatever the solver says."""
-    forces = state.u, state.normal_force, state.tangential_force
-    exact = equilibrium_residual(system, *forces) < 1e-9 and law_residual(system, *forces) < 1e-9
-    return state.status is Status.CONVERGED and exact
-
-
-def families(order: int) -> dict[str, Iterator[ContactProblem]]:
-    """Example 6.3, 30 random bodies and the pressed block, with Coulomb friction."""
-    sizes = (1, 2, 4, 8) if order == 1 else (1, 2, 4)
-    slabs = (replace(coulomb_kink.problem(6 * k), order=order) for k in sizes)
-    blocks = (
-        pressed_block(n, shear, poisson, order)
-        for poisson in (0.3, 0.45, 0.49, 0.499)
-        for n in (8, 16)
-        for shear in (0.0, 0.006, 0.024, 0.06, 0.1)
-    )
-    return {
-        f"Example 6.3, to {12 * sizes[-1]} x {6 * sizes[-1]}": slabs,
-        "random, refined up to twice": (one for seed in range(30) for one in refinements(seed, order)),
-        "pressed block, nu = 0.3 to 0.499": blocks,
-    }
-
-
-def refinements(seed: int, order: int) -> Iterator[ContactProblem]:
-    """A random body, and the same on its uniform refinements."""
-    rough = random_problem(seed, kind="rough", order=order)
-    problem = replace(rough, obstacle=replace(rough.obstacle, friction=0.0, coulomb=0.5))
-    for _ in range(3):
-        yield problem
-        problem = refined(problem)
-
-
-def hard() -> pd.DataFrame:
-    """How many are solved, in how many active sets."""
-    lines = []
-    for order in (1, 2):
-        for name, problems in families(order).items():
-            good, sets = 0, []
-            for system in map(system_of, problems):
-                for value in (0.1, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0, 10.0):
-                    own = with_coefficient(system, value)  # it keeps its factors: one at a time
-                    state = solve(own, at_rest(own))
-                    good += is_solved(own, state)
-                    sets.append(state.iterations)
-            middle, high, most = np.quantile(sets, (0.5, 0.99, 1))
-            lines.append((name, order, f"{good} of {len(sets)}", f"{middle:g}", f"{high:.0f}", f"{most:.0f}"))
-    return pd.DataFrame(lines, columns=["", "order", "solved", "median of sets", "99 %", "most"])
-
-
-def small_block(seed: int) -> ContactProblem:
-    """Three to five contact nodes on a line, a slope or a circle, a coefficient of 0.5 to 8, a body force."""
-    rng = np.random.default_rng(seed)
-    n, m, length, height = rng.integers(2, 5), rng.integers(1, 4), rng.uniform(1, 3), rng.uniform(0.5, 2)
-    rough, slope, radius = rng.uniform(0.5, 8), rng.uniform(-0.5, 0.5), rng.uniform(0.8, 5)
-    foundations = (
-        rm.Obstacle("bottom", coulomb=rough),
-        rm.Obstacle.line("bottom", (0.0, -0.01), (-np.sin(slope), np.cos(slope)), coulomb=rough),
-        rm.Obstacle.circle("bottom", (rng.uniform(0.2, 0.8) * length, -radius), radius, coulomb=rough),
-    )
-    load, sides = (rng.uniform(-200, 200), rng.uniform(-300, 50)), (("top",), ("left",), ("right",))
-    return rm.ContactProblem(
-        rectangle(int(n), int(m), x=(0, length), y=(0, height)),
-        rm.PlaneStrain.from_young(1000.0, rng.uniform(0, 0.45), body_force=load),
-        sides[rng.integers(3)],
-        foundations[rng.integers(3)],
-        rm.Motion(None),
-    )
-
-
-def all_solutions(system: ContactSystem) -> list[Array]:
-    """The displacements of all solutions: open, stick, slide either way, in every combination."""
-    solutions: list[Array] = []
-    for nodes in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=system.offset.size):
-        touching, sliding = (np.array(part) for part in zip(*nodes, strict=True))
-        state = system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
-        size = np.max(np.abs(state.u))
-        is_new = all(np.max(np.abs(state.u - u)) > 1e-6 * size for u in solutions)
-        if is_new and is_solved(system, state):
-            solutions.append(state.u)
-    return solutions
-
-
-def several(count: int = 300) -> pd.DataFrame:
-    """Problems with several solutions, and those of which a record warns, by all active sets."""
-    lines = []
-    for seed in range(count):
-        try:
-            system = system_of(small_block(seed))
-        except rm.ProblemError:  # the foundation passes through a node that is held
-            continue
-        warned = contraction(system, solve(system)) >= 1
-        lines.append((len(all_solutions(system)) > 1, warned, float(system.coulomb[0])))
-    rows = pd.DataFrame(lines, columns=["several", "warned", "F"])
-    groups = rows.groupby("several")
-    return groups.agg(problems=("F", "size"), warned=("warned", "sum"), least_F=("F", "min")).reset_index()
-
-
 TABLES = {
     "partial": partial_slip,
     "plate": plates,
-    "hard": hard,
-    "several": several,
 }
 
 

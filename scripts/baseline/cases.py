@@ -13,14 +13,13 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
 
 import numpy as np
 
 import rmesh_nlp as rm
-from gallery import mpcc_traps
+from gallery import free_boundary, kinks, mpcc_traps, of_file, signorini, stick_slip
 from mpcc_library import labels
 from mpcc_library.bilevel_problems import PROBLEMS as BILEVEL
 from mpcc_library.bilevel_problems import get as bilevel
@@ -158,10 +157,6 @@ def _near_point(seed: int) -> tuple[rm.MPCC, object]:
     return point.mpcc, point.x + 0.3 * np.random.default_rng(seed).uniform(-1, 1, point.x.shape)
 
 
-def _of_gallery(name: str, n: int) -> rm.ContactProblem:
-    return import_module(f"gallery.{name}").problem(n)
-
-
 def _trap(name: str) -> tuple[rm.MPCC, object]:
     program = mpcc_traps.programs()[name]
     return program, np.zeros(program.x.shape[0])
@@ -249,21 +244,26 @@ def _templates() -> Iterator[tuple[str, str, Callable[[], End]]]:
 
 
 def _gallery() -> Iterator[tuple[str, str, Callable[[], End]]]:
-    sizes = {"free_boundary": 10, "hertz": 4, "l_shape": 4, "signorini": 8, "wedge": 3}
-    of_quantities: dict[str, tuple[int, str]] = {
-        "closing_force": (4, "max-pressure(bottom)"),
-        "coulomb_kink": (6, "mean(top, -uy)"),
-        "level_punch": (4, "level-pressure(bottom)"),
-        "punch": (6, "peak-pressure(bottom, 10, 8) + 0.02*quality"),
-        "seal": (8, "boundary(seal, 1.2*(y + uy) - y)"),
-        "stick_slip": (4, "error-h1"),
+    for_energy: dict[str, Callable[[], rm.ContactProblem]] = {
+        "free_boundary": partial(free_boundary.problem, 10),
+        "hertz": partial(of_file, "hertz", h=0.4, h_contact=0.03),
+        "l_shape": partial(of_file, "l_shape", h=0.25),
+        "signorini": partial(signorini.problem, 8),
+        "wedge": partial(of_file, "wedge", nx=12, ny=3),
     }
-    for name, n in sizes.items():
+    of_quantities: dict[str, tuple[Callable[[], rm.ContactProblem], str]] = {
+        "closing_force": (partial(of_file, "closing_force", nx=8, ny=4), "max-pressure(bottom)"),
+        "coulomb_kink": (partial(kinks.slab, 6), "mean(top, -uy)"),
+        "level_punch": (partial(of_file, "level_punch", nx=8, ny=4), "level-pressure(bottom)"),
+        "punch": (partial(of_file, "punch", nx=6, ny=6), "peak-pressure(bottom, 10, 8) + 0.02*quality"),
+        "seal": (partial(kinks.seal, 8), "boundary(seal, 1.2*(y + uy) - y)"),
+        "stick_slip": (partial(stick_slip.problem, 4), "error-h1"),
+    }
+    for name, problem in for_energy.items():
         for formulation in FORMULATIONS:
-            yield name, formulation, partial(contact, partial(_of_gallery, name, n), formulation)
-    for name, (n, objective) in of_quantities.items():
+            yield name, formulation, partial(contact, problem, formulation)
+    for name, (problem, objective) in of_quantities.items():
         for formulation in WITHOUT_ENERGY:
-            problem = partial(_of_gallery, name, n)
             yield name, formulation, partial(contact, problem, formulation, objective=objective)
 
 

@@ -1,7 +1,14 @@
-"""Cases to run and to read. Each is a script too, so modules beside it are imported without the package."""
+"""Problems with something to see, in files and in Python, and what is seen."""
 
-import sys
 from pathlib import Path
+from typing import Any
 
-if (folder := str(Path(__file__).parent)) not in sys.path:
-    sys.path.append(folder)
+from rmesh_nlp.io.problem_builder import build
+from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.problem import ContactProblem
+
+
+def of_file(name: str, order: int | None = None, **mesh: Any) -> ContactProblem:
+    """The problem of a file in this folder, with other arguments of its mesh."""
+    table = read_table(Path(__file__).with_name(f"{name}.toml"))
+    return build(table.model_copy(update={"mesh": table.mesh.model_copy(update=mesh)}), order)

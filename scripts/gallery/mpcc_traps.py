@@ -19,7 +19,6 @@ trap, and would be called converged.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -30,37 +29,11 @@ import rmesh_nlp as rm
 STEPS = 9
 """Of the plain loop: t = 1, 0.1, ..., 1e-8."""
 
-START = 0.5
-"""Every unknown of the start of the plain loop."""
-
 NEAR = 1e-3
 """Distance up to which a point counts as the corner: relaxed solutions are sqrt(t) = 1e-4 away from it."""
 
-
-@dataclass(frozen=True)
-class Case:
-    """One program, looked at in its corner.
-
-    Attributes
-    ----------
-    name : str
-    corner : MPCCResult
-        Of the point x = y = 0.
-    plain : array
-        Where a loop of relaxations down to t = 1e-8 ends.
-    solved : MPCCResult
-        The solver, started in the corner.
-    """
-
-    name: str
-    corner: rm.mpcc.MPCCResult
-    plain: np.ndarray
-    solved: rm.mpcc.MPCCResult
-
-    @property
-    def plain_is_trapped(self) -> bool:
-        """Whether the loop ended in a corner that is no minimum."""
-        return bool(np.max(np.abs(self.plain)) < NEAR) and not self.corner.b_stationary
+Ends = tuple[rm.mpcc.MPCCResult, np.ndarray, rm.mpcc.MPCCResult]
+"""The label of a corner, where the plain loop ends, and the solver that starts in the corner."""
 
 
 def programs() -> dict[str, rm.MPCC]:
@@ -98,27 +71,24 @@ def plain_loop(program: rm.MPCC, x: Any, parameters: Any = None) -> tuple[np.nda
     return x.full().ravel(), str(solver.stats()["return_status"]), iterations
 
 
-def main() -> list[Case]:
+def main() -> dict[str, Ends]:
     """Label the corners, solve from there, and print a line each."""
-    cases = []
-    print(f"{'program':12} {'corner':9} {'plain loop':24} solver from the corner")
+    found: dict[str, Ends] = {}
     for name, program in programs().items():
         n = program.x.shape[0]
-        corner = rm.mpcc.classify(program, np.zeros(n))
-        plain, _, _ = plain_loop(program, np.full(n, START))
-        case = Case(name, corner, plain, rm.solve_mpcc(program, np.zeros(n)))
-        cases.append(case)
+        corner, (plain, _, _) = rm.mpcc.classify(program, np.zeros(n)), plain_loop(program, np.full(n, 0.5))
+        found[name] = corner, plain, rm.solve_mpcc(program, np.zeros(n))
         label = f"{corner.stationarity}, {'B' if corner.b_stationary else 'not B'}"
-        trapped = " trapped" if case.plain_is_trapped else ""
-        print(
-            f"{name:12} {label:9} {_point(case.plain) + trapped:24} "
-            f"{_point(case.solved.x)} {case.solved.label}"
-        )
-    return cases
+        trapped, end = ", trapped" * is_trapped(found[name]), found[name][2]
+        print(f"{name}: {label}; plain loop {plain[:2].round(4)}{trapped}; ", end="")
+        print(f"solver from the corner {end.x[:2].round(4)} {end.label}")
+    return found
 
 
-def _point(x: np.ndarray) -> str:
-    return "(" + ", ".join(f"{abs(value):.4f}" for value in x[:2]) + ")"
+def is_trapped(ends: Ends) -> bool:
+    """Whether the plain loop ended in a corner that is no minimum."""
+    corner, plain, _ = ends
+    return bool(np.max(np.abs(plain)) < NEAR) and not corner.b_stationary
 
 
 if __name__ == "__main__":

@@ -14,10 +14,8 @@ from __future__ import annotations
 from typing import Any
 
 import casadi as ca
-from common import Case, command_line, energy_norm, run
 
-from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Laplace, Motion, Obstacle, Relative
+import rmesh_nlp as rm
 
 
 def exact(x: Any, y: Any) -> Any:
@@ -26,23 +24,14 @@ def exact(x: Any, y: Any) -> Any:
     return r * ca.sqrt(r) * ca.cos(1.5 * ca.atan2(y, x))
 
 
-def problem(n: int) -> ContactProblem:
-    """``2 n`` times ``n`` cells; an odd ``n`` puts no node at the origin."""
-    return ContactProblem(
-        mesh=rectangle(2 * n + 1, n, x=(-1, 1)),
-        law=Laplace(),
-        dirichlet=tuple(Dirichlet(side, (exact,)) for side in ("left", "right", "top")),
-        obstacle=Obstacle("bottom", (1.0,)),
-        motion=Motion(Relative(0.45)),
-        exact=ExactSolution(exact, float("nan")),
+def problem(n: int) -> rm.ContactProblem:
+    """``2 n + 1`` times ``n`` cells: no node is at the origin."""
+    return rm.ContactProblem(
+        mesh=rm.shapes.rectangle(2 * n + 1, n, x=(-1, 1)),
+        law=rm.Laplace(),
+        dirichlet=tuple(rm.Dirichlet(side, (exact,)) for side in ("left", "right", "top")),
+        obstacle=rm.Obstacle("bottom", (1.0,)),
+        motion=rm.Motion(rm.Relative(0.45)),
+        exact=rm.ExactSolution(exact, float("nan")),
         name="Signorini",
     )
-
-
-def main(n: int = 10) -> Case:
-    """Signorini problem with a known singularity."""
-    return run(problem(n), energy_norm)
-
-
-if __name__ == "__main__":
-    command_line(main, 10)

@@ -21,19 +21,25 @@ nodes could lower. They are relocated for the error itself, within 0.45 of the s
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import casadi as ca
 import matplotlib.pyplot as plt
 import numpy as np
-from common import command_line, exact_errors, save
-from designs import SEEDS, Starts, five_starts
+import typer
 
 import rmesh_nlp as rm
-from rmesh_nlp.problem import ExactSolution
+from formulations.mpcc import AllAtOnce
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.assembly import element_values
+from rmesh_nlp.fem.fields import Fields, constant_field
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem import signed_areas
 from rmesh_nlp.problem.coefficients import PositionFunction
 from rmesh_nlp.problem.contact_problem import refined
 
@@ -44,18 +50,6 @@ STICK, OPEN = 0.8, 1.5
 
 REACH = 0.45
 """Move limits in parts of the shortest edge at a node."""
-
-OBJECTIVE = "error-h1"
-OTHER = "error-l2"
-
-
-@dataclass(frozen=True)
-class Relocated:
-    """The solves, and the errors of the given and of the best mesh, refined 0, 1 and 2 times."""
-
-    given: rm.Solution
-    starts: Starts
-    errors: list[tuple[float, float]]
 
 
 def manufactured() -> tuple[ca.Function, ca.Function, ca.Function]:
@@ -97,69 +91,65 @@ def problem(n: int) -> rm.ContactProblem:
             rm.Traction("right", (component(stress, 0, 0), component(stress, 1, 0))),
             rm.Traction("top", (component(stress, 0, 1), component(stress, 1, 1))),
         ),
-        exact=ExactSolution(u, float("nan")),
+        exact=rm.ExactSolution(u, float("nan")),
         name="stick and slip",
     )
 
 
-def errors(ends: Sequence[rm.Solution], objective: str, levels: int = 2) -> list[tuple[float, ...]]:
-    """The error of several meshes, refined 0 to ``levels`` times."""
-    meshes = [replace(end.problem, mesh=end.mesh) for end in ends]
-    result = []
-    for _ in range(levels + 1):
+def main(
+    n: int = 6, objective: str = "error-h1", starts: int = 5, picture: Path | None = None
+) -> tuple[list[rm.Solution], list[tuple[float, float]]]:
+    """Relocate from the given and from drawn starts, and refine the given and the best mesh."""
+    block, ends = problem(n), []
+    formulations = {"nested": "nested", "mpcc": AllAtOnce(twice=False)}
+    for (name, formulation), seed in product(formulations.items(), (None, *range(1, starts))):
+        began = process_time()
+        end = rm.solve(block, formulation, objective=objective, seed=seed)
+        record = end.record()
+        print(
+            f"{name}, start {seed or 'given'}: {end.status.value}, {record['objective_value']:.6g}, "
+            f"{record['label']}, {end.contact_solves} contact solves, "
+            f"{record['kkt_factorisations']} KKT factorisations, {process_time() - began:.1f} s"
+        )
+        ends.append(end)
+    best = min((end for end in ends if end.success), key=lambda end: end.record()["objective_value"])
+    meshes, errors = [block, replace(best.problem, mesh=best.mesh)], []
+    for factor in (1, 2, 4):
         solved = [rm.solve(mesh, "fixed", objective=objective) for mesh in meshes]
-        result.append(tuple(float(part.record()["objective_value"]) for part in solved))
+        before, after = (float(end.record()["objective_value"]) for end in solved)
+        print(f"h/{factor}: {objective} {before:.5g} -> {after:.5g}, gain {1 - after / before:.1%} of it")
+        errors.append((before, after))
         meshes = [refined(mesh) for mesh in meshes]
-    return result
+    if picture is not None:
+        draw(rm.solve(block, "fixed"), best, picture)
+    return ends, errors
 
 
-def main(n: int = 6, objective: str = OBJECTIVE, seeds: Sequence[int | None] = SEEDS) -> Relocated:
-    """Relocate from each start, and compare with the given mesh on refinements of both."""
-    block = problem(n)
-    given = rm.solve(block, "fixed", objective=objective)
-    starts = five_starts(block, objective, seeds)
-    pairs = errors((given, starts.best), objective)
-    print(f"{objective}, as given: {given.record()['objective_value']:.6g}")
-    print(starts.table)
-    for level, (before, after) in enumerate(pairs):
-        print(f"h/{2**level}: {objective} {before:.5g} -> {after:.5g}, gain {1 - after / before:.1%} of it")
-    for which in (OBJECTIVE, OTHER):
-        before, after = errors((given, starts.best), which, 0)[0]
-        print(f"{which}: {before:.5g} -> {after:.5g}")
-    counts = [(end.record()["sticking_nodes"], end.record()["sliding_nodes"]) for end in (given, starts.best)]
-    print(f"nodes that stick, and that slip or are open: {counts}")
-    return Relocated(given, starts, pairs)
+def densities(end: rm.Solution) -> Array:
+    """Root of the mean energy density of the error on each triangle."""
+    values = constant_field(end.displacement)
+    fields = Fields(DisplacementSpace(end.problem), constant_field(np.asarray(end.mesh.p)), values, values)
+    squares = element_values(parse_objective("error-energy").on(fields).groups)(np.zeros(0))[0]
+    return np.sqrt(squares / np.abs(signed_areas(np.asarray(end.mesh.p), end.mesh.t)))
 
 
-def draw(result: Relocated, path: Path) -> None:
+def draw(given: rm.Solution, best: rm.Solution, path: Path) -> None:
     """The error on the given and on the best mesh, and the stresses on the plane beside the exact ones."""
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.2), layout="constrained", width_ratios=(1.2, 1.2, 1))
-    best = result.starts.best
-    densities = []
-    for end in (result.given, best):
-        x, y = end.mesh.p[:, end.mesh.t]
-        areas = np.abs((x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0])) / 2
-        densities.append(np.sqrt(exact_errors(end.problem, np.asarray(end.mesh.p), end.displacement) / areas))
-    top = float(max(density.max() for density in densities))
-    for axis, end, density, name in zip(
-        axes, (result.given, best), densities, ("given", "relocated"), strict=False
-    ):
-        colors = axis.tripcolor(
-            *end.mesh.p, end.mesh.t.T, facecolors=density, cmap="viridis", vmin=0, vmax=top
-        )
+    top = max(float(densities(end).max()) for end in (given, best))
+    for axis, end, name in zip(axes, (given, best), ("given", "relocated"), strict=False):
+        colors = axis.tripcolor(*end.mesh.p, end.mesh.t.T, facecolors=densities(end), vmin=0, vmax=top)
         axis.triplot(*end.mesh.p, end.mesh.t.T, color="white", linewidth=0.3)
         axis.set(title=f"{name} mesh", xlabel="x", ylabel="y", aspect="equal")
     figure.colorbar(colors, ax=axes[:2], label="error, root of the energy density", shrink=0.8)
     at = np.linspace(0, 2, 201)
-    _, stress, _ = manufactured()
-    exact = np.array([stress(x, 0.0).full() for x in at])
-    axes[2].plot(at, -exact[:, 1, 1], color="0.3", label="pressure, exact")
-    axes[2].plot(at, exact[:, 0, 1], "--", color="0.3", label="friction, exact")
+    exact = np.array([manufactured()[1](x, 0.0).full() for x in at])
     nodes = np.unique(best.mesh.facets[:, best.mesh.boundaries["bottom"]])
-    for name, values, color in (
-        ("pressure", best.pressure, "#0072B2"),
-        ("friction", np.abs(best.tangential_stress), "#009E73"),
+    for name, values, stress, color in (
+        ("pressure", best.pressure, -exact[:, 1, 1], "#0072B2"),
+        ("friction", np.abs(best.tangential_stress), exact[:, 0, 1], "#009E73"),
     ):
+        axes[2].plot(at, stress, color=color, linewidth=0.8, label=f"{name}, exact")
         look = {"color": color, "markersize": 4, "label": f"{name}, relocated"}
         axes[2].plot(best.mesh.p[0, nodes], values[nodes], "o", **look)
     for place, name in ((STICK, "slips"), (OPEN, "open")):
@@ -167,8 +157,9 @@ def draw(result: Relocated, path: Path) -> None:
         axes[2].text(place + 0.02, 15, name, color="0.4")
     axes[2].set(xlabel="x", ylabel="stress", title="on the plane")
     axes[2].legend(frameon=False)
-    save(figure, path)
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
 
 
 if __name__ == "__main__":
-    command_line(main, 6, draw)
+    typer.run(main)

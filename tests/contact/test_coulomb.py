@@ -1,19 +1,21 @@
 """Coulomb friction: closed forms, all branches of a small problem, derivatives, and what is refused."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from benchmark_coulomb import all_solutions, is_solved
+from rmesh_nlp.assessment.measures import equilibrium_residual, law_residual
 from rmesh_nlp.contact.active_set import at_rest, solve
 from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.contact.uniqueness import condensed, contraction, spectral_radius
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.contact_problem import refined
@@ -21,6 +23,26 @@ from support.problems import COULOMB, PRESSURE, SHEAR, sliding_block
 from support.problems import coulomb_slab as slab
 
 SAG = "mean(top, -uy)"
+
+
+def is_solved(system: ContactSystem, state: Equilibrium) -> bool:
+    """Whether the laws hold, whatever the solver says."""
+    forces = state.u, state.normal_force, state.tangential_force
+    exact = equilibrium_residual(system, *forces) < 1e-9 and law_residual(system, *forces) < 1e-9
+    return state.status is Status.CONVERGED and exact
+
+
+def all_solutions(system: ContactSystem) -> list[Array]:
+    """The displacements of all solutions: open, stick, slide either way, in every combination."""
+    solutions: list[Array] = []
+    for nodes in product([(False, 1), (True, 0), (True, 1), (True, -1)], repeat=system.offset.size):
+        touching, sliding = (np.array(part) for part in zip(*nodes, strict=True))
+        state = system.equilibrium(ActiveSet(touching, sliding.astype(np.int8)))
+        size = np.max(np.abs(state.u))
+        is_new = all(np.max(np.abs(state.u - u)) > 1e-6 * size for u in solutions)
+        if is_new and is_solved(system, state):
+            solutions.append(state.u)
+    return solutions
 
 
 class TestSolver:

@@ -12,8 +12,7 @@ import rmesh_nlp as rm
 from formulations import nested as module
 from formulations.finish import EXACT_FINISH, Finish
 from formulations.nested import CREEPING, WINDOW, Creeping, Nested
-from gallery.coulomb_kink import problem as slab
-from gallery.seal import problem as seal
+from gallery.kinks import seal, slab
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.branches import BranchLabel
 from rmesh_nlp.models.residual import Released

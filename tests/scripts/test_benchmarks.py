@@ -2,6 +2,7 @@
 
 import importlib
 import json
+import re
 import subprocess
 import sys
 from functools import cache
@@ -13,21 +14,10 @@ import pytest
 
 import ablation
 import benchmark_cost
-import benchmark_peers
 import soak_losses
-from benchmark_coulomb import (
-    StickZone,
-    all_solutions,
-    plate,
-    plate_slips,
-    pressed_block,
-    small_block,
-    system_of,
-    with_coefficient,
-)
+from benchmark_coulomb import StickZone, plate, plate_slips, pressed_block
 from formulations import cascade
 from random_designs import random_design
-from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.solving.outer import Outer
 from rows import Store, markdown
@@ -44,7 +34,7 @@ def test_every_module_can_be_imported(path):
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "path",
-    [path for path in MODULES if "command_line(" in path.read_text() and "__main__" in path.read_text()],
+    [path for path in MODULES if re.search(r"command_line\(__doc__|typer.run", path.read_text())],
     ids=lambda path: path.stem,
 )
 def test_every_script_starts_by_itself_and_says_how_it_is_called(path, tmp_path):
@@ -52,7 +42,7 @@ def test_every_script_starts_by_itself_and_says_how_it_is_called(path, tmp_path)
     command = [sys.executable, str(path), "--help"]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert answer.returncode == 0, answer.stderr
-    assert answer.stdout.startswith("usage: ")
+    assert answer.stdout.lstrip().lower().startswith("usage: ")
 
 
 def test_rows_are_kept_and_a_table_shows_three_digits_or_a_dash(tmp_path):
@@ -135,31 +125,6 @@ def test_seed_determines_the_design_problem():
     assert made(19).feasible != one.feasible
 
 
-def test_times_are_medians_and_a_run_without_a_result_is_a_row():
-    def rows(solver, *seconds):
-        end = {"problem": "p", "solver": solver, "status": "converged", "energy": -1.5, "least area": 0.25}
-        return [{**end, "iterations": 7, "seconds": each} for each in seconds]
-
-    failed = {"problem": "p", "solver": "three", "status": "crashed: SIGKILL"}
-    text = benchmark_peers.table([*rows("one", 1.0, 2.0, 4.0), *rows("two", 3.0, 4.0, 4.0), failed])
-    first, second, third = (
-        [cell.strip() for cell in line.split("|")[2:-1]] for line in text.splitlines()[2:]
-    )
-    assert first == ["one", "converged", "-1.5", "0.25", "7", "2 (1 to 4)", "1"]
-    assert second == ["two", "converged", "-1.5", "0.25", "7", "4 (3 to 4)", "2"]  # ratios run by run
-    assert third == ["three", "crashed: SIGKILL", *"-----"]
-
-
-@pytest.mark.slow
-def test_one_program_built_three_times_has_one_energy(monkeypatch, tmp_path):
-    names = ("joint", "CasADi nlpsol, our expressions", "CasADi nlpsol, written out")
-    monkeypatch.setattr(benchmark_peers, "SOLVERS", {name: benchmark_peers.SOLVERS[name] for name in names})
-    assert benchmark_peers.main(["--sizes", "8", "--repeat", "1", "--out", str(tmp_path)]) == 0
-    lines = (tmp_path / "table.md").read_text().splitlines()[2:]
-    cells = [[cell.strip() for cell in line.split("|")[1:5]] for line in lines]
-    assert cells == [["6.1, n = 8", name, "converged", "-1.475161"] for name in names]
-
-
 @pytest.mark.slow
 def test_kills_and_short_writes_lose_nothing(capsys):
     arguments = ["--kills", "1", "--short-writes", "1", "--solves", "4", "--jobs", "1", "--longest", "5"]
@@ -197,10 +162,3 @@ def test_slips_of_a_plate_are_the_published_ones() -> None:
     slips = plate_slips(plate(32, 1))
     np.testing.assert_allclose(slips, 1.0, atol=0.05)
     np.testing.assert_allclose(slips[:4], 1.0, atol=0.005)
-
-
-def test_all_active_sets_have_the_solution_that_is_found_and_with_little_friction_no_other() -> None:
-    system = system_of(small_block(1))
-    little = with_coefficient(system, 0.05)
-    (only,) = all_solutions(little)
-    np.testing.assert_allclose(only, solve(little).u, atol=1e-9 * np.max(np.abs(only)))
