@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 from unittest.mock import patch
 
@@ -130,27 +131,24 @@ PLAIN = Rule("as it is", ("fixed", "joint", "mpcc", "nested", "auto"), (*LIMITED
 NOT_FOR = {("joint", "other"), ("joint", "design"), ("auto", "limits"), ("auto", "fine"), ("fixed", "free")}
 
 
-def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: str) -> Row:
+def solved(rule: Rule, formulation: str, problem: rm.ContactProblem, objective: str) -> Iterator[Row]:
     """Gain in what is minimised, success and cost in contact solves and factorisations."""
+    how = {"objective": objective, "limits": rm.Limits(SECONDS), **rule.settings}
     with without(rule), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        try:
-            record = rm.solve(
-                problem, formulation, objective=objective, limits=rm.Limits(SECONDS), **rule.settings
-            ).record()
-        except Exception as error:
-            return {"success": False, "status": f"{type(error).__name__}: {error}", "gain": 0.0, "cost": 0}
+        record = rm.solve(problem, formulation, **how).record()
     before, after = record["energy_initial_audited"], record["energy_audited"]
     if objective != "energy":
         before, after = record.get("objective_initial"), record["objective_value"]
     gain = (before - after) if None not in (before, after) else 0.0
     cost = record["contact_solves"] + record.get("kkt_factorisations", 0)
-    return {"success": record["success"], "status": record["status"], "gain": gain, "cost": cost}
+    yield {"success": record["success"], "status": record["status"], "gain": gain, "cost": cost}
 
 
 def table(rows: Sequence[Row]) -> str:
     """Per rule: cases, median and least gain over that with the rule, how many ended otherwise, and cost."""
     frame = pd.DataFrame(rows)
+    frame["success"] = frame.success.eq(True)  # what raised an error has none
     plain = frame[frame.rule == PLAIN.name]
     pairs = frame.merge(plain, on=["formulation", "case"], suffixes=("", "_before"))
     lines = []
@@ -179,9 +177,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for name, (kind, problem, objective) in cases.items():
             for formulation in rule.formulations if kind in rule.kinds else ():
                 key = {"rule": rule.name, "formulation": formulation, "case": name}
-                if (formulation, kind) not in NOT_FOR and not store.has(**key):
-                    store.add(key | solved(rule, formulation, problem, objective))
-                    print(*store.rows[-1].values(), sep="; ", file=sys.stderr)
+                if (formulation, kind) not in NOT_FOR:
+                    store.measure(key, partial(solved, rule, formulation, problem, objective))
     print(table(store.rows))
     return 0
 

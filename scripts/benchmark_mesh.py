@@ -131,7 +131,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     (options.out / "table.md").write_text(text)
     picture(store.rows).savefig(options.out / "best_mesh.png", dpi=150)
     print(text)
-    return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
+    return 0 if all(np.isfinite(row.get("error", np.nan)) for row in store.rows) else 1
 
 
 if __name__ == "__main__":

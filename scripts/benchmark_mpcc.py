@@ -29,6 +29,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -93,7 +94,7 @@ def measured(problem: Problem, x: Array) -> tuple[float, float]:
     return problem.sign * float(f[0]), float(np.max(np.concatenate(excess), initial=0.0))
 
 
-def solved(group: str, problem: Problem, solver: str, limit: float, together: bool = False) -> Row:
+def solved(problem: Problem, solver: str, limit: float, together: bool = False) -> Iterator[Row]:
     """Solve one problem in a process of its own, or ``together`` with the others in this one."""
 
     def work() -> Row:
@@ -106,8 +107,7 @@ def solved(group: str, problem: Problem, solver: str, limit: float, together: bo
 
     row = work() if together else isolated(work, limit)
     row = {"status": row.why, "seconds": limit} if isinstance(row, Failed) else row
-    key = {"group": group, "problem": problem.name, "solver": solver, "pairs": problem.mpcc.n_pairs}
-    return {**key, "target": problem.target, **row}
+    yield {"pairs": problem.mpcc.n_pairs, "target": problem.target, **row}
 
 
 def judged(rows: Sequence[Row]) -> pd.DataFrame:
@@ -207,10 +207,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ca.nlpsol("warm", "ipopt", {"x": warm, "f": warm**2}, {"ipopt": {"print_level": 0, "sb": "yes"}})(x0=1)
     store = Store(options.out / "rows.jsonl")
     for (group, problem), solver in product(chosen, installed):
-        if not store.has(problem=problem.name, solver=solver):
-            row = solved(group, problem, solver, options.limit, options.together)
-            store.add(row)
-            print(*(row.get(key) for key in ("problem", "solver", "status", "f", "seconds")), sep="; ")
+        key = {"group": group, "problem": problem.name, "solver": solver}
+        store.measure(key, partial(solved, problem, solver, options.limit, options.together))
     text = table(store.rows) + ("" if by_size(store.rows).empty else "\n" + size_table(store.rows))
     (options.out / "table.md").write_text(text, encoding="utf-8")
     figure(store.rows, options.out / "size.png")

@@ -31,7 +31,7 @@ from best_mesh.cases import CASES, MORE, Case, extrapolated
 from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
 from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
 from rmesh_nlp.models.remeshing import Solved, metric_start
-from rmesh_nlp.problem import ContactProblem, Motion
+from rmesh_nlp.problem import ContactProblem
 from rows import Row, Store, command_line, figure, markdown
 
 SIZES = {
@@ -55,7 +55,7 @@ SHOWN = {"L-shape r^(2/3)": r"L-shape, $r^{2/3}$", "6.1": "Example 6.1", "wedge"
 """Cases of the figure, and what they are called there."""
 
 METHODS = (UNIFORM, ADAPTIVE, RELOCATED, REMESHED)
-REFERENCE, POLYGON = "reference", "polygon"
+REFERENCE = "reference"
 
 MOST = {UNIFORM: 80_000, ADAPTIVE: 30_000}
 """Nodes up to which meshes of scikit-fem go."""
@@ -97,9 +97,9 @@ def energies(problem: ContactProblem) -> Iterator[Row]:
         yield {"nodes": unknowns(solved.problem), "error": solved.state.energy, "status": "energy"}
 
 
-def limit(rows: Sequence[Row], case: str, method: str, size: int) -> tuple[float, float]:
+def limit(rows: Sequence[Row], case: str) -> tuple[float, float]:
     """The energy that those of two meshes tend to like one over the square of the nodes, and its doubt."""
-    meshes = of(rows, case, method, 2).query("size == @size")
+    meshes = of(rows, case, REFERENCE, 2)
     if len(meshes) < 2:
         return float("nan"), float("nan")
     return extrapolated(*zip(meshes.nodes, meshes.error, strict=True), rate=2)
@@ -110,11 +110,7 @@ def measured(store: Store, case: Case, levels: int | None) -> None:
     sizes = SIZES[case.name]
     if case.slope is None and np.isnan(case.known):
         measure(store, case.name, 2, REFERENCE, 0, partial(energies, case.problem(sizes[0])))
-        case = replace(case, known=limit(store.rows, case.name, REFERENCE, 0)[0])
-    if case.problem(sizes[0]).motion.curves:
-        for size in sizes[:-1][:levels]:
-            polygon = replace(case.problem(size), motion=Motion(None))
-            measure(store, case.name, 2, POLYGON, size, partial(energies, polygon))
+        case = replace(case, known=limit(store.rows, case.name)[0])
     for task in tasks(case, levels):
         measure(store, case.name, *task)
 
@@ -142,7 +138,7 @@ def factors(rows: Sequence[Row]) -> pd.DataFrame:
     for case in cases(rows):
         errors = at_equal_unknowns(rows, case, 2)
         part = pd.DataFrame({"problem": case, "nodes": errors.index, "error, uniform": [*errors[UNIFORM]]})
-        part["known to"] = limit(rows, case, REFERENCE, 0)[1]
+        part["known to"] = limit(rows, case)[1]
         finer = np.log(part.nodes / part.nodes.shift()).to_numpy()
         for method in METHODS[1:]:
             part[method] = (errors[UNIFORM] / errors[method]).to_numpy()
@@ -189,19 +185,6 @@ def times(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame(lines, columns=columns)
 
 
-def polygons(rows: Sequence[Row]) -> pd.DataFrame:
-    """What the energy changes by if a curved boundary is replaced by the polygon of a mesh."""
-    lines = []
-    for case in cases(rows):
-        exact = limit(rows, case, REFERENCE, 0)[0]
-        sizes = sorted(set(of(rows, case, POLYGON, 2)["size"]))
-        for size, given in zip(sizes, of(rows, case, UNIFORM, 2).itertuples(), strict=False):
-            own = abs(limit(rows, case, POLYGON, size)[0] - exact)
-            lines.append((case, given.nodes, own, own / given.error))
-    columns = ["problem", "nodes", "the polygon's own error", "over that of the elements, uniform"]
-    return pd.DataFrame(lines, columns=columns)
-
-
 def picture(rows: Sequence[Row]) -> Figure:
     """Error against unknowns and against time: orders 1 (open, dashed) and 2 of all methods."""
     sheet = Figure(figsize=(8, 6.4), layout="constrained")
@@ -231,11 +214,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         methods.warm_up()
         for name in options.cases:
             measured(store, {**CASES, **MORE}[name], options.levels)
-    text = "\n".join(markdown(table(store.rows)) for table in (factors, orders, times, polygons))
+    text = "\n".join(markdown(table(store.rows)) for table in (factors, orders, times))
     (options.out / "table.md").write_text(text)
     picture(store.rows).savefig(options.out / "order.png", dpi=150)
     print(text)
-    return 0 if all(np.isfinite(row["error"]) for row in store.rows) else 1
+    return 0 if all(np.isfinite(row.get("error", np.nan)) for row in store.rows) else 1
 
 
 if __name__ == "__main__":

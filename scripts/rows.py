@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -52,6 +52,18 @@ class Store:
     def has(self, **key: Any) -> bool:
         """Whether a row has all these entries."""
         return any(all(row.get(name) == value for name, value in key.items()) for row in self.rows)
+
+    def measure(self, key: Row, work: Callable[[], Iterable[Row]]) -> None:
+        """Keep the rows of ``work`` unless one has this key, and print them; an exception is a row."""
+        if self.has(**key):
+            return
+        try:
+            measured = list(work())
+        except Exception as error:
+            measured = [{"status": f"{type(error).__name__}: {' '.join(str(error).split())[:200]}"}]
+        for row in measured:
+            self.add({**key, **row})
+            print(*self.rows[-1].values(), sep="; ", flush=True)
 
     def add(self, row: Mapping[str, Any]) -> None:
         """Keep a row."""

@@ -30,17 +30,8 @@ Method = Callable[[], Rows]
 
 
 def measure(store: Store, case: str, order: int, method: str, size: int, rows: Method) -> None:
-    """Keep the rows of a method, if it was not measured before; what went wrong is a row."""
-    key = {"case": case, "order": order, "method": method, "size": size}
-    if store.has(**key):
-        return
-    try:
-        measured = list(rows())
-    except Exception as error:
-        measured = [{"nodes": 0, "error": float("nan"), "status": f"{type(error).__name__}: {error}"}]
-    for row in measured:
-        store.add({**key, "seconds": float("nan"), "status": "", **row})
-        print(*key.values(), *row.values(), sep="; ", flush=True)
+    """Keep the rows of a method, if it was not measured before."""
+    store.measure({"case": case, "order": order, "method": method, "size": size}, rows)
 
 
 def warm_up() -> None:
