@@ -1,12 +1,12 @@
-"""Kill solves and clients at random moments, and fill the disk: nothing is lost, nothing doubled.
+"""Kill a study at random moments, and fill the disk: nothing is lost, nothing doubled.
 
     python scripts/soak_losses.py                             an hour
     python scripts/soak_losses.py --kills 3 --short-writes 2 --solves 12
 
-Rounds of two kinds. A comparison (``comparison.run`` with ``resume``) is ended by ``kill -9`` after a random
-time, or gets a limit on the size of files (``RLIMIT_FSIZE``), at which the system takes a part of a write and
-then refuses, as a full disk does. A study (``rmesh study``) loses its client or a process in which a solve
-runs, and is started again. After each round the folder is read by this script's own code.
+In each round the study (``rmesh study``) loses its client or a process in which a solve runs, after a random
+time, and is started again. In some it gets a limit on the size of files (``RLIMIT_FSIZE``) as well, at which
+the system takes a part of a write and then refuses, as a full disk does. After each round the folder is read
+by this script's own code.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import os
 import random
-import shutil
+import resource
 import signal
 import subprocess
 import sys
@@ -22,7 +22,7 @@ import tempfile
 import time
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
-from collections.abc import Set
+from collections.abc import Callable, Sequence, Set
 from contextlib import suppress
 from pathlib import Path
 
@@ -30,24 +30,7 @@ import psutil  # of dask, as studies by several processes are
 
 from rows import command_line
 
-COMPARISON = """
-import resource, sys
-from pathlib import Path
-from rmesh_nlp.study.comparison import plan_comparison, run
-from rmesh_nlp.io.results import Results
-
-sizes = [(6, 3), (8, 4), (10, 5)]
-plan = [solve for n in sizes for solve in plan_comparison(["6.2", "6.3"], ["fixed", "joint"], n=n)]
-print("ready", flush=True)
-limit = int(sys.argv[2])
-if limit:
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-for record in run(plan, Results(Path(sys.argv[1])), resume=True):
-    pass
-"""
-CASES = 12
-
-STUDY = 'random = {{ seed = 0, count = {count} }}\nformulations = ["fixed", "joint"]\nfields = false\n'
+STUDY = 'random = {{ seed = 0, count = {count} }}\nformulations = ["fixed", "joint"]\n'
 RMESH = "from rmesh_nlp.cli.entry import main; main()"
 
 
@@ -59,9 +42,9 @@ def rows(folder: Path) -> dict[str, str]:
             row = json.loads(line)
             assert row["key"] not in result, f"doubled: {row['key']}"
             result[row["key"]] = line
-            if row["success"] and (path.parent / "solutions").exists():
-                ElementTree.parse(path.parent / "solutions" / f"{row['key']}.vtu")
-                assert (path.parent / "solutions" / f"{row['key']}.csv").stat().st_size > 0, row["key"]
+            if row["success"]:
+                ElementTree.parse(folder / "solutions" / f"{row['key']}.vtu")
+                assert (folder / "solutions" / f"{row['key']}.csv").stat().st_size > 0, row["key"]
     return result
 
 
@@ -74,54 +57,13 @@ def survive(before: dict[str, str], folder: Path) -> dict[str, str]:
     return after
 
 
-def begin(folder: Path, limit: int = 0) -> subprocess.Popen[str]:
-    """A comparison in ``folder`` that is about to solve."""
-    command = [sys.executable, "-W", "ignore", "-c", COMPARISON, str(folder), str(limit)]
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    process.stdout.readline()
-    return process
+def limited(size: int) -> Callable[[], None]:
+    """What a process begins with whose files have a largest size: a write is done in part, then refused."""
+    return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (size, size))
 
 
-def finish(folder: Path) -> None:
-    """Run what is left of a comparison without disturbance."""
-    process = begin(folder)
-    _, errors = process.communicate(timeout=600)
-    assert process.returncode == 0, errors
-
-
-def comparisons(kills: int, short_writes: int, rng: random.Random) -> Counter[str]:
-    """Disturb comparisons; returns what was seen."""
-    rounds = ["kill"] * kills + ["short write"] * short_writes
-    rng.shuffle(rounds)
-    seen: Counter[str] = Counter()
-    with tempfile.TemporaryDirectory() as name:
-        folder, began = Path(name) / "results", time.monotonic()
-        finish(folder)
-        whole, kept_rows = time.monotonic() - began, rows(folder)
-        for kind in rounds:
-            if len(kept_rows) == CASES:  # begin anew: else there is nothing left to lose
-                shutil.rmtree(folder)
-                kept_rows = {}
-            if kind == "kill":
-                process = begin(folder)
-                time.sleep(rng.uniform(0, 0.5 * whole))
-                process.kill()
-                process.communicate()
-            else:
-                sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
-                process = begin(folder, limit=int(rng.uniform(0.5, 1.2) * max([2000, *sizes])))
-                _, errors = process.communicate(timeout=600)
-                seen["refused write"] += "File too large" in errors
-            kept_rows = survive(kept_rows, folder)
-            seen[kind] += 1
-        finish(folder)
-        assert len(survive(kept_rows, folder)) == CASES
-    return seen
-
-
-def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random) -> Counter[str]:
-    """Disturb a study; returns what was seen."""
+def study(solves: int, rounds: Sequence[str], jobs: int, longest: float, rng: random.Random) -> Counter[str]:
+    """Disturb a study in rounds, each a "kill" or a "short write"; returns what was seen."""
     seen: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as name:
         folder, kept_rows = Path(name), dict[str, str]()
@@ -130,10 +72,15 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
         command = [sys.executable, "-W", "ignore", "-c", RMESH, *words, "--json"]
         plan = subprocess.run([*command, "--dry-run"], capture_output=True, text=True, check=True)
         planned: Set[str] = set(json.loads(plan.stdout)["solves"])
-        for _ in range(kills):
-            process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-            time.sleep(rng.uniform(1.0, longest))
-            below = psutil.Process(process.pid).children(recursive=True)
+        for kind in rounds:
+            sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+            limit = int(rng.uniform(0.5, 1.2) * rng.choice([2000, *sizes]))
+            start = limited(limit) if kind == "short write" else None
+            quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+            process = subprocess.Popen(command, preexec_fn=start, **quiet)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(longest if kind == "short write" else rng.uniform(1.0, longest))
+            below = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
             every = [process.pid, *(child.pid for child in below)]
             target = rng.choice(every) if rng.random() < 0.5 else process.pid
             seen["client" if target == process.pid else "solve"] += process.poll() is None
@@ -142,8 +89,9 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
             if target != process.pid:
                 time.sleep(rng.uniform(0.0, longest))
                 process.kill()
-            process.wait()
+            seen["refused write"] += process.wait() == 2  # the exit code of errors in one line
             kept_rows = survive(kept_rows, folder / "out")
+            seen[kind] += 1
         done = subprocess.run(command, capture_output=True, text=True, timeout=36000)
         assert done.returncode in (0, 1), done.stderr
         missing = planned ^ survive(kept_rows, folder / "out").keys()
@@ -154,18 +102,17 @@ def study(solves: int, kills: int, jobs: int, longest: float, rng: random.Random
 def main(arguments: list[str] | None = None) -> None:
     """Read the command line, soak, say what was seen."""
     parser = command_line(__doc__)
-    parser.add_argument(
-        "--kills", type=int, default=50, help="of comparisons, and a third as many of a study"
-    )
+    parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--short-writes", type=int, default=10)
-    parser.add_argument("--solves", type=int, default=2000, help="of the study")
-    parser.add_argument("--jobs", type=int, default=2, help="of the study")
+    parser.add_argument("--solves", type=int, default=2000)
+    parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--longest", type=float, default=40.0, help="seconds until the study loses something")
     parser.add_argument("--seed", type=int, default=0)
     given = parser.parse_args(arguments)
     rng = random.Random(given.seed)
-    seen = comparisons(given.kills, given.short_writes, rng)
-    seen += study(given.solves, -(-given.kills // 3), given.jobs, given.longest, rng)
+    rounds = ["kill"] * given.kills + ["short write"] * given.short_writes
+    rng.shuffle(rounds)
+    seen = study(given.solves, rounds, given.jobs, given.longest, rng)
     print("nothing lost, nothing doubled:", ", ".join(f"{count} {what}" for what, count in seen.items()))
 
 

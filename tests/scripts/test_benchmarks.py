@@ -133,8 +133,11 @@ def test_kills_and_short_writes_lose_nothing(capsys):
 
 
 def test_a_lost_or_doubled_row_is_found_out(tmp_path):
-    line = json.dumps({"key": "a", "success": True})
-    path = tmp_path / "records.jsonl"
+    line, path = json.dumps({"key": "a", "success": True}), tmp_path / "records.jsonl"
+    fields = tmp_path / "solutions" / "a"
+    fields.parent.mkdir()
+    fields.with_suffix(".vtu").write_text("<VTKFile/>")
+    fields.with_suffix(".csv").write_text("x,y\n")
     path.write_text(f"{line}\n{line[:9]}")
     known = soak_losses.rows(tmp_path)
     assert known == {"a": line}
