@@ -20,7 +20,6 @@ from rmesh_nlp.problem import (
     PiecewiseLinear,
     PlaneStrain,
     PointLoad,
-    Relative,
 )
 from support.curved import HOLE, plate
 from support.problems import no_move_limits
@@ -54,14 +53,6 @@ def test_interpolation_is_exact_for_linear_functions_and_continued_from_the_near
     assert weights.min() >= 0
     found = interpolated(mesh.p, problem.triangles, linear(mesh.p), points)
     np.testing.assert_allclose(found, linear(there), atol=1e-12)
-
-
-def test_relative_move_limits_are_the_same_lengths_on_a_coarser_mesh() -> None:
-    problem = ContactProblem(rectangle(16, 16), Laplace(1.0), ("left",), motion=Motion(Relative(0.3)))
-    coarse = coarsened(problem, 0)
-    halved = np.sqrt(coarse.mesh.p.shape[1] / problem.mesh.p.shape[1])  # of nodes per length
-    assert 0.5 < halved < 0.9
-    assert coarse.motion.delta == Relative(0.3 * halved)
 
 
 @pytest.mark.parametrize(("coarse", "fine"), [(3, 6), (4, 7)])

@@ -45,7 +45,7 @@ from support.contact_geometry import (
     block_in_a_corner,
     block_sliding_on_a_circle,
 )
-from support.curved import CURVES, plate, spline_of_the_hole
+from support.curved import CURVES, plate
 from support.problems import energy_error, signorini
 
 SIDES = ("left", "right", "top", "bottom")
@@ -71,26 +71,20 @@ def count(problem: ContactProblem) -> int:
 
 
 class TestNumberOfNodes:
-    @pytest.mark.parametrize("nodes", [20, 500])
-    def test_is_met_up_to_two_percent(self, nodes: int) -> None:
-        assert abs(count(remade(scalar(), nodes)) - nodes) <= max(EXACT * nodes, 1)
-
-    def test_a_known_ratio_of_triangles_is_kept(self) -> None:
+    @pytest.mark.parametrize("nodes", [20, 150])
+    def test_is_met_up_to_two_percent_and_so_it_is_with_the_same_ratio_of_triangles(self, nodes: int) -> None:
         problem = scalar()
         regions = Solved.of(problem).regions
-        first, ratio = remeshed_problem(problem, regions, 400)
-        again, same = remeshed_problem(problem, regions, 400, ratio)
+        first, ratio = remeshed_problem(problem, regions, nodes)
+        assert abs(count(first) - nodes) <= max(EXACT * nodes, 1)
+        again, same = remeshed_problem(problem, regions, nodes, ratio)
         assert same == ratio  # of another trial it would differ
         np.testing.assert_array_equal(again.mesh.p, first.mesh.p)
 
     @pytest.mark.parametrize(
         ("make", "nodes", "said"),
         [
-            (
-                lambda: scalar(motion=Motion(None, pinned=SIDES)),
-                15,
-                "no mesh of 15 nodes of this domain",
-            ),
+            (lambda: scalar(motion=Motion(None, pinned=SIDES)), 15, "no mesh of 15 nodes of this domain"),
             (lambda: signorini(6), 4, r"mesh of \d nodes: no node of the contact set is free"),
             (lambda: plate({"hole": CURVES["circle"]}), 12, "too coarse for the curves: take more"),
             (
@@ -133,7 +127,7 @@ class TestCarriedOver:
         assert [load.force for load in found.point_loads] == [load.force for load in loads]
 
     def test_two_materials_keep_their_interface(self) -> None:
-        mesh = named(rectangle(8, 8), {}, {"a": lambda x: x[0] < 0.5, "b": lambda x: x[0] > 0.5})
+        mesh = named(rectangle(6, 6), {}, {"a": lambda x: x[0] < 0.5, "b": lambda x: x[0] > 0.5})
         problem = scalar(mesh, law={"a": SOURCE, "b": replace(SOURCE, conductivity=50.0)})
         found = remade(problem)
         centres = found.mesh.p[:, found.mesh.t].mean(axis=1)
@@ -143,14 +137,13 @@ class TestCarriedOver:
 
     def test_bodies_that_only_contact_holds_friction_and_interior_obstacles(self) -> None:
         membrane = scalar(
-            rectangle(8, 8),
             law=Laplace(-10.0),
             dirichlet=SIDES,
             obstacle=Obstacle(Place.INTERIOR, (1.0,), 0.05),
         )
-        blocks = block_in_a_corner(), block_sliding_on_a_circle()
+        blocks = block_in_a_corner(2), block_sliding_on_a_circle()
         for problem in (membrane, *map(without_limits, blocks)):
-            found = Solved.of(remade(problem, 40))
+            found = Solved.of(remade(problem, 30))
             assert found.state.status is Status.CONVERGED
             assert found.problem.obstacles == problem.obstacles
 
@@ -158,8 +151,8 @@ class TestCarriedOver:
 class TestCurves:
     @pytest.mark.parametrize(
         ("curve", "h", "nodes"),
-        [(CURVES["circle"], 1.2, 90), (spline_of_the_hole(), 2.0, 150)],
-        ids=["where an arc would be too high", "where an edge would cut through its triangle"],
+        [(CURVES["circle"], 1.2, 90), (CURVES["parametrised"], 2.0, 60)],
+        ids=["where an arc would be too high", "on another curve"],
     )
     def test_nodes_end_on_them_and_arcs_are_no_higher_than_given(
         self, curve: Curve, h: float, nodes: int
@@ -208,7 +201,6 @@ def test_four_triangles_are_remeshed() -> None:
     triangles = [[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]]
     four = scalar(from_arrays(nodes, triangles, {"left": lambda x: x[0] < 1e-9}))
     assert 3 < count(metric_start(Solved.of(four), 5).solved.problem) <= 7
-    assert abs(count(metric_start(Solved.of(four), 30).solved.problem) - 30) <= 1
 
 
 @pytest.mark.parametrize("pull", [1.0, 0.0])
@@ -303,8 +295,8 @@ class TestRounds:
             metric_start(first, 25)
 
     def test_error_of_example_61_falls_four_times(self) -> None:
-        problem = signorini(16)
+        problem = signorini(10)
         start = metric_start(Solved.of(problem), count(problem))
-        assert abs(count(start.solved.problem) - 289) <= 0.02 * 289 + 1
+        assert abs(count(start.solved.problem) - 121) <= 0.02 * 121 + 1
         assert energy_error(problem) / energy_error(start.solved.problem) > 4
         assert min(start.energies) == start.solved.state.energy

@@ -71,9 +71,9 @@ def block(
 
 
 DESIGNS = {
-    "gaps along edges": lambda order: block(H0, BOW, order=order, gaps="edge"),
+    "gaps along edges": lambda order: block(H0, BOW, order=order, n=(4, 2), gaps="edge"),
     "modulus, load, foundation, Coulomb's coefficient, shape": lambda order: block(
-        E, LOAD, H0, F, BOW, order=order
+        E, LOAD, H0, F, BOW, order=order, n=(4, 2)
     ),
 }
 

@@ -28,9 +28,9 @@ from support.problems import no_move_limits, sloped_block
 
 CONTACTS: dict[str, Callable[[], ContactProblem]] = {
     "6.1": lambda: EXAMPLES["6.1"](4),
-    "6.2": lambda: EXAMPLES["6.2"]((4, 3)),
-    "6.3": lambda: EXAMPLES["6.3"]((6, 3)),
-    "sloped, stick and slip": sloped_block,
+    "6.2": lambda: EXAMPLES["6.2"]((4, 2)),
+    "6.3": lambda: EXAMPLES["6.3"]((6, 2)),
+    "sloped, stick and slip": lambda: sloped_block(n=(6, 2)),
     "curved foundation, stick and slip": block_sliding_on_a_circle,
 }
 
@@ -63,14 +63,14 @@ def membrane_over_a_bump() -> ContactProblem:
 
 
 OTHERS: dict[str, Callable[[], ContactProblem]] = {
-    "gaps along edges": block_along_a_circle,
-    "two foundations": block_between_two_foundations,
+    "gaps along edges": lambda: block_along_a_circle(2),
+    "two foundations": lambda: block_between_two_foundations(2),
     "graph, no normal varies": punch_held_by_symmetry,
     "interior obstacle": lambda: random_problem(2, kind="membrane"),
     "bump, gaps along edges": membrane_over_a_bump,
     "two materials": lambda: random_problem(8),
     "contact on an arc": disc_on_its_arc,
-    "two obstacles at a node": block_in_a_corner,
+    "two obstacles at a node": lambda: block_in_a_corner(2),
     "tied nodes, point load, given gap": tied_membrane,
 }
 """More kinds of contact."""
