@@ -14,19 +14,8 @@ from formulations.outer_solvers import OuterResult
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping.validity import is_valid
 from rmesh_nlp.meshes import shapes
-from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.residual import size_of
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import (
-    ContactProblem,
-    Dirichlet,
-    Laplace,
-    Motion,
-    Obstacle,
-    PlaneStrain,
-    Relative,
-    Traction,
-)
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, Relative, Traction
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
@@ -117,41 +106,3 @@ def test_joint_ends_as_well_in_any_unit_of_length(usual: float, length: float) -
     assert solution.gain / length**2 >= 0.9 * usual  # it may be another local minimum
     residuals = [step.dual_residual for step in solution.history if np.isfinite(step.dual_residual)]
     assert residuals[-1] <= 1e-6 < residuals[0]
-
-
-def test_the_program_in_another_unit_of_length_is_the_same() -> None:
-    problem, rng, length = block(1.0), np.random.default_rng(0), 0.3
-    usual, scaled = relocation(problem), relocation(problem, length=length)
-    parts = usual.split(0.1 * rng.uniform(-1, 1, usual.n_x))
-    unit = np.repeat([1.0, length], [usual.n_q, usual.n_u + usual.n_s])
-    rows = np.repeat([length, 1.0], [usual.n_contact + 2 * usual.n_s, usual.n_valid])
-    lam = rng.uniform(-1, 1, rows.size)
-    assert usual.nlp.derivatives is not None
-    assert scaled.nlp.derivatives is not None
-    expected, measured = (
-        [*derivatives.grad_f(x, []), *derivatives.jac_g(x, []), derivatives.hess_lag(x, [], 0.7, by)]
-        for derivatives, x, by in (
-            (usual.nlp.derivatives, usual.unknowns(*parts), lam / rows),
-            (scaled.nlp.derivatives, scaled.unknowns(*parts), lam),
-        )
-    )
-    value, gradient, g, jacobian, hessian = (np.squeeze(part.full()) for part in expected)
-    transformed = (
-        value,
-        unit * gradient,
-        g / rows,
-        jacobian * unit / rows[:, None],
-        hessian * np.outer(unit, unit),
-    )
-    for own, other in zip(measured, transformed, strict=True):
-        np.testing.assert_allclose(np.squeeze(own.full()), other, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(scaled.forces(lam)[0], usual.forces(lam / rows)[0])
-
-
-def test_energies_that_cancel_are_measured_by_their_size() -> None:
-    """-u'' = -6 with u = 1 at one end and free at the other: 6 are stored, and done by the load."""
-    outer = Outer.of(
-        ContactProblem(shapes.rectangle(8, 1), Laplace(-6.0), Dirichlet("left", 1.0), motion=Motion(0))
-    )
-    point = outer.energy(np.zeros(outer.n))
-    assert abs(point.value) < 0.1 < 2 < size_of(point)

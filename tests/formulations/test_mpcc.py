@@ -120,7 +120,7 @@ def test_ipopts_barrier_is_no_relaxation_parameter() -> None:
 
 @pytest.mark.parametrize(
     ("formulation", "name", "n"),
-    [(mpcc, "6.1", 3), (mpcc, "6.2", (4, 2)), (joint, "6.1", 5), (joint, "6.2", (6, 3))],
+    [(mpcc, "6.1", 3), (mpcc, "6.2", (4, 2)), (joint, "6.1", 3), (joint, "6.2", (4, 2))],
 )
 def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, name: str, n: Any) -> None:
     given = EXAMPLES[name](n)
