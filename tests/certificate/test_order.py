@@ -16,8 +16,8 @@ from rmesh_nlp.certificate import equilibration
 from rmesh_nlp.certificate.bracket import AT_NODES, Bracket, bracket, refined_bracket
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
-from support.certificates import guess_on, proved
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle, PlaneStrain, Traction
+from support.certificates import guess_on
 
 Field = Callable[[Any, Any], Any]
 
@@ -156,21 +156,3 @@ def test_it_is_a_bound_where_the_contact_of_the_field_is_not_found(monkeypatch: 
     found = on(problem)
     assert not found.lower_faults
     assert found.lower < best.lower * (1 + 1e-3)
-
-
-@pytest.mark.parametrize(
-    ("offset", "value", "why"),
-    [
-        (lambda x, y: 0.02 * (x - 1) ** 2, lambda x, y: 0.1 * y**2, ""),
-        (lambda x, y: 0.02 * (x - 1) ** 4, 0.0, ""),
-        (0.0, lambda x, y: 0.1 * y**3, "not of the order"),
-    ],
-)
-def test_parabolas_are_exact_at_order_2(offset: Field | float, value: Field | float, why: str) -> None:
-    """Quadratic given displacements hold everywhere, and nothing passes between the nodes."""
-    held = (Dirichlet("left", (0.0, value)),)
-    problem = replace(frictional(), dirichlet=held, obstacle=Obstacle("bottom", (0.0, 1.0), offset))
-    found = proved(problem)
-    assert not found.lower_faults
-    assert bool(found.upper_faults) is bool(why)
-    assert why in " ".join(found.why)
