@@ -71,17 +71,20 @@ def test_number_of_triangles_is_density_times_area(number: float) -> None:
 
 
 def test_all_triangles_have_the_same_error_but_for_the_floor() -> None:
-    second = np.vstack([1 + 5 * P[0] ** 2, 0 * P[0], -0.5 - P[0]])
-    metric = best_metric(P, [region(second)])
-    stretch, angle, _ = best_shapes(LAW, second[None])
+    """On either side of a jump of the material."""
+    second, stiff = np.vstack([1 + 5 * P[0] ** 2, 0 * P[0], -0.5 - P[0]]), Laplace(conductivity=2.0 * 9)
+    metric = best_metric(P, [region(second, LEFT), region(second, RIGHT, stiff)])
     mean = metric.triangles / 2.0 / (1 + FLOOR)  # per area, without the floor
-    area = 1 / (metric.density - FLOOR * mean)
-    found = [
-        errors(LAW, np.sqrt(area) * stretched(stretch, angle, turn), second[None])
-        for turn in (0.1, 0.1 + np.pi / 6)
-    ]
-    np.testing.assert_allclose(np.mean(found, axis=0), 1.0, rtol=1e-9)
-    assert np.ptp(area) > 0.5 * area.max()
+    for law, side in ((LAW, P[0] < 1), (stiff, P[0] > 1)):
+        of_side = second[None][..., side]
+        stretch, angle, _ = best_shapes(law, of_side)
+        area = 1 / (metric.density[side] - FLOOR * mean)
+        found = [
+            errors(law, np.sqrt(area) * stretched(stretch, angle, turn), of_side)
+            for turn in (0.1, 0.1 + np.pi / 6)
+        ]
+        np.testing.assert_allclose(np.mean(found, axis=0), 1.0, rtol=1e-9)
+        assert np.ptp(area) > 0.3 * area.max()
 
 
 def test_where_the_displacement_is_linear_there_are_few_but_some() -> None:
@@ -110,15 +113,6 @@ def test_at_an_interface_it_is_the_mean_of_both_sides_by_area() -> None:
     half = np.isclose(part, 0.5)
     assert np.any(half)
     np.testing.assert_allclose(metric.logarithm[:, P[0] == 1][:, half], 0.0, atol=1e-12)
-
-
-def test_density_jumps_with_the_material() -> None:
-    second = np.array([1.0, 0.0, 1.0])
-    stiff = region(second, RIGHT, Laplace(conductivity=2.0 * 9))
-    metric = best_metric(P, [region(second, LEFT), stiff])
-    floor = FLOOR / (1 + FLOOR) * metric.triangles / 2.0
-    left, right = (metric.density[side][0] - floor for side in (P[0] < 1, P[0] > 1))
-    assert right / left == pytest.approx(3.0)
 
 
 def test_evened_keeps_a_part_of_the_differences() -> None:
@@ -246,20 +240,6 @@ def test_errors_are_the_energy_of_what_interpolation_leaves(name: str, degree: i
     corners, D = drawn(6, law.components, degree=degree)
     expected = [energy_of_interpolation_error(law, corners[:, :, i], D[:, :, i]) for i in range(6)]
     np.testing.assert_allclose(errors(law, corners, D), expected, rtol=1e-9)
-
-
-def test_shapes_have_area_one_are_equilateral_in_their_metric_and_turn_before_they_are_stretched() -> None:
-    for stretch, angle, turn in ((0.0, 0.3, 0.1), (0.5, -0.4, 0.9), (1.5, 2.0, 0.0)):
-        first, corners = (stretched(np.array([stretch]), np.array([angle]), by)[..., 0] for by in (0.0, turn))
-        edges = corners - np.roll(corners, 1, axis=1)
-        assert np.linalg.det(edges[:, :2]) / 2 == pytest.approx(1.0)
-        frame = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-        scale = np.exp([[-stretch], [stretch]])
-        size = np.linalg.norm(scale * (frame @ edges), axis=0)
-        np.testing.assert_allclose(size, size[0], rtol=1e-12)
-        c, s = np.cos(turn), np.sin(turn)
-        turned_first = np.array([[c, -s], [s, c]]) @ (scale * (frame @ first))
-        np.testing.assert_allclose(scale * (frame @ corners), turned_first, atol=1e-12)
 
 
 class TestBestShapes:

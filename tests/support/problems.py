@@ -92,7 +92,7 @@ def no_move_limits(problem: ContactProblem) -> ContactProblem:
 
 def tied_neighbours() -> ContactProblem:
     """Two vertices of one triangle share their outer variables: local derivatives fold onto the diagonal."""
-    problem = EXAMPLES["6.1"](4, 0.1)
+    problem = EXAMPLES["6.1"](3, 0.1)
     inside = problem.mesh.interior_nodes()
     edge = next(e for e in problem.mesh.facets.T.tolist() if set(e) <= set(inside.tolist()))
     return replace(problem, motion=replace(problem.motion, tied=(tuple(edge),)))
