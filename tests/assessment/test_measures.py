@@ -105,15 +105,6 @@ def standing(pressure: float, order: int = 1) -> ContactProblem:
     )
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_quantities_of_a_block_that_stands_on_a_line(order: int) -> None:
-    found = admissible(standing(3.0, order))
-    results = contact_results(found.parts.space, found.body.nodes, found.system, found.state)
-    assert vars(results["bottom"]) == pytest.approx(
-        {"normal_force": 6.0, "tangential_force": 0.0, "peak_pressure": 3.0, "contact_length": 2.0}
-    )
-
-
 def test_quantities_count_nodes_that_press() -> None:
     problem = standing(3.0)
     found = admissible(problem)

@@ -1,4 +1,4 @@
-"""Contact systems of problems: against scikit-fem, turned, and with unknowns in another order."""
+"""Contact systems against scikit-fem, and factors of their stiffness by SuperLU and by CHOLMOD."""
 
 from dataclasses import replace
 
@@ -8,11 +8,14 @@ import scipy.sparse as sp
 from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.models.elasticity import linear_elasticity
 
+from rmesh_nlp.contact import factorisation
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, condensed, factorised
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ContactSystem, Equilibrium
+from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Obstacle, PlaneStrain
+from rmesh_nlp.solving.entries import versions
 from support.problems import sloped_block
 
 
@@ -43,29 +46,6 @@ def test_elastic_system_is_that_of_scikit_fem() -> None:
     np.testing.assert_allclose(system.load, F[dofs], atol=1e-11)
 
 
-def test_turned_problem_has_the_same_energy_and_forces() -> None:
-    # the contact normal is then parallel to no axis: gaps are no components of the displacement
-    straight = sloped_block()
-
-    def solved(angle: float) -> Equilibrium:
-        Q = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        problem = replace(
-            straight,
-            law=PlaneStrain(straight.law.lame_lambda, straight.law.lame_mu),
-            mesh=replace(straight.mesh, doflocs=Q @ straight.mesh.p),
-            obstacle=replace(straight.obstacle, offset=0.01, normal=tuple(Q @ [0.0, 1.0])),
-            tractions=(replace(straight.tractions[0], value=tuple(Q @ [-20.0, -30.0])),),
-        )
-        return ContactSolver(problem).solve(problem.mesh.p)
-
-    one, two = solved(0.0), solved(0.4)
-    assert two.energy == pytest.approx(one.energy, rel=1e-10)
-    np.testing.assert_allclose(two.normal_force, one.normal_force, atol=1e-9)
-    np.testing.assert_allclose(two.tangential_force, one.tangential_force, atol=1e-9)
-    assert np.any(one.active.touching)
-    assert np.any(one.tangential_force != 0)
-
-
 def test_gaps_of_order_2_have_the_coefficients_of_the_distance() -> None:
     """Those of ``x^2 / 10`` on an edge from a to b are that at its ends and ``a b / 10`` in its middle."""
     foundation = Obstacle.graph("bottom", lambda x, y: -(x**2) / 10)
@@ -92,3 +72,43 @@ def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
     u = rotated.back(w)
     np.testing.assert_allclose(N @ u, w[rotated.normal])
     assert not np.any(rotated.slips)
+
+
+@pytest.fixture(
+    params=[False, pytest.param(True, marks=pytest.mark.skipif(not HAS_CHOLMOD, reason="no CHOLMOD"))]
+)
+def by_cholmod(request, monkeypatch) -> bool:
+    monkeypatch.setattr(factorisation, "HAS_CHOLMOD", request.param)
+    return request.param
+
+
+def stiffness(n: int, seed: int = 0) -> sp.csc_array:
+    """A sparse symmetric positive definite matrix."""
+    half = sp.csr_array(sp.random(n, n, density=0.1, random_state=seed))
+    return sp.csc_array(half @ half.T + sp.eye_array(n))
+
+
+def test_solutions_of_one_and_of_many_right_sides(by_cholmod) -> None:
+    K, B = stiffness(40), np.random.default_rng(1).standard_normal((40, 3))
+    solve = factorised(K)
+    exact = np.linalg.solve(K.toarray(), B)
+    np.testing.assert_allclose(solve(B), exact, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
+
+
+def test_condensed_stiffness_is_a_schur_complement() -> None:
+    K, F, last = stiffness(40), np.random.default_rng(2).standard_normal(40), np.array([3, 8, 9, 20, 21, 39])
+    rest, dense = np.setdiff1d(np.arange(40), last), K.toarray()
+    a, b, c = dense[np.ix_(rest, rest)], dense[np.ix_(rest, last)], dense[np.ix_(last, last)]
+    S, load = condensed(K, F, last)
+    np.testing.assert_allclose(S, c - b.T @ np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(load, F[last] - b.T @ np.linalg.solve(a, F[rest]), rtol=1e-9, atol=1e-12)
+
+
+def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:
+    K = sp.csc_array(np.diag([2.0, -1.0, 3.0]))
+    np.testing.assert_allclose(factorised(K)(np.ones(3)), [0.5, -1.0, 1 / 3])
+
+
+def test_the_record_says_what_factorised() -> None:
+    assert ("scikit-sparse" in versions()) == HAS_CHOLMOD

@@ -224,18 +224,6 @@ def test_objectives_are_added_and_multiplied_by_finite_numbers() -> None:
             _ = -parse_objective(name)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-@pytest.mark.parametrize("name", ["6.1", "6.3"])
-def test_the_energy_is_that_of_the_contact_system(name: str, order: int) -> None:
-    problem = replace(example(name, 4 if name == "6.1" else (4, 2)), order=order)
-    u = drawn(problem)
-    expected = ContactSolver(problem).system(problem.mesh.p).energy(unknowns(problem, u))
-    assert value(problem, "energy", u) == pytest.approx(expected, rel=1e-12)
-    assert value(problem, "3*energy + body(x)", u) == pytest.approx(
-        3 * expected + value(problem, "body(x)"), rel=1e-12
-    )
-
-
 def test_an_interface_is_no_boundary_whichever_triangle_it_is_beside() -> None:
     """Also beside the triangle number 0, wherever scikit-fem writes that."""
     mesh, rng, places = rm.shapes.rectangle(3, 2), np.random.default_rng(0), set()

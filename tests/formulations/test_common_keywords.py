@@ -204,3 +204,19 @@ def test_a_change_keeps_what_was_chosen_before() -> None:
     first = NestedSettings.of({"iterations": 7, "newton": {"forcing": 0.5}})
     both = first.having({"newton": {"max_products": 5}})
     assert both.changed() == {"iterations": 7, "newton": {"max_products": 5, "forcing": 0.5}}
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"max_iterr": 3}, "has no 'max_iterr', did you mean 'max_iter'?"),
+        ({"tol": 1e-8, "max_iter": "three"}, "refuses max_iter = 'three' here"),
+        ({"mu_strategy": "adaptiv"}, "refuses mu_strategy = 'adaptiv' here"),
+        ({"linear_solver": "pardiso"}, "refuses linear_solver = 'pardiso' here"),
+    ],
+)
+def test_a_wrong_option_of_ipopt_is_named(option: dict[str, Any], message: str, capfd: Any) -> None:
+    with pytest.raises(BadInputError, match="ipopt must be options of Ipopt, which") as caught:
+        Joint(ipopt=option)
+    assert str(caught.value).endswith(message)
+    assert capfd.readouterr().out == ""
