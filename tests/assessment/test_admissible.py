@@ -17,7 +17,6 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
@@ -67,26 +66,6 @@ def test_on_flat_foundations_it_is_the_energy_by_an_accurate_rule(name: str, n: 
         assert not np.any(standoff(found))
     if problem.exact is not None:
         assert found.energy > problem.exact.energy
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_friction_is_the_integral_of_the_bound_times_the_slip(order: int) -> None:
-    def bound(x: object, y: object) -> object:
-        return 8 * (1 + 0.95 * np.sin(8 * np.pi * x + 0.3))
-
-    found = admissible(replace(block(Obstacle.graph("bottom", 0.0, friction=bound)), order=order))
-    edges = found.problem.mesh.facets[:, found.problem.mesh.boundaries["bottom"]]
-    s = (np.arange(4000) + 0.5) / 4000
-    shares = functions(order, np.stack([1 - s, s]))
-    total = 0.0
-    for (a, b), nodes in zip(edges.T, found.parts.space.nodes_of(edges).T, strict=True):
-        x = found.body.nodes[0, a] * (1 - s) + found.body.nodes[0, b] * s
-        slip = found.displacement[0, nodes] @ shares
-        total += abs(x[-1] - x[0]) * 4000 / 3999 * np.mean(bound(x, 0) * np.abs(slip))  # type: ignore[operator]
-    assert found.friction == pytest.approx(total, rel=1e-6)
-    # the bound of slip at nodes makes it no smaller than that
-    lumped = found.system.slip_bound @ np.abs(found.system.tangents @ found.state.u)
-    assert lumped >= found.friction * (1 - 1e-12)
 
 
 def test_what_jumps_along_a_line_leaves_no_doubt() -> None:

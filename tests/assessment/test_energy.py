@@ -13,7 +13,6 @@ import pytest
 from rmesh_nlp.assessment import integrals
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -44,20 +43,6 @@ def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
     total, doubt, _ = over_triangles(body, np.arange(8), bump)
     assert total.sum() == pytest.approx(np.pi * 0.02**2, rel=1e-8)
     assert doubt.sum() < 1e-8
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_stiffness_and_loads_are_those_of_the_formulations(order: int) -> None:
-    load = (lambda x, y: x * y, lambda x, y: np.sin(x))
-    problem = replace(plate({"hole": HOLE}, h=3.0, load=load), order=order).with_rule(14)
-    body, model = Body(problem, problem.mesh.p), ContactSolver(problem)
-    system = model.system(problem.mesh.p)
-    free = np.flatnonzero(model.displacement.index.T.ravel() >= 0)
-    space = DisplacementSpace(problem)
-    K, (F, doubt) = stiffness(body, space)[free][:, free], load_vector(body, space)
-    assert abs(K - system.stiffness).max() < 1e-4 * abs(K).max()
-    np.testing.assert_allclose(F[free], system.load, atol=1e-6 * np.max(np.abs(F)))
-    assert np.max(doubt) < 1e-6 * np.max(np.abs(F))
 
 
 @pytest.mark.parametrize("order", [1, 2])

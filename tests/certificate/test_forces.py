@@ -42,24 +42,6 @@ def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(sign: float, order
 
 
 @BOTH
-@pytest.mark.parametrize("slip", [0.03, 0.0])
-def test_force_of_a_block_that_slides_or_sticks_on_an_oblique_foundation(slip: float, order: int) -> None:
-    """Of a linear displacement with pressure 2.8, shear the friction bound 0.5, or 0.3 where it sticks."""
-    lam, mu, gap, turn = 3.0, 2.0, 0.1, 0.6
-    Q = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    slope = np.array([[0.0, (0.5 if slip else 0.3) / mu], [0.0, -0.4]])
-    stress = lam * np.trace(slope) * np.eye(2) + mu * (slope + slope.T)
-    flat = distorted(rectangle(3, 3), 0.2, 3)
-    mesh, shift, slope = replace(flat, doflocs=Q @ flat.p), Q @ np.array([slip, -gap]), Q @ slope @ Q.T
-    given = tuple(lambda x, y, i=i: slope[i, 0] * x + slope[i, 1] * y + shift[i] for i in range(2))
-    sides = tuple(Traction(side, tuple(Q @ stress[0] * way)) for side, way in (("left", -1), ("right", 1)))
-    obstacle = Obstacle("bottom", tuple(Q[:, 1]), gap, friction=0.5)
-    law, top = PlaneStrain(lam, mu), (Dirichlet("top", given),)
-    lower, upper = bounds_of(ContactProblem(mesh, law, top, obstacle, tractions=sides, order=order))
-    assert 2.79 < lower < 2.8 < upper < 2.81
-
-
-@BOTH
 def test_force_of_an_obstacle_in_the_interior(order: int) -> None:
     """-u'' = -2, u >= -1/20: contact but for sqrt(1/20) from either end."""
     problem = ContactProblem(

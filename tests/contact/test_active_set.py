@@ -1,8 +1,7 @@
-"""The active set solves the quadratic program: Ipopt agrees, from any start, in any coordinates."""
+"""The active set solves the convex quadratic program: its laws hold, from any start."""
 
 from collections.abc import Callable
 
-import casadi as ca
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -12,33 +11,11 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.optimize.nlp import NLP
-from rmesh_nlp.optimize.solver import Solver
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
 from support.contact_geometry import block_between_two_foundations, block_sliding_on_a_circle
 from support.problems import sloped_block
-
-
-def by_ipopt(system: ContactSystem) -> tuple[np.ndarray, float]:
-    """The same quadratic program by Ipopt, friction by slip magnitudes."""
-    m, n_t = system.load.size, system.slip_bound.size
-    x = ca.MX.sym("x", m + n_t)
-    u, s = x[:m], x[m:]
-    K, N = (ca.sparsify(ca.DM(m.toarray())) for m in (system.stiffness, system.normals))
-    f = ca.dot(u, K @ u) / 2 - ca.dot(system.load, u) + system.constant
-    g = [N @ u + system.offset]
-    if n_t:
-        T = ca.sparsify(ca.DM(system.tangents.toarray()))
-        f += ca.dot(system.slip_bound, s)
-        g += [s - T @ u, s + T @ u]
-    g = ca.vertcat(*g)
-    free, rows = np.full(m + n_t, np.inf), int(g.shape[0])
-    nlp = NLP(x, ca.MX(0, 1), f, g, -free, free, np.zeros(rows), np.full(rows, np.inf))
-    result = Solver(nlp, options={"tol": 1e-11})(np.zeros(m + n_t))
-    assert result.converged
-    return result.x[:m], result.f
 
 
 def random_system(seed: int) -> ContactSystem:
@@ -81,12 +58,9 @@ def system(request: pytest.FixtureRequest) -> ContactSystem:
     return SYSTEMS[request.param]()
 
 
-def test_ipopt_finds_the_same_minimum_and_the_laws_hold_at_every_node(system: ContactSystem) -> None:
-    state, (u, energy) = solve(system), by_ipopt(system)
+def test_the_laws_hold_at_every_node_so_that_the_energy_is_least(system: ContactSystem) -> None:
+    state = solve(system)
     assert state.status is Status.CONVERGED
-    # an interior point stays a distance of about tol / force off each touching bound
-    assert state.energy == pytest.approx(energy, rel=1e-7)
-    assert np.max(np.abs(state.u - u)) <= 1e-4 * np.max(np.abs(u))
     assert state.energy == pytest.approx(system.energy(state.u), rel=1e-14)
     gap, slip = system.normals @ state.u + system.offset, system.tangents @ state.u
     unit, length = system.force_scale, np.max(np.abs(state.u))

@@ -7,45 +7,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.sensitivity import TangentResponse, weakly_active
-from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
-from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
-from support.problems import sloped_block
-
-PROBLEMS = {
-    "scalar": lambda: EXAMPLES["6.1"](4),
-    "frictionless": lambda: EXAMPLES["6.2"]((6, 3)),
-    "friction": lambda: EXAMPLES["6.3"]((6, 3)),
-    "sloped, stick and slip": sloped_block,
-}
-
-
-@pytest.fixture(params=PROBLEMS)
-def solved(request: pytest.FixtureRequest) -> tuple[ContactSystem, Equilibrium]:
-    problem: ContactProblem = PROBLEMS[request.param]()
-    model = ContactSolver(problem)
-    return model.system(problem.mesh.p), model.solve(problem.mesh.p)
-
-
-def test_the_response_is_that_of_the_equilibrium_with_the_active_set_held(solved) -> None:
-    """A quadratic program with a held active set is linear: one difference is exact."""
-    (system, state), random = solved, np.random.default_rng(0)
-    size = system.force_scale
-    force, gap = size * random.normal(size=state.u.size), 1e-3 * random.normal(size=system.offset.size)
-    moved = replace(system, load=system.load - force, offset=system.offset + gap)
-    other = moved.equilibrium(state.active)
-    u, normal, tangential = TangentResponse(system, state.active)(force, gap, np.zeros(gap.size))
-    assert np.any(state.active.touching)
-    np.testing.assert_allclose(u, other.u - state.u, atol=1e-9 * np.max(np.abs(u)))
-    tolerance = 1e-9 * max(size, np.max(np.abs(normal)))
-    np.testing.assert_allclose(normal, other.normal_force - state.normal_force, atol=tolerance)
-    change = np.zeros(gap.size)
-    if system.slip_bound.size:
-        change = np.where(state.active.sliding == 0, other.tangential_force - state.tangential_force, 0.0)
-    np.testing.assert_allclose(tangential, change, atol=tolerance)
 
 
 def spring(gap: float, normal: float, slip: float, tangential: float, **changes: Any) -> tuple[Any, Any]:

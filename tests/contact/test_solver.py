@@ -9,7 +9,7 @@ from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, as
 from skfem.models.elasticity import linear_elasticity
 
 from rmesh_nlp.contact import factorisation
-from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, condensed, factorised
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.examples import EXAMPLES
@@ -80,29 +80,6 @@ def test_where_two_walls_meet_both_gaps_are_unknowns() -> None:
 def by_cholmod(request, monkeypatch) -> bool:
     monkeypatch.setattr(factorisation, "HAS_CHOLMOD", request.param)
     return request.param
-
-
-def stiffness(n: int, seed: int = 0) -> sp.csc_array:
-    """A sparse symmetric positive definite matrix."""
-    half = sp.csr_array(sp.random(n, n, density=0.1, random_state=seed))
-    return sp.csc_array(half @ half.T + sp.eye_array(n))
-
-
-def test_solutions_of_one_and_of_many_right_sides(by_cholmod) -> None:
-    K, B = stiffness(40), np.random.default_rng(1).standard_normal((40, 3))
-    solve = factorised(K)
-    exact = np.linalg.solve(K.toarray(), B)
-    np.testing.assert_allclose(solve(B), exact, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(solve(B[:, 0]), exact[:, 0], rtol=1e-10, atol=1e-12)
-
-
-def test_condensed_stiffness_is_a_schur_complement() -> None:
-    K, F, last = stiffness(40), np.random.default_rng(2).standard_normal(40), np.array([3, 8, 9, 20, 21, 39])
-    rest, dense = np.setdiff1d(np.arange(40), last), K.toarray()
-    a, b, c = dense[np.ix_(rest, rest)], dense[np.ix_(rest, last)], dense[np.ix_(last, last)]
-    S, load = condensed(K, F, last)
-    np.testing.assert_allclose(S, c - b.T @ np.linalg.solve(a, b), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(load, F[last] - b.T @ np.linalg.solve(a, F[rest]), rtol=1e-9, atol=1e-12)
 
 
 def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:

@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled, Entries, Part, Sums
+from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.cells import Straight
-from rmesh_nlp.fem.element import PointSums
 from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import (
     NONE,
-    Bends,
     ElementGroup,
     Field,
-    constant_field,
     unknown_field,
 )
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
@@ -127,160 +124,32 @@ def test_problems_that_differ_in_their_load_alone_share_no_derivatives() -> None
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3
 
 
-NODES = np.array([[0, 2, 1], [3, 1, 0]])
-
-
-def field() -> Field:
-    """Two components at four nodes, one value of which is fixed and one on a curve."""
-    index = np.array([[0, 2, NONE, 4], [1, 3, 5, 6]])
-    t, which = ca.SX.sym("t"), np.full((2, 4), NONE)
-    which[1, 3] = 0
-    bends = Bends(which, (ca.Function("square", [t], [t**2]),))
-    return Field(index, np.arange(1.0, 9.0).reshape(2, 4), np.linspace(0, 1, 8).reshape(2, 4), bends=bends)
-
-
-def columns(values: np.ndarray) -> np.ndarray:
-    return np.array([np.concatenate([values[:, node] for node in nodes]) for nodes in NODES.T]).T
-
-
-def test_local_values_are_those_of_the_nodes() -> None:
-    nodal = field()
-    local, w = nodal.at(NODES), np.random.default_rng(0).standard_normal(7)
-    assert local.shape == (4, 3) == local.index.shape
-    for name in ("index", "scale", "offset"):
-        np.testing.assert_array_equal(getattr(local, name), columns(getattr(nodal, name)))
-    np.testing.assert_array_equal(local.values(w), columns(nodal.values(w)))
-    np.testing.assert_array_equal(local.elements(np.array([2, 0])).values(w), local.values(w)[:, [2, 0]])
-
-
-def test_a_straight_field_is_the_affine_one() -> None:
-    local, w = field().at(NODES), np.full(7, 2.0)
-    assert local.bends is not None
-    np.testing.assert_array_equal(local.bends.which, columns(field().bends.which))
-    straight = local.straight()
-    assert straight.bends is None
-    affine = np.where(local.index == NONE, 0.0, 2.0 * local.scale) + local.offset
-    np.testing.assert_allclose(straight.values(w), affine, rtol=1e-15)
-    assert np.any(straight.values(w) != local.values(w))
-
-
-def entries(seed: int, shape: tuple[int, int], local: tuple[int, int], *, scaled: bool) -> Entries:
-    """Places, some of them taken twice and some dropped."""
-    rng = np.random.default_rng(seed)
-    row, column = (rng.integers(-1, n, local) for n in shape)
-    return Entries(row, column, rng.standard_normal(local) if scaled else np.ones(local))
-
-
-@pytest.mark.parametrize("shape", [(5, 7), (6, 1), (1, 1)])
-@pytest.mark.parametrize("scaled", [False, True])
-def test_nonzeros_are_the_sums_of_their_results(shape, scaled) -> None:
-    places = [entries(1, shape, (3, 20), scaled=scaled), entries(2, shape, (2, 9), scaled=False)]
-    parts, rng, expected, filled = [], np.random.default_rng(3), np.zeros(shape), np.zeros(shape, dtype=bool)
-    for place in places:
-        length = len(place.row)
-        x, local = ca.SX.sym("x", length), rng.standard_normal(place.row.shape)
-        parts.append(Part((constant_field(local),), None, ca.Function("double", [x], [2 * x]), [place]))
-        for i, j, factor, result in zip(*(np.ravel(values) for values in (*place, 2 * local)), strict=True):
-            if i >= 0 and j >= 0:
-                expected[i, j] += factor * result
-                filled[i, j] = True
-    sums = Sums([shape], parts)
-    matrix = sums.pattern.astype(float)
-    np.testing.assert_array_equal(matrix.data, 1 + np.arange(matrix.nnz))
-    (matrix.data,) = sums(np.zeros(0))
-    np.testing.assert_allclose(matrix.toarray(), expected, rtol=1e-12, atol=1e-14)
-    assert matrix.nnz == (filled.sum() if shape[1] > 1 else shape[0])
-
-
-MANY = NUMPY_FROM
-
-
-def triangles(seed: int, n: int, components: int, order: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Corners of upright triangles (6, n) that are not too thin, and displacements (nodes components, n)."""
-    rng = np.random.default_rng(seed)
+def drawn_triangles(n: int) -> np.ndarray:
+    """Corners of upright triangles (6, n) that are not too thin."""
+    rng = np.random.default_rng(3)
     a, length, angle = rng.uniform(-1, 1, (2, n)), rng.uniform(0.2, 2, (2, n)), rng.uniform(0.2, 2.8, n)
     turn = rng.uniform(0, 2 * np.pi, n)
     b = a + length[0] * np.stack([np.cos(turn), np.sin(turn)])
     c = a + length[1] * np.stack([np.cos(turn + angle), np.sin(turn + angle)])
-    return np.concatenate([a, b, c]), rng.standard_normal((3 * order * components, n))
-
-
-def group(function, at_points: PointSums | None, sizes: list[int], n: int) -> ElementGroup:
-    """Elements that share no unknown: all positions first, then all displacements."""
-    firsts = np.cumsum([0, *(size * n for size in sizes)])
-    local = [unknown_field((size, n), int(first)) for size, first in zip(sizes, firsts, strict=False)]
-    return of_energy(function, local, at_points)
-
-
-def of_energy(function, local: Sequence[Field], at_points: PointSums | None = None) -> ElementGroup:
-    return ElementGroup(function, tuple(local), np.zeros((0, local[0].shape[1]), dtype=np.int64), at_points)
-
-
-def results(groups: list[ElementGroup], x: np.ndarray) -> list[np.ndarray]:
-    """Value, gradient and Hessian of the groups as the numeric sums give them."""
-    sums = Assembled(groups, ca.MX.sym("x", x.size), ca.MX(0, 1), 0)
-    f, gradient, _, _ = sums.first(x, None)
-    matrix = sums.second.pattern.astype(float)
-    matrix.data[:] = sums.second(x, None, np.array([0.7]), np.zeros(0))[0]
-    return [f, gradient, matrix.toarray()]
-
-
-def agree(groups: list[ElementGroup], x: np.ndarray) -> None:
-    """Joined groups with values at points agree with each group by itself, differentiated as a whole."""
-    whole = [replace(one, function=one.plain, at_points=None) for one in groups]
-    apart = [sum(parts) for parts in zip(*(results([one], x) for one in whole), strict=True)]
-    for ours, theirs in zip(results(groups, x), apart, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-11 * max(1, np.max(np.abs(theirs))))
-
-
-def packed(X: np.ndarray, *u: np.ndarray) -> np.ndarray:
-    return np.concatenate([part.ravel(order="F") for part in (X, *u)])
-
-
-def test_sums_that_enter_one_by_one_have_the_derivatives_of_their_function() -> None:
-    (X, sums), (x, y) = (ca.SX.sym("X", 4), ca.SX.sym("v", 3)), (ca.SX.sym("x"), ca.SX.sym("y"))
-    load = ca.Function("wave", [x, y], [wave(x, y)])
-    at_points = PointSums(load, np.array([[1.0, 0.3, 0.0], [0.0, 0.7, 1.0]]), np.eye(3))
-    function = ca.Function("f", [X, sums], [ca.sumsqr(sums) * X[0] + ca.exp(sums[1]), ca.SX(0, 1)])
-    agree([group(function, at_points, [4], 6)], np.random.default_rng(1).uniform(0, 1, 24))
+    return np.concatenate([a, b, c])
 
 
 def test_many_triangles_are_summed_as_few_are() -> None:
-    law, n = LAWS["two components"], 2 * MANY + 5  # more than one chunk of points
-    X, u = triangles(3, n, 2)
+    law, n = LAWS["two components"], 2 * NUMPY_FROM + 5  # more than one chunk of points
+    X, u = drawn_triangles(n), np.random.default_rng(0).standard_normal((6, n))
     cell = Straight(3, 2, 1)
     functions = (strain_energy(law, cell), None), load_energy(law, cell, 8)
 
-    def parts(count: int) -> list[ElementGroup]:
-        return [group(*function, [6, 6], count) for function in functions]
+    def gradient(X: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """By positions and by displacements (12, count), which no two elements share."""
+        fields = unknown_field(X.shape), unknown_field(X.shape, X.size)
+        rows = np.zeros((0, X.shape[1]), dtype=np.int64)
+        groups = [ElementGroup(function, fields, rows, points) for function, points in functions]
+        assembled = Assembled(groups, ca.MX.sym("x", 2 * X.size), ca.MX(0, 1), 0)
+        x = np.concatenate([X.ravel(order="F"), u.ravel(order="F")])
+        return assembled.first(x, None)[1].reshape(2, -1, 6)
 
-    def gradient(count: int, x: np.ndarray) -> np.ndarray:
-        return Assembled(parts(count), ca.MX.sym("x", x.size), ca.MX(0, 1), 0).first(x, None)[1]
-
-    ours = np.split(gradient(n, packed(X, u)), 2)
+    together = gradient(X, u)
     for k in range(0, n, 7):
-        theirs = np.split(gradient(1, packed(X[:, [k]], u[:, [k]])), 2)
-        for a, b in zip(ours, theirs, strict=True):
-            np.testing.assert_allclose(a[6 * k : 6 * k + 6], b, rtol=0, atol=1e-11 * np.max(np.abs(b)))
-
-
-def test_what_is_kept_follows_the_positions() -> None:
-    work = group(*load_energy(LAWS["varying"], Straight(3, 1, 1), 3), [6, 3], 4)
-    numeric = Assembled([work], ca.MX.sym("x", 36), ca.MX(0, 1), 0).first
-    first, second, again = (packed(*triangles(seed, 4, 1)) for seed in (1, 2, 1))
-    before, _, after = numeric(first, None)[1].copy(), numeric(second, None), numeric(again, None)[1]
-    np.testing.assert_array_equal(before, after)
-    assert not np.allclose(before, numeric(second, None)[1])
-
-
-@pytest.mark.parametrize("fixed", ["positions", "displacements"])
-def test_what_is_fixed_has_no_derivatives(fixed) -> None:
-    law, n = LAWS["two components"], 3
-    X, u = triangles(5, n, 2)
-    fields = [unknown_field((6, n)), constant_field(u)]
-    if fixed == "positions":
-        fields = [constant_field(X), unknown_field((6, n))]
-    cell = Straight(3, 2, 1)
-    work, at_points = load_energy(law, cell, 3)
-    groups = [of_energy(strain_energy(law, cell), fields), of_energy(work, fields, at_points)]
-    agree(groups, (u if fixed == "positions" else X).ravel(order="F"))
+        alone = gradient(X[:, [k]], u[:, [k]])[:, 0]
+        np.testing.assert_allclose(together[:, k], alone, rtol=0, atol=1e-11 * np.max(np.abs(alone)))

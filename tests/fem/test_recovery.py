@@ -55,11 +55,6 @@ def with_tail(cells: int) -> MeshTri:
 
 
 class TestQuadratics:
-    def test_are_exact_at_all_nodes_also_on_the_boundary(self) -> None:
-        mesh = distorted(rectangle(6, 5, x=(0, 2)), 0.3, 0)
-        found = recovered(mesh, quadratic(mesh.p))
-        np.testing.assert_allclose(found, np.broadcast_to(SECOND[..., None], found.shape), atol=1e-9)
-
     def test_flat_triangles_do_as_well_as_round_ones(self) -> None:
         """Turned, so that neither coordinate is the long one."""
         mesh, flat = distorted(rectangle(6, 6), 0.2, 1), 1e-4

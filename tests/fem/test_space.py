@@ -15,7 +15,7 @@ from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import Design, Fields, constant_field, unknown_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
-from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
@@ -23,37 +23,14 @@ from rmesh_nlp.problem import (
     ContactProblem,
     Dirichlet,
     ExactSolution,
-    Laplace,
     Motion,
-    Obstacle,
     PlaneStrain,
     Traction,
 )
 from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.design import symbol
 from support.curved import HOLE, plate
-from support.problems import sloped_block
 from support.sliding import elastic, entries
-
-
-def test_weights_sum_to_the_length_or_area_of_the_contact() -> None:
-    problem = EXAMPLES["6.2"]((6, 3))
-    assert np.sum(DisplacementSpace(problem).weights(problem.mesh.p)) == pytest.approx(4 - 4 / 6 / 2)
-    membrane = replace(EXAMPLES["6.1"](4), law=Laplace(-20.0), exact=None)
-    interior = replace(membrane, obstacle=Obstacle.interior(-0.1), motion=Motion(0.05))
-    weights = DisplacementSpace(interior).weights(interior.mesh.p)
-    x, y = interior.mesh.p[:, interior.contact_nodes]
-    np.testing.assert_allclose(weights[(x > 0) & (x < 1) & (y > 0) & (y < 1)], 1 / 16)
-
-
-def test_the_body_is_on_the_left_of_outward_edges() -> None:
-    problem = sloped_block()
-    X = problem.mesh.p
-    for name in problem.mesh.boundaries:
-        a, b = outward_edges(problem, name)
-        tangent, centre = X[:, b] - X[:, a], X.mean(axis=1, keepdims=True) - X[:, a]
-        assert a.size == problem.mesh.boundaries[name].size
-        assert np.all(tangent[0] * centre[1] - tangent[1] * centre[0] > 0)
 
 
 def test_design_variables_are_arguments_of_element_terms() -> None:

@@ -130,15 +130,6 @@ def test_the_l2_error_goes_below_that_of_the_energy_optimal_mesh() -> None:
     assert adjoint["biactive_nodes"] == []
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("objective", ["error-h1", "contact", "energy + 0.1*quality"])
-@pytest.mark.parametrize("formulation", [mpcc, nested])
-def test_other_objectives_go_down(formulation: Named, objective: str) -> None:
-    solution = formulation.solve(EXAMPLES["6.1"](4), objective=objective)
-    assert solution.record()["objective_value"] < solution.record()["objective_initial"]
-    check_record(solution)
-
-
 @pytest.mark.parametrize("formulation", [nested, mpcc])
 def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named) -> None:
     """A block without lateral contraction, pulled along the foundation that it lies on."""

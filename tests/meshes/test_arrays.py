@@ -9,7 +9,6 @@ import pytest
 from skfem import MeshTri
 
 from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import MeshRepairWarning, from_arrays, named, shapes
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -248,15 +247,3 @@ def test_pieces_in_holes_beside_each_other_and_touching_in_a_node_are_sound() ->
     assert fault(MeshTri(p, t)) is None
     bow = np.array([[0.0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
     assert fault(MeshTri(bow.T.copy(), np.array([[0, 1, 2], [0, 3, 4]]).T.copy())) is None
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_random_meshes_are_sound_before_and_after_random_moves(seed: int) -> None:
-    problem = random_problem(seed)
-    assert fault(problem.mesh) is None
-    rng = np.random.default_rng(seed)
-    p = problem.mesh.p.copy()
-    inside = problem.mesh.interior_nodes()
-    p[:, inside] += 0.02 * rng.standard_normal((2, inside.size)) * np.sqrt(np.min(np.ptp(p, axis=1)))
-    if np.min(signed_areas(p, problem.triangles)) > 0:
-        assert fault(MeshTri(p, problem.mesh.t)) is None

@@ -14,7 +14,7 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
-from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
+from rmesh_nlp.fem.distortion import distortion_group
 from rmesh_nlp.fem.fields import constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -28,28 +28,11 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Step
 from support.problems import no_move_limits
-from support.reduced import FREE, reduced, with_distortion
-
-
-@pytest.mark.parametrize("distortion", DISTORTIONS)
-def test_a_distortion_grows_without_bound_and_ends_where_an_element_does(distortion: str) -> None:
-    energy = reduced(FREE["6.1"](), f"energy + 1*{distortion}")
-    rel, triangles = energy.relocation, energy.relocation.problem.triangles
-    index = rel.mesh_map.positions.index
-    d = np.zeros(rel.n_q)
-    d[index[0, np.all(index >= 0, axis=0)][0]] = 1.0
-    # along d some element at a node loses its area, which is linear in the step
-    one, two = (signed_areas(rel.nodes(t * d), triangles) for t in (0.0, 1.0))
-    end = np.min(one[two < one] / (one - two)[two < one])
-    values = [energy.of_positions((1 - 10.0**-k) * end * d) for k in range(1, 8)]
-    assert energy.of_positions(0 * d) == pytest.approx(0, abs=1e-12)
-    assert np.all(np.diff(values) > 0)
-    assert values[-1] > 1e4
-    assert np.isnan(energy.of_positions(1.01 * end * d))
+from support.reduced import free_membrane, with_distortion
 
 
 def test_distortions_of_a_stretched_mesh_by_hand() -> None:
-    problem = FREE["6.1"]()
+    problem = free_membrane()
     a, b = 2.0, 0.25  # along x and y: |A|^2 = a^2 + b^2, det A = a b
     stretched = discretise(problem).at_positions(constant_field(problem.mesh.p * np.array([[a], [b]])))
     shape, size = (a**2 + b**2) / (2 * a * b) - 1, (a * b + 1 / (a * b) - 2) / 2
@@ -73,7 +56,7 @@ def test_widths_are_heights_in_units_of_the_outer_variables() -> None:
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 50.0])
 def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: float) -> None:
-    rel = relocation(FREE["6.1"](), parse_objective("energy + 0.1*quality"))
+    rel = relocation(free_membrane(), parse_objective("energy + 0.1*quality"))
     q, step = np.random.default_rng(5).uniform(-1, 1, (2, rel.n_q)) * [[0.1], [length]]
     part = longest_valid(rel, q, step)
     areas = [signed_areas(rel.nodes(q + t * step), rel.problem.triangles) for t in np.linspace(0, part, 20)]

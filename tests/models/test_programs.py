@@ -12,18 +12,17 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
-from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
 from rmesh_nlp.models.second_derivatives import curvature_of
-from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.curved import disc
 from support.orders import slow_but
 from support.problems import no_move_limits
-from support.reduced import CONTACTS, OTHERS, membrane_over_a_bump, of_order_2
+from support.reduced import CONTACTS, OTHERS, bumpy, membrane_over_a_bump, of_order_2
 from support.taylor import difference_order
 
 
@@ -87,13 +86,6 @@ def test_element_constraints_have_their_derivatives(make) -> None:
     np.testing.assert_allclose((there.slack - before.slack) / 2, here.jacobian @ d, atol=1e-12)
     change = (there.jacobian - before.jacobian).T @ multipliers / 2
     np.testing.assert_allclose(change, rows.hessian(q, multipliers) @ d, atol=1e-12)
-
-
-def bumpy(friction: float) -> ContactProblem:
-    """A gap along edges depends on the positions of two neighbours, which are of no common element."""
-    foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
-    law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
-    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
 
 
 ENERGIES = {

@@ -10,7 +10,6 @@ import pytest
 from rmesh_nlp.contact import active_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models import second_derivatives
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
@@ -19,7 +18,7 @@ from rmesh_nlp.problem import ContactProblem, ExactSolution
 from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, HOLE, plate
 from support.orders import slow_but
-from support.reduced import CONTACTS, FREE, OTHERS, QUADRATIC, reduced
+from support.reduced import CONTACTS, OTHERS, QUADRATIC, reduced
 from support.taylor import difference_order, taylor_order
 
 BENT_LOAD = (lambda x, y: x * y, lambda x, y: ca.sin(x))
@@ -132,16 +131,6 @@ def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPat
     schur = outer - mixed.T @ np.linalg.solve(stiffness, mixed)
     np.testing.assert_allclose(schur @ d, product, atol=1e-9 * np.max(np.abs(schur)))
     assert np.linalg.eigvalsh(stiffness).min() > 0
-
-
-@pytest.mark.parametrize("distortion", DISTORTIONS)
-def test_distortions_are_part_of_both_derivatives(distortion: str) -> None:
-    plain, energy = (reduced(FREE["6.1"](), text) for text in ("energy", f"energy + 0.1*{distortion}"))
-    q, d = 0.1 * np.random.default_rng(3).uniform(-1, 1, (2, energy.relocation.n_q))
-    product = Curvature(energy).at(energy(q))(d)
-    assert difference_order(lambda x: energy(x).gradient, product, q, d, 4e-2) > 1.9
-    # the part of the distortion is no small one
-    assert np.max(np.abs(product - Curvature(plain).at(plain(q))(d))) > 1e-2 * np.max(np.abs(product))
 
 
 @pytest.mark.parametrize(("name", "objective"), OBJECTIVES)

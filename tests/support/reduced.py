@@ -13,9 +13,10 @@ from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedEnergy
 from rmesh_nlp.models.regularisation import gain_estimate, regularised
-from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PointLoad
+from rmesh_nlp.problem import ContactProblem, Motion, Obstacle, PlaneStrain, PointLoad
 from support.contact_geometry import (
     block_along_a_circle,
     block_between_two_foundations,
@@ -62,6 +63,13 @@ def membrane_over_a_bump() -> ContactProblem:
     return replace(problem, obstacle=replace(bump, gap="edge"), motion=Motion(0.05))
 
 
+def bumpy(friction: float) -> ContactProblem:
+    """A gap along edges depends on the positions of two neighbours, which are of no common element."""
+    foundation = Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.02 * ca.sin(2 * x) ** 2, friction, gap="edge")
+    law = PlaneStrain(50.0, 50.0, (1.0, -4.0))
+    return ContactProblem(rectangle(4, 3, x=(0, 2)), law, ("left",), foundation, Motion(None))
+
+
 OTHERS: dict[str, Callable[[], ContactProblem]] = {
     "gaps along edges": lambda: block_along_a_circle(2),
     "two foundations": lambda: block_between_two_foundations(2),
@@ -82,12 +90,11 @@ def of_order_2(make: Callable[[], ContactProblem]) -> Callable[[], ContactProble
 
 
 QUADRATIC = {f"{name}, order 2": of_order_2(make) for name, make in (CONTACTS | OTHERS).items()}
-FREE: dict[str, Callable[[], ContactProblem]] = {
-    "6.1": lambda: replace(no_move_limits(EXAMPLES["6.1"](n=4)), quadrature=4),
-    "6.3": lambda: no_move_limits(EXAMPLES["6.3"]((6, 3))),
-    "sloped, stick and slip": lambda: no_move_limits(sloped_block()),
-}
-"""Without move limits."""
+
+
+def free_membrane() -> ContactProblem:
+    """Example 6.1 without move limits."""
+    return replace(no_move_limits(EXAMPLES["6.1"](n=4)), quadrature=4)
 
 
 def reduced(problem: ContactProblem, objective: str = "energy") -> ReducedEnergy:
