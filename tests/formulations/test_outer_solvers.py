@@ -172,29 +172,6 @@ def test_thousands_of_variables_without_move_limits_take_a_contact_solve_per_ite
     assert solution.energy < solution.energy_initial
 
 
-LARGE_LIMITS = {
-    # a rule of high degree: with the midpoint rule the gain is one of the rule
-    "6.1, limits of 0.6 edges": lambda: replace(EXAMPLES["6.1"](8, 0.6 / 8), quadrature=8),
-    "6.2, limits of 0.9 edges": lambda: EXAMPLES["6.2"]((12, 6), (0.3, 0.15)),
-    "6.2 refined": lambda: EXAMPLES["6.2"]((24, 12)),
-}
-"""Problems at whose minimisers element areas are at their bounds."""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", LARGE_LIMITS)
-def test_newton_converges_where_areas_are_at_their_bounds(name: str) -> None:
-    problem = LARGE_LIMITS[name]()
-    solution, best = nested.solve(problem), joint.solve(problem)
-    assert solution.success, solution.status
-    assert solution.stationarity_residual <= TOLERANCE
-    fraction = problem.motion.min_area_fraction
-    assert fraction * (1 - 1e-9) <= solution.record()["min_area_ratio"] <= fraction + 10 * ROUNDING
-    assert np.any(solution.multipliers.area > 0)
-    # limits of nearly an edge have many local minima; joint's is another one, here the better by up to 12 %
-    assert solution.energy_initial - solution.energy >= 0.8 * (best.energy_initial - best.energy)
-
-
 @pytest.mark.slow
 def test_newton_converges_where_angles_are_at_their_bounds() -> None:
     problem = replace(EXAMPLES["6.1"](6, 0.08), motion=Motion(0.08, min_angle=30.0))

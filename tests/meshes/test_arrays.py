@@ -114,19 +114,6 @@ def test_shapes_have_their_names_and_the_right_areas(make: Callable, area: float
     assert sorted(facets) == sorted(mesh.boundary_facets())
 
 
-@pytest.mark.parametrize(("diagonal", "slope"), [("rising", 1), ("falling", -1)])
-def test_rectangle_has_its_sides_and_diagonals(diagonal: str, slope: int) -> None:
-    mesh = rectangle(4, 2, x=(-1, 1), y=(0, 1), diagonal=diagonal)
-    assert mesh.p.shape == (2, 15)
-    a, b = mesh.p[:, mesh.facets].transpose(1, 0, 2)
-    inclined = (b - a)[:, np.all(a != b, axis=0)]
-    np.testing.assert_allclose(inclined[1] / inclined[0], slope)
-    for name, (axis, value) in {"left": (0, -1), "right": (0, 1), "bottom": (1, 0), "top": (1, 1)}.items():
-        on = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]]
-        assert np.all(on[axis] == value)
-        assert on.shape[2] == (2 if axis == 0 else 4)
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +20,7 @@ from rmesh_nlp.models import remeshing
 from rmesh_nlp.models.remeshing import (
     EXACT,
     ROUNDS,
+    MetricStart,
     Solved,
     metric_start,
     remeshed_problem,
@@ -223,53 +223,47 @@ def test_the_error_is_near_the_true_one_on_a_fine_mesh_and_that_of_all_regions()
     assert parts.error == pytest.approx(Solved.of(problem).error, rel=0.05)
 
 
-class Calls:
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, energies: list[Any], after: Callable[[], Any] = lambda: None
-    ) -> None:
-        self.after = after
-        self.sizes: list[int] = []
-        self.left = list(energies)
-        monkeypatch.setattr(remeshing, "remeshed_problem", self.remesh)
-        monkeypatch.setattr(remeshing, "_solved", self.solve)
-
-    def remesh(self, problem: Any, _: Any, size: int, ratio: float, off: float) -> Any:
-        self.sizes.append(size)
-        assert problem.name == ("6.1" if len(self.sizes) == 1 else f"round {len(self.sizes) - 1}")
-        if isinstance(self.left[0], BadInputError):
-            raise self.left.pop(0)
-        return replace(problem, name=f"round {len(self.sizes)}"), 2.0
-
-    def solve(self, problem: ContactProblem) -> Any:
-        self.after()
-        energy = self.left.pop(0)
-        if isinstance(energy, Exception):
-            raise energy
-        solved = Solved.of(problem)
-        object.__setattr__(solved, "state", replace(solved.state, energy=energy))
-        solved.__dict__["error"] = 1.0
-        return solved
-
-
 class TestRounds:
+    """Of a start whose meshes have given energies or fail; each begins on the mesh of the one before."""
+
+    def start(
+        self, monkeypatch: pytest.MonkeyPatch, ends: list[Any], budget: Budget | None = None
+    ) -> MetricStart:
+        left, names = list(ends), ["6.1"]
+
+        def remesh(problem: ContactProblem, _: Any, size: int, *__: Any, off: float) -> Any:
+            assert (problem.name, size) == (names[-1], 9)
+            if isinstance(left[0], BadInputError):
+                raise left.pop(0)
+            names.append(f"round {len(names)}")
+            return replace(problem, name=names[-1]), 2.0
+
+        def solve(problem: ContactProblem) -> Solved:
+            if budget is not None:
+                budget.iterations = 1
+            if isinstance(end := left.pop(0), Exception):
+                raise end
+            solved = Solved.of(problem)
+            return replace(solved, state=replace(solved.state, energy=end))
+
+        monkeypatch.setattr(remeshing, "remeshed_problem", remesh)
+        monkeypatch.setattr(remeshing, "_solved", solve)
+        return metric_start(Solved.of(signorini(2)), 9, budget)
+
     @pytest.mark.parametrize(
         ("energies", "best"), [([-1.0, -2.0, -2.01, -9.0], -2.01), ([-1.0, -2.0, -1.9], -2.0)]
     )
     def test_the_mesh_of_least_energy_counts(
         self, monkeypatch: pytest.MonkeyPatch, energies: list[float], best: float
     ) -> None:
-        calls = Calls(monkeypatch, energies)
-        start = metric_start(Solved.of(signorini(2)), 9)
+        start = self.start(monkeypatch, energies)
         assert start.solved.state.energy == best
-        assert calls.sizes == [9] * ROUNDS
         assert start.energies == tuple(energies[:ROUNDS])
         assert start.nodes == (9,) * ROUNDS
 
     def test_rounds_end_with_the_budget(self, monkeypatch: pytest.MonkeyPatch) -> None:
         budget = Budget(Limits(iterations=1))
-        calls = Calls(monkeypatch, [-1.0, -2.0], lambda: setattr(budget, "iterations", 1))
-        assert metric_start(Solved.of(signorini(2)), 9, budget).solved.state.energy == -1.0
-        assert calls.sizes == [9]
+        assert self.start(monkeypatch, [-1.0, -2.0], budget).energies == (-1.0,)
         with pytest.raises(StoppedError):
             metric_start(Solved.of(signorini(2)), 9, budget)
 
@@ -277,11 +271,9 @@ class TestRounds:
     def test_a_later_one_that_fails_is_given_up(
         self, monkeypatch: pytest.MonkeyPatch, error: Exception
     ) -> None:
-        Calls(monkeypatch, [-1.0, error])
-        assert metric_start(Solved.of(signorini(2)), 9).energies == (-1.0,)
-        Calls(monkeypatch, [error])
+        assert self.start(monkeypatch, [-1.0, error]).energies == (-1.0,)
         with pytest.raises(type(error), match=str(error)):
-            metric_start(Solved.of(signorini(2)), 9)
+            self.start(monkeypatch, [error])
 
     def test_a_contact_problem_without_a_solution_is_an_error(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def unsolved(problem: ContactProblem) -> Solved:
