@@ -16,7 +16,6 @@ from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
@@ -183,22 +182,6 @@ def test_triangles_that_are_held_as_a_whole_are_cut_where_the_foundation_rises()
     assert deepest(found) == 0
 
 
-def falling(problem: ContactProblem, times: int) -> list[float]:
-    """Energies on a mesh and its refinements, which fall."""
-    energies = [admissible(problem).energy]
-    for _ in range(times):
-        problem = refined(problem)
-        energies.append(admissible(problem).energy)
-    assert np.all(np.diff(energies) < 0)
-    return energies
-
-
-@pytest.mark.parametrize(("seed", "order"), [(0, 1), (2, 2)])
-def test_refined_meshes_lower_it_and_never_below_the_limit(seed: int, order: int) -> None:
-    falls = -np.diff(falling(replace(random_problem(seed), quadrature="auto", order=order), 2))
-    assert np.all(falls[1:] < 0.75 * falls[:-1])
-
-
 def ring_on_a_shaft(n: int, order: int) -> tuple[ContactProblem, float]:
     """1 < r < 2 on a rigid shaft that is too thick for it, on n x 2n squares, and its energy."""
     flat = rectangle(n, 2 * n)
@@ -262,7 +245,7 @@ def test_a_body_on_a_curve_touches_with_its_true_shape(order: int) -> None:
     sagitta = 1 - np.cos(np.pi / 16)  # of the edge below, whose middle is a node of order 2
     keeps_off = Continuous(problem).first_standoff().max()
     assert 0.97 * sagitta < keeps_off < sagitta if order == 1 else 0 < keeps_off < 0.03 * sagitta
-    assert falling(problem, 2)[0] == found.energy
+    assert found.energy > admissible(refined(problem)).energy > admissible(refined(refined(problem))).energy
 
 
 @pytest.mark.parametrize(
