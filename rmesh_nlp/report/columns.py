@@ -57,11 +57,7 @@ OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: s
 def of_boundaries(records: Sequence[Record]) -> list[Record]:
     """A row for each of several contact boundaries, with its results on the final mesh."""
     return [
-        {
-            **record,
-            **{"boundary": name, "contact": None},
-            **{result: results.get(result, {}).get("relocated") for result in RESULTS},
-        }
+        {**record, **results, "boundary": name, "contact": None}
         for record in records
         for name, results in _several(record).items()
     ]

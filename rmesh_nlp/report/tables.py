@@ -107,7 +107,7 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
             row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
             row |= {DESIGN + name: value for name, value in (record.get("design") or {}).items()}
             for own in of_boundaries([record]):
-                row |= {f"{name.replace('_', ' ')} ({own['boundary']})": own[name] for name in RESULTS}
+                row |= {f"{name.replace('_', ' ')} ({own['boundary']})": own.get(name) for name in RESULTS}
             for text, one in (record.get("constraints") or {}).items():
                 row[f"constraint.{text}"] = one.get("value")
             row["order"] = order_of(record)

@@ -201,10 +201,10 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         *_contact("_initial", "the given mesh", "assessment.given.contact"),
         *_contact("", "the final mesh", "assessment.final.contact"),
         *_contact("_refined", "its refinement", "reduced_error.contact"),
-        Entry("contact", dict[str, dict[str, dict[str, Number]]],
+        Entry("contact", dict[str, dict[str, Number]],
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
-              "tangents), `peak_pressure` and `contact_length`, each for the mesh `given`, the one "
-              "`relocated` and, where that was solved, its refinement, `refined`.",
+              "tangents), `peak_pressure` and `contact_length` on the final mesh; with `_initial` on the "
+              "given one, and with `_refined` where its refinement was solved.",
               lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
               "assessment.final.sticking_nodes"),

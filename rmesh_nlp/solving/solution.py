@@ -154,23 +154,26 @@ class Solution(Shown):
         return self.assessment.final.tangential_stress
 
     @property
-    def contact(self) -> dict[str, dict[str, dict[str, float]]]:
+    def contact(self) -> dict[str, dict[str, float]]:
         """Forces, peak pressure and length of the contact, by contact boundary and name of the result.
 
-        Each is ``given``, ``relocated`` and, where that was solved, ``refined``: on the given mesh, on the
-        final one and on its refinement.
+        On the final mesh, with ``_initial`` on the given one, and with ``_refined`` where its refinement was
+        solved.
         """
+        final = self.assessment.final.contact
         meshes = {
-            "given": self.assessment.given.contact,
-            "relocated": self.assessment.final.contact,
-            "refined": self.reduced_error.contact,
+            "_initial": self.assessment.given.contact,
+            "": final,
+            "_refined": self.reduced_error.contact,
         }
         return {
             boundary: {
-                name: {mesh: getattr(of[boundary], name) for mesh, of in meshes.items() if boundary in of}
+                name + suffix: getattr(of[boundary], name)
                 for name in vars(result)
+                for suffix, of in meshes.items()
+                if boundary in of
             }
-            for boundary, result in self.assessment.final.contact.items()
+            for boundary, result in final.items()
         }
 
     @property

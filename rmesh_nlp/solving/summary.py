@@ -98,8 +98,10 @@ def contact_rows(solution: Any) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
     rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS
     named = {"peak_pressure": units.stress, "contact_length": units.length}
+    meshes = {"_initial": "given", "": "relocated", "_refined": "refined"}
     for boundary, results in solution.contact.items():
-        for name, values in results.items():
+        for name in (name for name in results if f"{name}_initial" in results):
+            values = {mesh: results[name + end] for end, mesh in meshes.items() if name + end in results}
             if name != "tangential_force" or any(values.values()):
                 figures = {mesh: figure(value) for mesh, value in values.items()}
                 said = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())

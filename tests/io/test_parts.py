@@ -21,6 +21,6 @@ PARTS = Path(__file__).parents[2] / "docs" / "parts"
 def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) -> None:
     """Of a page's figures, at order 2, those at order 1 are within 2 %."""
     contact = rm.solve(rm.read_problem(PARTS / f"{name}.toml"), "fixed").record()["contact"]
-    assert {boundary: contact[boundary]["normal_force"]["given"] for boundary in contact} == pytest.approx(
+    assert {boundary: contact[boundary]["normal_force_initial"] for boundary in contact} == pytest.approx(
         forces, rel=0.02
     )

@@ -257,8 +257,8 @@ def test_latex_compiles_without_overfull_boxes(rows, options, tmp_path: Path) ->
 
 
 CONTACT = {
-    name: {"normal_force": {"given": 9.0, "relocated": force}, "tangential_force": {"relocated": 0.0},
-           "peak_pressure": {"relocated": 3.25}, "contact_length": {"relocated": 0.5}}
+    name: {"normal_force_initial": 9.0, "normal_force": force, "tangential_force": 0.0,
+           "peak_pressure": 3.25, "contact_length": 0.5}
     for name, force in (("lower", 1.5), ("upper side", 2.5))
 }  # fmt: skip
 
