@@ -37,7 +37,8 @@ from rmesh_nlp.optimize.status import Status
 class BilevelResult:
     """End of a bilevel program: both levels' variables, and the MPCC with its ``cuts`` that led there.
 
-    ``success``: the MPCC's, and no search of ``result.lower_level`` found a lower value of the lower level.
+    ``success``: the MPCC's, and no search found a lower value of the lower level, from as many starts as
+    ``lower_level.searched`` says. What else an MPCCResult has, such as ``status``, is that of ``result``.
     """
 
     x: Array
@@ -46,6 +47,9 @@ class BilevelResult:
     success: bool
     cuts: int
     result: MPCCResult
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(object.__getattribute__(self, "result"), name)
 
     def __str__(self) -> str:
         return f"{self.result}; {self.cuts} cut{'s' * (self.cuts != 1)}"
@@ -58,6 +62,7 @@ def solve_bilevel(
     *,
     variables: Symbolic,
     p: ArrayLike = (),
+    starts: int = 10,
     cuts: int = 20,
     options: Options | None = None,
     **changes: object,
@@ -72,11 +77,12 @@ def solve_bilevel(
         Start of the upper level's variables, or of all unknowns of the MPCC.
     p : array_like
         Values of the parameters.
+    starts : int
+        Of each solve: the given one and seeded random ones, of which the lowest end counts.
     cuts : int
         Most cuts. Where an equation of the lower level depends on x a cut holds at its own x alone.
     options, **changes
-        Of each solve, as of :func:`solve`; limits are those of all together. ``starts=10`` looks for lower
-        ends.
+        Of each solve, as of :func:`solve`; limits are those of all together.
 
     Raises
     ------
@@ -84,14 +90,14 @@ def solve_bilevel(
         As :func:`bilevel` and :func:`solve`.
     """
     program = bilevel(upper, lower, variables=variables)
-    level, chosen = program.lower_level, (options or Options()).having(changes)
+    level, chosen = program.lower_level, (options or Options()).having({"starts": starts, **changes})
     assert level is not None
     parameters, budget = program.parameters(p), chosen.budget()
-    starts = [program.start(x0, parameters)]
+    points = [program.start(x0, parameters)]
     found: list[MPCCResult] = []
     for made in itertools.count():
         solver = MPCCSolver(program, chosen)
-        results = [solver(start, p=parameters, budget=budget) for start in starts]
+        results = [solver(point, p=parameters, budget=budget) for point in points]
         ends = [end for result in results for end in result.ends or (result,)]
         found += [end for end in ends if end.success]
         end = min(ends, key=lambda end: (not (end.success or end.status is Status.NO_MINIMUM), end.f))
@@ -100,7 +106,7 @@ def solve_bilevel(
             break
         x, y, multipliers = level.split(end.x)
         program = _with_cut(program, level, lowest)
-        starts = [starts[0], np.concatenate([x, y, multipliers]), level.start(x, lowest, p=parameters)]
+        points = [points[0], np.concatenate([x, y, multipliers]), level.start(x, lowest, p=parameters)]
     best = min(found, key=lambda end: end.f, default=end)
     x, y, _ = level.split(best.x)
     return BilevelResult(x, y, best.f, best.success, made, best)

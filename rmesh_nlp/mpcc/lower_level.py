@@ -43,6 +43,9 @@ class Sides(NamedTuple):
     equal: Mask
 
 
+SEARCHED = 20  # starts of a search for a lower value
+
+
 @dataclass(frozen=True)
 class LowerLevelCheck:
     """Whether a point of the MPCC is a minimum of the lower level with the upper level's variables fixed.
@@ -65,6 +68,8 @@ class LowerLevelCheck:
         Equal if no constraint is weakly active, infinite if no direction is left.
     lower : array, optional
         Variables of the lower level with a lower value, if a search was asked for and has found them.
+    searched : int
+        From how many starts it was searched; 0 if it was not, or is convex.
     """
 
     verdict: str
@@ -73,9 +78,11 @@ class LowerLevelCheck:
     curvature_low: float
     curvature_high: float
     lower: Array | None = None
+    searched: int = 0
 
     def __str__(self) -> str:
         said = self.verdict + ("" if self.lower is None else ", a lower value was found")
+        said += f", nothing lower from {self.searched} starts" if self.searched and self.lower is None else ""
         low, high = (f"{value:.3g}" for value in (self.curvature_low, self.curvature_high))
         if low == "inf":  # constraints leave no direction
             return f"{said}, a vertex of the constraints"
@@ -138,7 +145,7 @@ class LowerLevel:
         return self._solver(start, p=np.append(x, p))
 
     def lowest(
-        self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = 20, seed: int = 0
+        self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = SEARCHED, seed: int = 0
     ) -> NLPResult:
         """The lowest of ``n`` solutions of the lower level, from ``y0`` and from seeded random starts.
 
@@ -207,8 +214,8 @@ class LowerLevel:
         high, _, _ = least_critical(matrix, gradients[strong], gradients[active & ~strong])
         is_quadratic, is_linear = self._shape
         is_convex = is_quadratic and is_linear and least_eigenvalue(matrix, np.eye(n_y))[0] >= -flat
-        lowest = None
-        if search and not is_convex:
+        lowest, searched = None, SEARCHED if search and not is_convex else 0
+        if searched:
             end = self.lowest(upper, y, p=p)
             lowest = end.x if end.converged and end.f < f[0] - ZERO * (1 + abs(f[0])) else None
         if not residual <= ZERO:
@@ -222,7 +229,7 @@ class LowerLevel:
         else:
             unique = directions(gradients[active]).shape[1] == n_y - np.count_nonzero(active)
             verdict = "no minimum" if high < -flat and (unique or is_linear) else "undecided"
-        return LowerLevelCheck(verdict, float(f[0]), residual, low, high, lowest)
+        return LowerLevelCheck(verdict, float(f[0]), residual, low, high, lowest, searched)
 
     @cached_property
     def _solver(self) -> Solver:
