@@ -106,6 +106,7 @@ def test_the_symbolic_program_can_be_extended_and_handed_to_another_solver() -> 
     plain = ca.nlpsol("plain", "ipopt", {"x": nlp.x, "f": nlp.f, "g": nlp.g}, quiet)
     theirs = plain(x0=start, lbx=nlp.lbx, ubx=nlp.ubx, lbg=nlp.lbg, ubg=nlp.ubg)
     assert float(theirs["f"]) == pytest.approx(ours.f, rel=1e-6)
+    assert Solver(replace(nlp, derivatives=None))(start).f == pytest.approx(ours.f, rel=1e-6)
     # keep the mean move at zero: the constraint must hold and cost something
     held = nlp.extended(g=ca.sum1(nlp.x[:8]), lbg=[0.0], ubg=[0.0])
     result = Solver(held)(start)
