@@ -16,7 +16,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 
 from rmesh_nlp.mpcc.names import in_short
@@ -41,13 +40,11 @@ class PlainPairs(NamedTuple):
     """Expressions that vanish."""
     unknowns: list[Symbolic]
     """``up``, ``down`` of each pair with both bounds on one side."""
-    starts: list[Symbolic]
-    """Values of these at a start."""
 
 
 def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) -> PlainPairs:
     """Rewrite mixed pairs; raises ValueError if the bounds of a pair make no complementarity."""
-    plain = PlainPairs([], [], [], [], [])
+    plain = PlainPairs([], [], [], [])
     for i, (first, second) in enumerate(pairs):
         n_first, n_second = (int(np.isfinite(member[1:]).sum()) for member in (first, second))
         if n_first + n_second not in (0, 2):
@@ -72,7 +69,6 @@ def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) ->
             plain.G.extend([up, down])
             plain.H.extend([value - lower, upper - value])
             plain.unknowns.extend([up, down])
-            plain.starts.extend([ca.fmax(partner, 0), ca.fmax(-partner, 0)])
     return plain
 
 

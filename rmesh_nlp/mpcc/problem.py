@@ -51,7 +51,7 @@ class MPCC:
         Number of the last unknowns, which :meth:`mixed` and :func:`rmesh_nlp.mpcc.bilevel` add: a start may
         then be given for the user's own alone, which come first.
     completion : callable, optional
-        ``(own, p) -> starts`` of those.
+        ``(own, p) -> starts`` of those; None: zeros.
     parts : mapping of str to expression, optional
         Parts of the unknowns by name.
     lower_level : LowerLevel, optional
@@ -150,9 +150,10 @@ class MPCC:
 
     def start(self, x0: ArrayLike, p: ArrayLike = ()) -> Array:
         """Return ``x0`` as a checked array; a scalar fills it, unknowns after the user's are completed."""
-        if self.completion is None or _numbers("x0", x0).size == self.n_x:
-            return _values("x0", x0, self.n_x, finite=True, symbols=self.x)
-        own = _values("x0", x0, self.n_own, finite=True, symbols=self.x)
+        n = self.n_x if _numbers("x0", x0).size == self.n_x else self.n_own
+        own = _values("x0", x0, n, finite=True, symbols=self.x)
+        if self.completion is None or n == self.n_x:
+            return np.append(own, np.zeros(self.n_x - n))
         return np.append(own, np.nan_to_num(_numbers("x0", self.completion(own, self.parameters(p)))))
 
     def parameters(self, p: ArrayLike) -> Array:
@@ -227,7 +228,7 @@ class MPCC:
             As the constructor, or if the bounds of a pair make no complementarity.
         """
         given = cls(*problem, **others)
-        x, n, kind = given.x, given.n_pairs, type(given.x)
+        n, kind = given.n_pairs, type(given.x)
         first, second = (
             [(column[i], float(lower[i]), float(upper[i])) for i in range(n)]
             for column, (lower, upper) in (
@@ -239,10 +240,7 @@ class MPCC:
         longer = replace(given, G=None, H=None).extended(
             x=plain.unknowns, g=plain.rows, G=plain.G, H=plain.H, lbx=0, lbg=0, ubg=0
         )
-        if not plain.unknowns:
-            return longer
-        completion = ca.Function("completion", [x, given.p], [ca.densify(ca.vertcat(*plain.starts))])
-        return replace(longer, n_added=len(plain.unknowns), completion=completion)
+        return replace(longer, n_added=len(plain.unknowns))
 
 
 def _numbers(name: str, value: object) -> Array:
