@@ -113,7 +113,7 @@ def solve_bilevel(
 
 
 def _with_cut(program: MPCC, level: LowerLevel, lowest: Array) -> MPCC:
-    """The program with the cut by ``lowest``; a start of the program without cuts is completed."""
+    """The program with the cut by ``lowest``; a start of the program without cuts is completed by zeros."""
     nlp, sides = level.nlp, level.sides
     kind, upper = type(program.x), ca.vertcat(program.parts["upper"], program.p)
     depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
@@ -126,18 +126,10 @@ def _with_cut(program: MPCC, level: LowerLevel, lowest: Array) -> MPCC:
     gain, n = lower(program.parts["lower"], upper)[0] - value, len(entries)
     if n == 0:
         return program.extended(g=gain, ubg=0)
-    measure = ca.Function("cut", [program.x, program.p], [gain, violations])
-
-    def completion(own: Array, p: Array) -> Array:
-        start = program.start(own, p)
-        gain, violations = (np.array(part).ravel() for part in measure(start, p))
-        largest = np.arange(n) == np.argmax(violations)
-        return np.concatenate([start[own.size :], np.maximum([gain[0], -np.max(violations)], 0.0), largest])
-
     s, w, weights = kind.sym("s"), kind.sym("w"), kind.sym("lambda", n)
     longer = program.extended(
         x=ca.vertcat(s, w, weights), lbx=0, G=s, H=w,
         g=ca.vertcat(gain - s, -ca.dot(weights, violations) - w, ca.sum1(weights) - 1),
         lbg=[-np.inf, -np.inf, 0], ubg=0,
     )  # fmt: skip
-    return replace(longer, n_added=longer.n_x - level.size, completion=completion)
+    return replace(longer, n_added=longer.n_x - level.size)

@@ -14,10 +14,12 @@ from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
 _ADAPTIVE = {"mu_strategy": "adaptive", "mu_oracle": "quality-function"}
-_RELAXED = {"tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
+_LAST = 150  # iterations of an NLP that is given up early
+_RELAXED = {"max_iter": 500, "tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
 _FIRST = {"mu_strategy": "monotone", "mu_init": 0.1}
 _WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-6 for push in _PUSHES}}
 _EXACT = {
+    "max_iter": _LAST,
     "tol": 1e-11, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
     # the start is the relaxed solution: do not push it back into the interior
     "bound_push": 1e-6, "bound_frac": 1e-6,
@@ -110,29 +112,21 @@ class Options(Settings):
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
     def relaxed(
-        self, n: int, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
+        self, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
     ) -> PluginOptions:
-        """Ipopt options of the relaxed NLP of ``n`` unknowns, started with multipliers if ``warm``.
+        """Ipopt options of a relaxed NLP, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
         The ``last`` one is given up early. ``dependent`` reckons with equations that follow from each other;
         that costs iterations.
         """
-        own = {"max_iter": _iterations(n) // (3 if last else 1), **_RELAXED}
+        own = {**_RELAXED, **({"max_iter": _LAST} if last else {})}
         own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}
 
-    def exact(self, n: int, warm: bool = False) -> PluginOptions:
-        """Ipopt options of the exact NLP of ``n`` unknowns, started with multipliers if ``warm``."""
-        own = {"max_iter": _iterations(n) // 3, **_EXACT, **(_WARM_EXACT if warm else {})}
+    def exact(self, warm: bool = False) -> PluginOptions:
+        """Ipopt options of an exact NLP, started with multipliers if ``warm``."""
+        own = {**_EXACT, **(_WARM_EXACT if warm else {})}
         return {**own, **self.ipopt_exact, **self.ipopt}
-
-
-def _iterations(n: int) -> int:
-    """Iteration limit of one NLP: a failing one is given up early.
-
-    Of the solved problems of the families that chose the defaults none needed half of it.
-    """
-    return 300 + min(n // 5, 300)

@@ -77,7 +77,7 @@ class Run:
     def relaxed(self, z: Array, t: float, warm: Warm = None, **how: bool) -> NLPResult:
         """Solve the relaxation at ``t`` from ``z``; ``how`` as :meth:`Options.relaxed`."""
         nlp, _ = self.nlps.relaxed
-        solver = self.nlps.solver(nlp, self.options.relaxed(nlp.n_x, warm is not None, **how))
+        solver = self.nlps.solver(nlp, self.options.relaxed(warm is not None, **how))
         return self.solve("relaxed", t, solver, z, warm, p=np.append(self.p, t))
 
     def branch(
@@ -93,7 +93,7 @@ class Run:
         ``free_signs`` lets the other members be negative.
         """
         nlp, (lower, upper) = self.lifted.nlp, self._bounds(zero, free_signs)
-        solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x, warm is not None))
+        solver = self.nlps.solver(nlp, self.options.exact(warm is not None))
         start = np.clip(z, lower, upper)
         phase = "signs" if free_signs else "branch"
         return self.solve(phase, 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
@@ -109,7 +109,7 @@ class Run:
         apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
         start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
         lower, upper = np.append(lower, nlp.lbx[z.size :]), np.append(upper, nlp.ubx[z.size :])
-        solver = self.nlps.solver(nlp, self.options.exact(nlp.n_x))
+        solver = self.nlps.solver(nlp, self.options.exact())
         return self.solve("feasible", 0.0, solver, start, p=self.p, lbx=lower, ubx=upper)
 
     def _bounds(self, zero: Mask, free_signs: bool = False) -> tuple[Array, Array]:
