@@ -95,11 +95,11 @@ class Lifted:
         z[x0.size :] = np.maximum(np.nan_to_num(rows[self.source.n_g :], posinf=0.0, neginf=0.0), 0.0)
         return z
 
-    def linearise(self, z: Array, p: Array) -> tuple[float, Array, Array, sp.csr_matrix]:
-        """Objective, its gradient, the rows and their sparse Jacobian at ``z``."""
-        f, gradient = self.value(z, p)
+    def linearise(self, z: Array, p: Array) -> tuple[Array, Array, sp.csr_matrix]:
+        """Gradient of the objective, the rows and their sparse Jacobian at ``z``."""
+        _, gradient = self.value(z, p)
         rows, nonzeros = self.jacobian(z, p)
-        return float(f[0]), gradient, rows, sp.csr_matrix((nonzeros, self.pattern), (rows.size, z.size))
+        return gradient, rows, sp.csr_matrix((nonzeros, self.pattern), (rows.size, z.size))
 
 
 def on_side(first: Mask) -> Mask:

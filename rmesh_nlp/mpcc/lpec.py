@@ -64,14 +64,13 @@ def linearise(lifted: Lifted, z: Array, p: Array, tolerance: float, corner: floa
     A row or bound is active within ``tolerance (1 + |bound|)``, a member is zero below ``corner``. A row is
     measured in units of its steepness: what counts is how far away in the unknowns its bound is.
     """
-    _, gradient, rows, jacobian = lifted.linearise(z, p)
+    gradient, rows, jacobian = lifted.linearise(z, p)
     steep, nlp = steepness(jacobian), lifted.nlp
     values = np.append(rows / steep, z)
 
     def active(of_rows: Array, of_unknowns: Array) -> Mask:
         bound = np.append(of_rows / steep, of_unknowns)
-        finite = np.where(np.isfinite(bound), bound, 0.0)
-        return np.isfinite(bound) & (np.abs(values - finite) <= tolerance * (1 + np.abs(finite)))
+        return np.isfinite(bound) & (np.abs(values - bound) <= tolerance * (1 + np.abs(bound)))
 
     own = np.where(lifted.member & (nlp.lbx == 0), -np.inf, nlp.lbx)
     zero = np.abs(z[lifted.pairs]) <= corner
@@ -131,7 +130,7 @@ def nearest_branch(
     Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
     (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds.
     """
-    _, _, values, jacobian = lifted.linearise(z, p)
+    _, values, jacobian = lifted.linearise(z, p)
     nlp, m = lifted.nlp, lifted.nlp.n_g
     members = z / radius
     lower, upper = np.maximum(-1.0, (nlp.lbx - z) / radius), np.minimum(1.0, (nlp.ubx - z) / radius)

@@ -69,7 +69,7 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     size = 1.0 + magnitude(z)
     tolerance, radius, only_violation = run.options.feasibility * size, size, False
     for _ in range(_STEPS):
-        _, gradient, rows, jacobian = lifted.linearise(z, run.p)
+        gradient, rows, jacobian = lifted.linearise(z, run.p)
         if not all(is_finite(part) for part in (z, gradient, rows, jacobian.data)):
             break
         violation = _sum(rows, nlp.lbg, nlp.ubg)
