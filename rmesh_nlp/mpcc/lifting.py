@@ -80,13 +80,16 @@ class Lifted:
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.
 
-        The gradient is that at a random point near the start, where it may vanish. Multipliers of an
-        objective of size 1e-6 would be lost among tolerances.
+        The gradient is that at the start, where it may vanish, and at two random points near it. Multipliers
+        of an objective of size 1e-6 would be lost among tolerances.
         """
-        near = x0 + np.random.default_rng(0).uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0))
-        x, slack = np.clip(near, self.source.lbx, self.source.ubx), np.zeros(self.nlp.n_x - x0.size)
-        slope = magnitude(self.value(np.append(x, slack), np.append(p, 1.0))[1])
-        return 1.0 / slope if 0.0 < slope < 1.0 else 1.0
+        random = np.random.default_rng(0)
+        near = [x0 + random.uniform(-0.5, 0.5, x0.size) * (1 + np.abs(x0)) for _ in range(2)]
+        points = [x0, *(np.clip(x, self.source.lbx, self.source.ubx) for x in near)]
+        p, slack = np.append(p, 1.0), np.zeros(self.nlp.n_x - x0.size)
+        slopes = [magnitude(self.value(np.append(x, slack), p)[1]) for x in points]
+        largest = float(np.max(slopes, where=np.isfinite(slopes), initial=0.0))
+        return 1.0 / largest if 0.0 < largest < 1.0 else 1.0
 
     def start(self, x0: Array, p: Array) -> Array:
         """Extend a start by slacks that satisfy their rows, as far as the signs allow; p without weight."""
