@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.optimize import Bounds, LinearConstraint, milp
+from scipy.optimize import linprog
 
 from rmesh_nlp.evaluation import Array, Mask, is_finite
 from rmesh_nlp.mpcc.lifting import Lifted
@@ -33,7 +33,7 @@ from rmesh_nlp.optimize.status import Status
 
 _NODES, _LEAST_NODES, _WORK = 500, 20, 200_000  # linear programs of a search, fewer of large ones
 _SHARP = 1e-3  # part of the tolerance with which multipliers are asked for first, since they are used
-_OPTIMAL, _INFEASIBLE = 0, 2  # words of milp
+_OPTIMAL, _INFEASIBLE = 0, 2  # words of linprog
 AT_LEAST = "at least "
 Range = tuple[float, float]
 Piece = tuple[Range, Range]
@@ -108,24 +108,24 @@ class _MultiplierLP:
     """Linear programs over the multipliers that make the Lagrangian stationary within ``tolerance``.
 
     After the ``Columns`` of the point stands for each biactive member a copy for the positive part of its
-    multiplier, which costs 1: the minimum is 0 exactly if the point is S-stationary. The last column is idle,
-    as SciPy refuses programs without any.
+    multiplier, which costs 1: the minimum is 0 exactly if the point is S-stationary. The last columns are
+    what is left of the Lagrangian's gradient.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
         self.columns, self.pairs, self.decided = columns_of(lifted, lin), lin.biactive, True
         self.budget = budget
         self.at_corner = np.flatnonzero(self.columns.corner)
-        own, idle = self.columns.matrix, sp.csc_matrix((lin.gradient.size, 1))
-        self.matrix = sp.hstack([own, own[:, self.at_corner], idle], format="csc")
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
         # scaled problems; the unit is that of the whole objective gradient.
+        own, eye = self.columns.matrix, sp.identity(lin.gradient.size, format="csc")
+        self.matrix = sp.hstack([own, own[:, self.at_corner], eye], format="csc")
         self.right, self.slack = -lin.gradient, tolerance * lin.scale
         may_fall, may_rise = self.columns.may_fall, self.columns.may_rise & ~self.columns.corner
-        copies = np.ones(self.at_corner.size)
-        self.lower = np.concatenate([np.where(may_fall, -np.inf, 0.0), 0 * copies, [0.0]])
-        self.upper = np.concatenate([np.where(may_rise, np.inf, 0.0), np.inf * copies, [0.0]])
-        self.cost = np.concatenate([np.zeros(may_fall.size), copies, [0.0]])
+        copies, rest = np.zeros(self.at_corner.size), np.zeros(lin.gradient.size)
+        self.lower = np.concatenate([np.where(may_fall, -np.inf, 0.0), copies, rest])
+        self.upper = np.concatenate([np.where(may_rise, np.inf, 0.0), copies + np.inf, rest])
+        self.cost = np.concatenate([np.zeros(may_fall.size), copies + 1.0, rest])
 
     def solve(
         self, pieces: dict[int, Piece], parts: tuple[float, ...] = (_SHARP, 1.0)
@@ -134,21 +134,24 @@ class _MultiplierLP:
 
         Those within the first of the ``parts`` of the tolerance for which there are some.
         """
-        lower, upper, n_columns = self.lower.copy(), self.upper.copy(), self.columns.corner.size
+        bounds = np.column_stack([self.lower, self.upper])
+        n_columns, n_rest = self.columns.corner.size, self.right.size
         for k, piece in pieces.items():
             for copy, (low, high) in zip((k, k + self.pairs.size), piece, strict=True):
-                lower[self.at_corner[copy]], upper[n_columns + copy] = low, high
-        for part in parts:
-            slack = part * self.slack
-            rows = LinearConstraint(self.matrix, self.right - slack, self.right + slack)
-            bounds, options = Bounds(lower, upper), limits(self.budget)
-            answer = milp(self.cost, bounds=bounds, constraints=rows, options=options)
-            if answer.status == _OPTIMAL:
+                bounds[self.at_corner[copy], 0], bounds[n_columns + copy, 1] = low, high
+        # of small programs that are infeasible, interior points of old versions of HiGHS may say nothing
+        for part, method in [*((part, "highs-ipm") for part in parts), (parts[-1], "highs-ds")]:
+            bounds[-n_rest:] = part * self.slack * np.array([-1.0, 1.0])
+            answer = linprog(
+                self.cost, A_eq=self.matrix, b_eq=self.right, bounds=bounds, method=method,
+                options=limits(self.budget),
+            )  # fmt: skip
+            if answer.status == _OPTIMAL or (answer.status, part) == (_INFEASIBLE, parts[-1]):
                 break
         self.decided &= answer.status in (_OPTIMAL, _INFEASIBLE)
         if answer.status != _OPTIMAL:
             return None
-        values, copies, _ = np.split(answer.x, [n_columns, -1])
+        values, copies, _ = np.split(answer.x, [n_columns, bounds.shape[0] - n_rest])
         values[self.at_corner] += copies
         return self.columns.scattered(values), float(answer.fun)
 

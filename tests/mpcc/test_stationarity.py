@@ -139,7 +139,7 @@ def test_linear_program_that_fails_decides_nothing(monkeypatch):
         status, x, fun = 4, None, None  # "numerical difficulties"
 
     given = []
-    monkeypatch.setattr(module, "milp", lambda *_, **names: given.append(names["options"]) or Answer)
+    monkeypatch.setattr(module, "linprog", lambda *_, **names: given.append(names["options"]) or Answer)
     lifted, lin = at(MPCC(XY, x + y, None, x, y), [0, 0])
     assert strongest(lifted, lin, TOLERANCE) == ("", None)
     Answer.status = 2
