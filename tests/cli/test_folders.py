@@ -9,28 +9,33 @@ from typing import Any
 
 import pandas as pd
 import pytest
+from matplotlib.figure import Figure
 
-from rmesh_nlp.io.folder import folder_lock
+from rmesh_nlp.cli import reporting
+from rmesh_nlp.io.folder import Manifest, folder_lock
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.planted import plant, raising
+from support.problem_files import SCALAR
 from support.reporting import joint_62
 
 
-def test_two_runs_beside_files_of_the_user_s(rmesh) -> None:
+def test_runs_beside_files_of_the_user_s_set_each_other_aside(rmesh) -> None:
     mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
     for name, text in mine.items():
         Path(name).parent.mkdir(exist_ok=True)
         Path(name).write_text(text)
     command = "compare 6.1 --formulations fixed --n 3 --no-figures -q --out ."
-    for _ in range(3):
+    for _ in range(2):
         assert rmesh(command).code == 0
     assert {name: Path(name).read_text() for name in mine} == mine
-    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-3", "previous-4")]
-    assert len(set(rows)) == 3  # their times differ
-    assert len(list(Path("previous-4/solutions").glob("*.vtu"))) == 1
-    Path("records.jsonl").unlink()
+    rows = [Path(name, "records.jsonl").read_text() for name in (".", "previous-3")]
+    assert len(set(rows)) == 2  # their times differ
+    assert len(list(Path("previous-3/solutions").glob("*.vtu"))) == 1
+    assert rmesh("solve 6.1 -f fixed --n 3 --out .").code == 0
+    assert Path("previous-4/records.jsonl").read_text() == rows[0]
+    assert len(read_results(Path())) == 1
     Path("records.jsonl").write_text("my own records")
     Path(".rmesh-files").unlink()
     said = rmesh(command)
@@ -44,43 +49,34 @@ def names_in(folder: str) -> set[str]:
 
 
 def test_a_solve_leaves_nothing_of_an_earlier_one(rmesh, monkeypatch) -> None:
-    rmesh("new my.toml")
+    Path("my.toml").write_text(SCALAR)
+    monkeypatch.setattr(reporting, "pictures", lambda *_: [("mesh", Figure(figsize=(1, 1)))])
     assert rmesh("solve my.toml -f fixed --out one").code == 0
-    for command in ("table one", "report one"):
+    for command in ("table one", "figures one"):
         assert rmesh(command).code == 0
-    Path("one/mine.msh").write_text("m")
+    assert Path("one/figures/mesh.png").exists()
+    Manifest(Path("one")).claim("report.html")
+    for name in ("report.html", "mine.msh"):
+        Path("one", name).write_text("m")
     said = rmesh("solve 6.1 -f fixed --n 3 --out one")
     assert said.out.splitlines()[-1] == "wrote one: record.json, solution.vtu, history.csv"
     assert names_in("one") == {"record.json", "solution.vtu", "history.csv", "mine.msh"}
     # the mesh and the problem of an earlier solve may be those of the next one
     assert rmesh("solve my.toml -f fixed --no-figures --out one").code == 0
     file = Path("one/problem.toml")
-    table = re.search(r"\[mesh\]\n(.+\n)+", file.read_text())
-    assert table is not None
-    file.write_text(file.read_text().replace(table[0], '[mesh]\nfile = "mesh.msh"\n'))
+    text = file.read_text().replace('shape = "rectangle"\nnx = 4\nny = 4', 'file = "mesh.msh"')
+    mesh = Path("one/mesh.msh").read_bytes()
+    file.write_text(text)
     said = rmesh("solve one/problem.toml -f fixed --no-figures --out one")
     assert said.code == 0, said.err
     last = said.out.splitlines()[-1].removeprefix("wrote one: ").split(", ")
     assert {*last} == names_in("one") - {"mine.msh"}
-    assert Path("one/given-mesh.msh").exists()
+    # the problem is kept as it was given, with the mesh file that it names
+    assert file.read_text() == text
+    assert Path("one/given-mesh.msh").read_bytes() == mesh
     plant(monkeypatch, fixed=raising(RuntimeError("singular")))
     assert rmesh("solve one/problem.toml -f fixed --out one").code == 1
     assert names_in("one") == {"record.json", "problem.toml", "given-mesh.msh", "mine.msh"}
-
-
-def test_a_solve_sets_a_comparison_aside(rmesh) -> None:
-    assert rmesh("compare 6.1 --formulations fixed --n 3 --no-figures -q --out one").code == 0
-    before = names_in("one")
-    assert rmesh("solve 6.1 -f fixed --n 3 --out one").code == 0
-    assert names_in("one/previous") == before
-    assert len(read_results(Path("one"))) == 1
-
-
-def test_a_problem_file_of_the_user_s_is_seen_before_a_solve(rmesh) -> None:
-    rmesh("new problem.toml")
-    said = rmesh("solve problem.toml -f fixed --out .")
-    assert (said.code, said.err.count("\n")) == (2, 1)
-    assert "problem.toml exists and rmesh did not write it" in said.err
 
 
 @pytest.mark.parametrize("command", ["compare", "solve"])
@@ -93,15 +89,22 @@ def test_a_locked_folder_is_one_line_and_exit_code_2(rmesh, command: str) -> Non
     assert list(Path().iterdir()) == []
 
 
-@pytest.mark.parametrize("command", ["compare 6.1 --n 3", "solve my.toml"])
-def test_a_file_in_the_place_of_the_figures_is_seen_before_a_solve(rmesh, command: str) -> None:
-    rmesh("new my.toml")
+@pytest.mark.parametrize(
+    ("command", "name", "said"),
+    [
+        ("compare 6.1 --n 3", "figures", "figures is a file, where a folder is to be written"),
+        ("solve my.toml", "figures", "figures is a file, where a folder is to be written"),
+        ("solve my.toml", "problem.toml", "problem.toml exists and rmesh did not write it"),
+    ],
+)
+def test_what_is_in_the_way_is_seen_before_a_solve(rmesh, command: str, name: str, said: str) -> None:
+    Path("my.toml").write_text(SCALAR)
     Path("out").mkdir()
-    Path("out/figures").write_text("mine")
-    said = rmesh(f"{command} --out out")
-    assert (said.code, said.err.count("\n")) == (2, 1)
-    assert "figures is a file, where a folder is to be written" in said.err
-    assert [path.name for path in Path("out").iterdir()] == ["figures"]
+    Path("out", name).write_text("mine")
+    answer = rmesh(f"{command} --out out")
+    assert (answer.code, answer.err.count("\n")) == (2, 1)
+    assert said in answer.err
+    assert [path.name for path in Path("out").iterdir()] == [name]
 
 
 @pytest.mark.slow
@@ -110,10 +113,8 @@ def test_a_problem_s_name_does_not_lead_out_of_the_folder(rmesh, name, tmp_path,
     work = tmp_path / "a" / "b"
     work.mkdir(parents=True)
     monkeypatch.chdir(work)
-    assert rmesh("new my.toml").code == 0
-    text = Path("my.toml").read_text().replace('name = "my"', f'name = "{name}"').replace("nx = 16", "nx = 4")
-    Path("my.toml").write_text(text)
-    assert rmesh("solve my.toml -f fixed").code in (0, 1)
+    Path("my.toml").write_text(f'name = "{name}"\n{SCALAR}')
+    assert rmesh("solve my.toml -f fixed").code == 0
     assert sorted(path.name for path in work.iterdir()) == ["my.toml", "results"]
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
     assert len(list(Path("results").iterdir())) == 1
@@ -134,7 +135,7 @@ def test_an_interrupted_solve_of_a_file_leaves_no_empty_folder(rmesh, monkeypatc
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    assert rmesh("new my.toml").code == 0
+    Path("my.toml").write_text(SCALAR)
     monkeypatch.setattr("rmesh_nlp.cli.solving.perform", interrupt)
     said = rmesh("solve my.toml --out out")
     assert said.code == 130
@@ -171,9 +172,8 @@ def costs(text: str) -> list[str]:
     cells = []
     for table in text.split("</table>" if "<html" in text else "\n\n"):
         if "<td" in table:
-            rows = [
-                re.findall(r"<t[hd][^>]*>\s*(.*?)\s*</t[hd]>", row, re.S) for row in table.split("<tr")[1:]
-            ]
+            cell = re.compile(r"<t[hd][^>]*>\s*(.*?)\s*</t[hd]>", re.S)
+            rows = [cell.findall(row) for row in table.split("<tr")[1:]]
         else:
             rows = [re.split(r"\s*\|\s*", line) for line in table.splitlines() if not line.startswith("|:")]
         if rows and COST in rows[0]:
