@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rmesh_nlp.cli.preparing import solve_options
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.io.problem_file import load_problem, template
@@ -26,12 +27,12 @@ from rmesh_nlp.problem import (
     Elastic,
     Motion,
     Obstacle,
+    Place,
     PlaneStrain,
     Relative,
     Shape,
     Traction,
 )
-from support.formulations import fixed, joint
 from support.problem_files import DESIGN, FILES, PLATE, SCALAR, VALID
 
 if sys.version_info >= (3, 11):
@@ -77,7 +78,8 @@ def test_file_means_what_python_means(write):
         tractions=(Traction("load", (0.0, Expression("-30*sin(pi*x/4)"))),),
         quadrature=4,
     )
-    assert fixed.solve(ours).energy == pytest.approx(fixed.solve(theirs).energy, rel=1e-13)
+    energies = [ContactSolver(one).given.energy for one in (ours, theirs)]
+    assert energies[0] == pytest.approx(energies[1], rel=1e-13)
     assert (ours.motion, ours.obstacles[0].gap) == (theirs.motion, "node")
 
 
@@ -92,7 +94,7 @@ def test_order_is_that_of_the_file_unless_another_is_asked_for(write):
 def test_rules_of_motion_reach_the_problem(write):
     rules = """\
 dirichlet = { left = 0 }
-contact = { boundary = "bottom", gap = "edge" }
+contact = { boundary = "bottom", gap = "edge", offset = 0.2 }
 [motion]
 delta = 0.1
 pinned = ["top"]
@@ -102,7 +104,7 @@ tied = [[4, 7]]
 min_angle = 7
 """
     problem = load_problem(write(SMALL + LAW + rules))
-    assert problem.obstacles[0].gap == "edge"
+    assert problem.obstacles == (Obstacle("bottom", (1.0,), 0.2, gap="edge"),)
     assert problem.motion == Motion(
         0.1, pinned=("top",), slides=(3,), free=("right",), tied=((4, 7),), min_angle=7
     )
@@ -110,7 +112,6 @@ min_angle = 7
 
 LEFT_FIXED = VALID.replace('right = ["free", 0.0]\n', "")
 FOUNDATIONS = {
-    "offset = 0.2": Obstacle("bottom", (0.0, 1.0), 0.2),
     "offset = 0.2\nnormal = [3, 4]": Obstacle("bottom", (0.6, 0.8), 0.2),
     "line = { point = [1, -2], normal = [3, 4] }": Obstacle.line("bottom", (1, -2), (3, 4)),
     "circle = { centre = [1, -3], radius = 2 }": Obstacle.circle("bottom", (1, -3), 2),
@@ -143,16 +144,11 @@ def test_symmetry_units_and_point_loads(write):
 
 
 def test_scalar_problem_with_an_obstacle_in_the_interior(write):
-    problem = load_problem(write(SCALAR))
-    solution = joint.solve(problem)
-    assert solution.success
-    assert solution.energy < solution.energy_initial
-    assert problem.motion.delta is None
-
-
-def test_constant_expression_is_a_number(write):
     problem = load_problem(write(SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
-    assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)
+    assert problem.motion == Motion(None, min_angle=5)
+    assert problem.obstacle.boundary is Place.INTERIOR
+    assert problem.obstacle.distances(problem.mesh.p) == pytest.approx(0.1)
+    assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)  # a constant is a number
 
 
 @pytest.mark.parametrize(
@@ -236,10 +232,10 @@ def test_missing_file_and_unreadable_meshes(write, tmp_path):
 @pytest.mark.parametrize(
     "line",
     [
-        f"[{'.'.join('a' * 5000)}]",
-        f"{'.'.join('a' * 5000)} = 1",
-        f"a = {'[' * 5000}{']' * 5000}",
-        f"a = {'{a = ' * 5000}1{'}' * 5000}",
+        f"[{'.'.join('a' * 1500)}]",
+        f"{'.'.join('a' * 1500)} = 1",
+        f"a = {'[' * 1500}{']' * 1500}",
+        f"a = {'{a = ' * 1500}1{'}' * 1500}",
         f"a = {'[' * 21}{']' * 21}",
     ],
     ids=["header", "key", "lists", "tables", "little"],
