@@ -162,23 +162,14 @@ def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, conten
         assert read_results(tmp_path) == []
 
 
-HEAD = ",".join(HISTORY) + "\n"
-GARBAGE = {
-    "text for a number": HEAD + "0,abc,,,,,\n",
-    "another head": "a,b\n1,2\n",
-    "nothing": "",
-    "bytes": "\udcff\udcfe",
-}
-
-
-@pytest.mark.parametrize("content", GARBAGE.values(), ids=GARBAGE.keys())
-def test_history_that_is_none_is_named(tmp_path, content):
-    results = Results(tmp_path)
-    result = results.result(fixed_61(key="one"))
+def test_history_that_is_none_is_named(tmp_path):
+    result = Results(tmp_path).result(fixed_61(key="one"))
     result.history.parent.mkdir()
-    result.history.write_bytes(content.encode(errors="surrogateescape"))
-    with pytest.raises(BadInputError, match=r"one\.csv is no history"):
-        result.steps()
+    head = ",".join(HISTORY).encode()
+    for content in (head + b"\n0,abc,,,,,\n", b"a,b\n1,2\n", b"", b"\xff\xfe"):
+        result.history.write_bytes(content)
+        with pytest.raises(BadInputError, match=r"one\.csv is no history"):
+            result.steps()
 
 
 def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
@@ -204,29 +195,22 @@ def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeyp
 
 
 def test_json_is_strict_and_plain():
-    row = {
-        "a": math.nan,
-        "b": [np.inf, np.float64(1.5)],
-        "c": {"d": np.arange(2)},
-        "e": np.int64(3),
-        "f": "x\ud800y",
-    }
-    assert parse_json(to_json(row), "here") == {
-        "a": None, "b": [None, 1.5], "c": {"d": [0, 1]}, "e": 3, "f": "x?y"
-    }  # fmt: skip
+    row = {"a": math.nan, "b": [np.inf, np.float64(1.5)], "c": {"d": np.arange(2)}, "f": "x\ud800y"}
+    plain = {"a": None, "b": [None, 1.5], "c": {"d": [0, 1]}, "f": "x?y"}
+    assert parse_json(to_json(row), "here") == plain
     assert json.loads(to_json(fixed_61(), indent=2)) == fixed_61()
 
 
-@pytest.mark.parametrize("name", REQUIRED)
-def test_every_required_entry_is_asked_for(name):
-    record = fixed_61()
-    del record[name]
-    with pytest.raises(BadInputError, match=f"it has no '{name}'"):
-        read_record(to_json(record), "here")
+def test_every_required_entry_is_asked_for():
+    for name in REQUIRED:
+        record = fixed_61()
+        del record[name]
+        with pytest.raises(BadInputError, match=f"it has no '{name}'"):
+            read_record(to_json(record), "here")
 
 
 WRONG = [
-    ("energy", True), ("energy", None), ("u_min", None), ("contact_time_s", "x"), ("wall_time_s", -1.0),
+    ("energy", True), ("energy", None), ("contact_time_s", "x"), ("wall_time_s", -1.0),
     ("iterations", 4.5), ("seed", True), ("success", 1), ("example", None), ("n", 8), ("delta", "x"),
     ("delta", [1.0]), ("delta", [1.0, True]), ("delta", {"absolute": 1.0}), ("key", [1]), ("key", "a\0b"),
     ("key", "../../esc"), ("relaxation", [1]), ("objective_value", "<svg>"), ("biactive_nodes", 3),
@@ -260,9 +244,8 @@ HOSTILE = {
 @pytest.mark.parametrize(("name", "value"), HOSTILE.values(), ids=HOSTILE.keys())
 def test_hostile_json_is_one_line_not_a_traceback(name, value):
     text = to_json(fixed_61())[:-1] + f", {name}: {value}}}"
-    with pytest.raises(
-        BadInputError, match=r"^here is not (a record|JSON that can be read): [^\n]*$"
-    ) as caught:
+    said = r"^here is not (a record|JSON that can be read): [^\n]*$"
+    with pytest.raises(BadInputError, match=said) as caught:
         read_record(text, "here")
     assert len(str(caught.value)) < 300
 
