@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from matplotlib import image
 
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.meshes.reading import read_mesh
@@ -36,12 +37,15 @@ left = "symmetry"
 top = [0, -10]
 [[contact]]
 boundary = "bottom"
-circle = { centre = [0, -5.001], radius = 5 }
+height = "-0.002*x"
 gap = "edge"
 [[contact]]
 boundary = "right"
 line = { point = [2.005, 0], normal = [-1, 0] }
 """
+
+
+CONDITIONS = BLOCK[BLOCK.index("[material]") :]
 
 
 @pytest.fixture
@@ -55,15 +59,19 @@ def record() -> dict[str, Any]:
     return dict(json.loads(Path("one/record.json").read_text()))
 
 
+def rows() -> list[dict[str, Any]]:
+    return [json.loads(line) for line in Path("c/records.jsonl").read_text().splitlines()]
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("block")
 def test_own_problems_are_compared_with_refinements(rmesh) -> None:
     said = rmesh("compare block.toml --formulations fixed,joint --out c")
     assert said.code in (0, 1)
-    rows = [json.loads(line) for line in Path("c/records.jsonl").read_text().splitlines()]
-    assert [row["formulation"] for row in rows] == ["fixed", "joint", "fixed", "fixed"]
-    assert [row["nodes"] for row in rows] == [28, 28, 91, 325]
-    assert rows[0]["energy"] > rows[2]["energy"] > rows[3]["energy"]
+    assert [row["formulation"] for row in rows()] == ["fixed", "joint", "fixed", "fixed"]
+    assert [row["nodes"] for row in rows()] == [28, 28, 91, 325]
+    given, _, finer, finest = (row["energy"] for row in rows())
+    assert given > finer > finest
     assert "## Relocation against uniform refinement\n\n### block" in said.out
     assert "block: one uniform refinement (91 nodes) gains" in said.out
 
@@ -89,23 +97,13 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
     assert (rows.code, rows.out.count("| refused |")) == (1, 3)  # and no picture of anything
 
 
-@pytest.mark.parametrize("command", ["check", "solve"])
-@pytest.mark.parametrize(
-    ("solve", "named"),
-    [
-        ('formulation = "<svg>"', "unknown formulation '<svg>'"),
-        ('formulation = "joint"\nipopt = { linear_solver = "pardiso" }', "linear_solver = 'pardiso' here"),
-        ('formulation = "mpcc"\nipopt_exact = { tol = "a" }', "tol = 'a' here"),
-    ],
-)
-def test_check_refuses_what_solve_would_refuse(
-    rmesh, block: Path, command: str, solve: str, named: str
-) -> None:
-    block.write_text(f"{BLOCK}[solve]\n{solve}\n")
-    said = rmesh(f"{command} block.toml")
-    assert (said.code, said.err.count("\n")) == (2, 1)
-    assert said.err.startswith("rmesh: error: block.toml: solve")
-    assert named in said.err
+def test_check_refuses_what_solve_would_refuse(rmesh, block: Path) -> None:
+    block.write_text(f"{BLOCK}[solve]\nformulation = 'mpcc'\nipopt_exact = {{ tol = 'a' }}\n")
+    for command in ("check", "solve"):
+        said = rmesh(f"{command} block.toml")
+        assert (said.code, said.err.count("\n")) == (2, 1)
+        assert said.err.startswith("rmesh: error: block.toml: solve")
+        assert "tol = 'a' here" in said.err
 
 
 @pytest.mark.slow
@@ -119,6 +117,7 @@ def test_figures_are_drawn_again_without_the_problem_file(rmesh, block: Path, or
     first = {name: image.imread(f"one/figures/{name}.png") for name in ("limits", "mesh")}
     shutil.rmtree("one/figures")
     block.unlink()
+    Path("one/problem.toml").write_text("what it names may be gone too")
     assert rmesh("figures one").code == 0
     assert sorted(path.name for path in Path("one/figures").iterdir()) == drawn
     for name, picture in first.items():
@@ -159,14 +158,11 @@ def test_ctrl_c_during_the_audit_keeps_the_solution(rmesh, monkeypatch: pytest.M
     assert record()["gain_audited"] > 0
 
 
-def test_check_says_what_to_do_about_missing_names(rmesh) -> None:
+def test_check_says_what_to_do_about_missing_names(rmesh, block: Path) -> None:
     points, triangles = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]], [[0, 1, 2], [0, 2, 3]]
     meshio.Mesh(points, [("triangle", triangles)]).write("body.vtk")
-    Path("my.toml").write_text(
-        '[mesh]\nfile = "body.vtk"\n[material]\nlaw = "plane-strain"\nyoung = 1.0\npoisson = 0.3\n'
-        "[dirichlet]\nleft = [0, 0]\n"
-    )
-    said = rmesh("check my.toml")
+    block.write_text(f'[mesh]\nfile = "body.vtk"\n{CONDITIONS}')
+    said = rmesh("check block.toml")
     assert said.code == 2
     assert "the mesh names none: name groups in gmsh" in said.err
 
@@ -184,8 +180,8 @@ def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block
 
 
 def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Path) -> None:
-    """On 15 nodes the second derivatives are others than on the refinement."""
-    block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 4\nny = 2"))
+    """On 12 nodes the second derivatives are others than on the refinement."""
+    block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 3\nny = 2"))
     said = rmesh("advise block.toml --json")
     assert said.code == 0
     found = json.loads(said.out)
@@ -195,7 +191,7 @@ def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Pa
 
 
 PRESSED = """
-mesh = { shape = "rectangle", nx = 4, ny = 2, x = [-1, 1] }
+mesh = { shape = "rectangle", nx = 2, ny = 2, x = [-1, 1] }
 material = { law = "plane-strain", young = 1000, poisson = 0.0 }
 dirichlet = { top = [0, -0.01] }
 contact = { boundary = "bottom", height = 0, friction = 0.5 }
@@ -203,34 +199,24 @@ motion = { delta = { relative = 0.3 } }
 """
 
 
-def test_with_coulomb_friction_the_given_mesh_is_compared(rmesh) -> None:
-    Path("pressed.toml").write_text(PRESSED.replace("friction", "coulomb"))
-    assert rmesh("compare pressed.toml --no-figures -q --out c").code == 0
-    (row,) = map(json.loads, Path("c/records.jsonl").read_text().splitlines())
-    assert row["formulation"] == "fixed"
-    assert rmesh("compare pressed.toml --formulations fixed,joint --no-figures -q --out c").code == 1
-
-
 def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
     """Its displacement is linear: all energies agree up to rounding."""
     Path("flat.toml").write_text(PRESSED)
-    said = rmesh("compare flat.toml --formulations fixed,joint --no-figures --out c")
+    said = rmesh("compare flat.toml --formulations joint --no-figures --out c")
     assert "flat: no formulation gained on the given mesh." in said.out
-    assert said.err.count("(gain 0, 0 %)") == 4
+    assert said.err.count("(gain 0, 0 %)") == 3
     solved = rmesh("solve flat.toml -f joint --no-figures --out one")
     assert re.search(r"audited gain +│ 0 \(0 %\) ", solved.out)
     assert re.search(r"normal force +│ 20 +│", solved.out)
     assert not re.search(r"\de-1\d |-0\.00", said.out + said.err + solved.err)
-    found = json.loads(rmesh("advise flat.toml --json").out)
-    assert (found["error"], found["second_order_factor"]) == (0.0, 1.0)
 
 
 def test_remesh_writes_a_mesh_with_the_names_of_the_file(rmesh, block: Path) -> None:
-    said = rmesh("remesh block.toml --nodes 60 --out better.msh")
+    said = rmesh("remesh block.toml --nodes 40 --out better.msh")
     assert said.code == 0
     assert "wrote better.msh" in said.out
     made = read_mesh(Path("better.msh"))
-    assert abs(made.p.shape[1] - 60) <= 3
+    assert abs(made.p.shape[1] - 40) <= 3
     assert {"left", "right", "top", "bottom"} <= set(made.boundaries)
     assert np.ptp(made.p, axis=1) == pytest.approx(np.ptp(load_problem(block).mesh.p, axis=1))
 
@@ -252,9 +238,9 @@ def test_remesh_refuses_what_it_cannot_write(rmesh, block: Path, typed: str, wor
 
 def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) -> None:
     write_mesh(load_problem(block).mesh, "own.msh")
-    given, text = Path("own.msh").read_bytes(), BLOCK[BLOCK.index("[material]") :]
-    block.write_text(f'[mesh]\nfile = "own.msh"\n{text}')
-    said = rmesh("remesh block.toml --nodes 60 --out ./own.msh")
+    given = Path("own.msh").read_bytes()
+    block.write_text(f'[mesh]\nfile = "own.msh"\n{CONDITIONS}')
+    said = rmesh(f"remesh block.toml --out {Path('own.msh').absolute()}")
     assert (said.code, "this is the mesh of block.toml" in said.err) == (2, True)
     assert Path("own.msh").read_bytes() == given
 
@@ -262,8 +248,8 @@ def test_remesh_never_writes_over_the_mesh_of_its_problem(rmesh, block: Path) ->
 FITTED = """
 [mesh]
 shape = "rectangle"
-nx = 3
-ny = 2
+nx = 2
+ny = 1
 [material]
 law = "plane-strain"
 young = "1000*E"
@@ -291,15 +277,12 @@ def test_measurements_are_beside_the_problem_file(rmesh, formulation: str) -> No
     folder.mkdir()
     path = folder / "fitted.toml"
     path.write_text(FITTED.replace("FORMULATION", formulation))
-    problem = load_problem(path)
-    true = driver.solve(problem.at_design({"E": 1.3}), "fixed")
-    nodes = np.flatnonzero(problem.mesh.p[0] == 1)
-    columns = np.vstack([problem.mesh.p[:, nodes], true.displacement[:, nodes]]).T
+    true = ContactSolver(load_problem(path).at_design({"E": 1.3}))
+    columns = np.vstack([true.problem.mesh.p, true.displacement.values(true.given.u)]).T[-2:]
     np.savetxt(folder / "measured.csv", columns, delimiter=",", header="x,y,ux,uy", comments="")
     assert rmesh(f"solve {path} --out one --no-figures").code == 0
     assert record()["design"]["E"] == pytest.approx(1.3, rel=1e-5)
     (folder / "measured.csv").unlink()
-    assert rmesh("figures one").code == 0  # without the measurements
     said = rmesh(f"solve {path} --out one")
     assert said.code == 2
     assert "data/measured.csv: cannot be read" in said.err
@@ -329,8 +312,7 @@ def test_a_design_from_its_file_to_tables_and_figures(rmesh) -> None:
     assert set(record()["design"]) == {"E", "h", "bow"}
     said = rmesh("compare d.toml --formulations fixed,nested,joint --out c")
     assert said.code == 0  # joint refuses the objective: a dash
-    rows = [json.loads(line) for line in Path("c/records.jsonl").read_text().splitlines()]
-    assert [row["objective"] for row in rows] == ["square(resultant(bottom) - 30)"] * 3
+    assert [row["objective"] for row in rows()] == ["square(resultant(bottom) - 30)"] * 3
     assert "J given" not in said.out
     assert "| bow  | -0.02 to 0.03 |" in said.out
     assert any(path.name.endswith("-design.png") for path in Path("c/figures").iterdir())
