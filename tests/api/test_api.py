@@ -15,13 +15,14 @@ from matplotlib.figure import Figure
 import rmesh_nlp as rm
 from formulations.joint import Joint
 from formulations.multistart import MultiStart
-from rmesh_nlp.cli.app import run
-from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.stress import stresses, von_mises
+from rmesh_nlp.io.results import write_single
 from rmesh_nlp.models import reduced_model
 from rmesh_nlp.problem import NO_CONTACT
 from rmesh_nlp.study.comparison import formulation_options
-from support.problems import coulomb_slab
+from support.reporting import fixed_61
+
+PROBLEM = rm.EXAMPLES["6.2"](n=(2, 2))
 
 
 @pytest.fixture(scope="module")
@@ -29,18 +30,11 @@ def comparison() -> rm.Comparison:
     return rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["fixed", "joint"])
 
 
-def test_settings_of_an_object_are_its_own() -> None:
-    problem = rm.EXAMPLES["6.2"](n=(4, 2))
-    assert rm.solve(problem, Joint(first_barrier=1e-2)).settings == {"first_barrier": 1e-2}
-    with pytest.raises(BadInputError, match=r"settings are fields of the formulation: Joint\(tol=...\)"):
-        rm.solve(problem, Joint(), tol=1e-8)
-
-
 def test_one_spelling_of_options_serves_names_tables_and_lists() -> None:
     """What Python takes by keyword, ``compare`` gives to those that take it, and a text may name too."""
-    problem, few = rm.EXAMPLES["6.2"](n=(4, 2)), rm.Limits(iterations=2)
-    alone = rm.solve(problem, "mpcc", t0=1e-3, twice=True, limits=few)
-    both = rm.compare(problem, ["fixed", "mpcc"], t0=1e-3, twice=True, limits={"iterations": 2})
+    few = rm.Limits(iterations=1)
+    alone = rm.solve(PROBLEM, "mpcc", t0=1e-3, twice=True, limits=few)
+    both = rm.compare(PROBLEM, ["fixed", "mpcc"], t0=1e-3, twice=True, limits={"iterations": 1})
     asked = {"options": {"t0": 1e-3}, "twice": True}
     assert alone.settings == both["mpcc"].settings == asked
     assert alone.limits == both["mpcc"].limits == few
@@ -58,23 +52,15 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
 
 def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
     kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1)]
-    found = rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), kinds, limits=rm.Limits(iterations=3))
+    found = rm.compare(PROBLEM, kinds, limits=rm.Limits(iterations=1))
     names = ["fixed", "auto", "joint", "joint(first_barrier=0.01)", "multistart(joint, starts=1)"]
     assert list(found.summary().index) == list(found.solutions) == names
     assert found[names[3]].settings == {"first_barrier": 1e-2}
     assert all(name in found.markdown() for name in names)
-    with pytest.raises(BadInputError, match="named twice"):
-        rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["joint", Joint()])
-    with pytest.raises(BadInputError, match=r"tol = 0\.001: not an option of joint"):
-        rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), [Joint()], tol=1e-3)
-
-
-def test_by_default_formulations_are_compared_that_take_the_problem() -> None:
-    assert rm.compare(coulomb_slab(n=(4, 2))).names == ("fixed",)
 
 
 def test_a_formulation_that_refuses_leaves_its_record() -> None:
-    found = rm.compare(rm.EXAMPLES["6.1"](n=3), ["joint"], objective="quality")
+    found = rm.compare(PROBLEM, ["joint"], objective="quality")
     assert found.records[0]["status"] == "refused"
     assert not found.solutions
     with pytest.raises(ValueError, match="no formulation succeeded"):
@@ -82,17 +68,16 @@ def test_a_formulation_that_refuses_leaves_its_record() -> None:
 
 
 def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
-    run(["solve", "6.1", "--formulation", "fixed", "--n", "3", "--out", str(tmp_path)])
-    (record,) = rm.read_records(tmp_path)
-    assert record["formulation"] == "fixed"
+    write_single(tmp_path, fixed_61(), lambda _: None)
+    assert rm.read_records(tmp_path) == [fixed_61()]
 
 
-@pytest.mark.parametrize("what", ["mesh", "displacement", "stress", "pressure"])
-def test_every_picture_is_drawn_on_axes_of_ones_own(comparison: rm.Comparison, what: str) -> None:
-    axes = Figure().add_subplot()
-    assert comparison["joint"].plot(what, axes) is axes
-    assert axes.has_data()
-    assert what in axes.get_title()
+def test_every_picture_is_drawn_on_axes_of_ones_own(comparison: rm.Comparison) -> None:
+    for what in ("mesh", "displacement", "stress", "pressure"):
+        axes = Figure().add_subplot()
+        assert comparison["joint"].plot(what, axes) is axes
+        assert axes.has_data()
+        assert what in axes.get_title()
 
 
 def test_pictures_have_the_pressure_the_stress_of_each_element_and_both_meshes(comparison) -> None:
@@ -121,20 +106,12 @@ def test_solutions_side_by_side_share_their_scale(comparison: rm.Comparison) -> 
     assert limits == [(np.min(sizes), np.max(sizes))] * 2
 
 
-def test_an_unknown_picture_and_no_contact_are_said(comparison: rm.Comparison) -> None:
-    with pytest.raises(ValueError, match="strain"):
-        comparison["joint"].plot("strain")
-    free = replace(comparison["joint"].problem, obstacle=NO_CONTACT)
-    with pytest.raises(ValueError, match="no contact"):
-        rm.solve(free, "fixed").plot("pressure")
-
-
 def test_a_gradient_passes_its_taylor_test() -> None:
-    test = rm.verify_gradient(rm.EXAMPLES["6.3"](n=(6, 3)))
+    test = rm.verify_gradient(rm.EXAMPLES["6.3"](n=(4, 2)))
     assert test
     assert test.order == pytest.approx(2, abs=0.1)
     np.testing.assert_allclose(test.steps, 1e-2 * 0.5 ** np.arange(5))
-    assert rm.verify_gradient(rm.EXAMPLES["6.3"](n=(6, 3)), seed=1).value != test.value
+    assert rm.verify_gradient(rm.EXAMPLES["6.3"](n=(4, 2)), seed=1).value != test.value
 
 
 def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,9 +127,7 @@ def test_a_wrong_gradient_is_of_first_order(monkeypatch: pytest.MonkeyPatch) -> 
     assert "WRONG" in dict(test.summary())["gradient"]
 
 
-def test_a_text_is_no_list_of_formulations() -> None:
-    with pytest.raises(ValueError, match="a list of names, got the text 'joint'"):
-        rm.compare(rm.EXAMPLES["6.1"](n=3), "joint")
+FREE = replace(PROBLEM, obstacle=NO_CONTACT)
 
 
 @pytest.mark.parametrize(
@@ -163,18 +138,21 @@ def test_a_text_is_no_list_of_formulations() -> None:
             "problem must be ContactProblem, which read_problem makes of a file, got",
         ),
         (lambda: rm.compare(None), "problem must be ContactProblem, got None"),
-        (lambda: rm.certify(rm.EXAMPLES["6.1"](n=3)), "solution must be Solution, got "),
+        (lambda: rm.certify(PROBLEM), "solution must be Solution, got "),
         (lambda: rm.write_solution({}, "solution.vtu"), "solution must be Solution, got {}"),
         (lambda: rm.solve_mpcc({"x": 1}, [0]), "mpcc must be MPCC, got {'x': 1}"),
-        (
-            lambda: rm.solve(rm.EXAMPLES["6.1"](n=3), objective=5),
-            "objective must be a text or an Objective, got 5",
-        ),
+        (lambda: rm.solve(PROBLEM, objective=5), "objective must be a text or an Objective, got 5"),
+        (lambda: rm.solve(PROBLEM, Joint(), tol=1e-8), r"fields of the formulation: Joint\(tol=...\)"),
         (lambda: rm.EXAMPLES[6.1], "the name of an example must be a text, got 6.1"),
+        (lambda: rm.compare(PROBLEM, "joint"), "a list of names, got the text 'joint'"),
+        (lambda: rm.compare(PROBLEM, ["joint", Joint()]), "named twice"),
+        (lambda: rm.compare(PROBLEM, [Joint()], tol=1e-3), r"tol = 0\.001: not an option of joint"),
+        (lambda: rm.solve(FREE, "fixed").plot("strain"), "strain"),
+        (lambda: rm.solve(FREE, "fixed").plot("pressure"), "no contact"),
     ],
 )
-def test_what_is_of_another_kind_is_bad_input(misuse: Callable[[], object], message: str) -> None:
-    with pytest.raises(BadInputError, match=message):
+def test_misuse_is_bad_input(misuse: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         misuse()
 
 
@@ -209,16 +187,20 @@ def test_type_checkers_see_what_python_sees() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "heavy"),
+    ("code", "heavy"),
     [
-        ("rmesh_nlp", {"casadi", "numpy", "rich"}),
-        ("rmesh_nlp.mpcc", {"skfem", "meshio", "pandas", "matplotlib", "jinja2", "pydantic", "typer"}),
+        ("import rmesh_nlp; dir(rmesh_nlp)", {"casadi", "numpy", "rich"}),
+        (
+            "from rmesh_nlp.cli import app, entry; app.run(['solve', '--help'])",
+            {"casadi", "matplotlib", "pandas", "skfem", "scipy", "meshio", "numpy"},
+        ),
+        ("import rmesh_nlp.mpcc", {"skfem", "meshio", "pandas", "matplotlib", "jinja2", "pydantic", "typer"}),
     ],
 )
-def test_nothing_heavy_is_loaded_before_it_is_used(name, heavy) -> None:
-    code = f"import sys, {name}; dir({name}); print({heavy} & {{*sys.modules}})"
+def test_nothing_heavy_is_loaded_before_it_is_used(code: str, heavy: set[str]) -> None:
+    code += f"; import sys; print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout == "set()\n"
+    assert done.stdout.splitlines()[-1] == "set()"
 
 
 @pytest.mark.slow
