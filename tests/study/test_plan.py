@@ -47,12 +47,6 @@ def test_the_matrix_is_problems_by_formulations_by_seeds_by_repeats(path):
     assert [solve.name for solve in plan[::16]] == ["6.1", "random-5"]
 
 
-def test_the_template_is_a_valid_study_of_which_every_problem_can_be_built(path):
-    plan = plan_of(path, template("mine", "study.toml", "rmesh_nlp.study"))
-    assert {solve.variant for solve in plan} == {"fixed", "auto"}
-    assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
-
-
 def test_the_study_of_the_page_and_the_settings_that_the_template_suggests_are_valid(path):
     path.with_name("my.toml").write_text(VALID)
     page = (Path(__file__).parents[2] / "docs/studies.md").read_text()
@@ -71,7 +65,6 @@ def test_order_is_an_axis_of_all_problems_and_order_1_has_the_keys_of_old(path):
     assert [(solve.name, solve.order) for solve in both] == [
         (name, order) for name in ("6.1", "own", "random-0") for order in (1, 2)
     ]
-    assert len({solve.key for solve in both}) == 6
     assert {solve.key for solve in plain} <= {solve.key for solve in both}
     assert ["order2" in solve.key for solve in both] == [False, True] * 3
     for solve in both:
@@ -86,14 +79,9 @@ def test_keys_tell_everything_apart_that_decides_the_result_and_nothing_else(mon
     monkeypatch.setattr("rmesh_nlp.study.plan.__version__", "0.1")
     problem, limits = {"kind": "random", "seed": 1, "of": "rough"}, {"time_s": 60.0, "memory_mb": 4000.0}
     one = PlannedSolve(problem, "random-1", "random", "", "a", "joint", **limits)
-    others = [
-        replace(one, problem={**one.problem, "seed": 2}),
-        replace(one, variant="b"),
-        replace(one, formulation="nested"),
-        replace(one, options={"seed": 1}),
-        replace(one, repeat=1),
-        replace(one, time_s=1.0),
-    ]
+    changes = {"variant": "b", "formulation": "nested", "options": {"seed": 1}, "repeat": 1, "time_s": 1.0}
+    changes["problem"] = {**one.problem, "seed": 2}
+    others = [replace(one, **{name: value}) for name, value in changes.items()]
     assert len({solve.key for solve in (one, *others)}) == 7
     assert replace(one, fields=False).key == one.key
     assert replace(one, problem={**one.problem, "path": "/elsewhere"}).key == one.key
@@ -121,21 +109,13 @@ def test_a_problem_file_is_known_by_its_content(path):
         (JOINT + "examples = ['6.9']", "unknown example '6.9'"),
         ("examples = ['6.1']\nformulations = ['jiont']", "did you mean joint"),
         (JOINT + "examples = ['6.1']\nsize = [3]", "unknown key, did you mean 'sizes'?"),
-        (
-            JOINT + "examples = ['6.1']\nsizes = [1]",
-            "sizes = [1]: the size must be a whole number of at least 2",
-        ),
         (JOINT + "examples = ['6.1']\nsizes = ['1x4']", "two such as 12x6, got '1x4'"),
         (JOINT + "examples = ['6.1']\nseeds = [-1]", "expected seeds such as"),
         (JOINT + "examples = ['6.1']\norder = 0", "order = 0: expected 1 for linear displacements, 2 for"),
         (JOINT + "examples = ['6.1']\norder = [1, true]", "expected 1 for linear"),
         (JOINT + "examples = ['6.1']\norder = []", "expected 1 for linear"),
         (JOINT + "examples = '6.1'", "examples = '6.1': expected a list of texts"),
-        ("examples = ['6.1']\n[formulations.joint]\nouter = 'newton'", "'joint' takes no outer = 'newton'"),
-        (
-            "examples = ['6.1']\n[formulations.joint]\ntol = 1979-05-27",
-            "tol = datetime.date(1979, 5, 27)",
-        ),
+        ("examples = ['6.1']\n[formulations.joint]\ntol = 1979-05-27", "tol = datetime.date(1979, 5, 27)"),
         (JOINT + "examples = ['6.1']\n[limits]\ntime = 0", "limits.time = 0: expected"),
         (JOINT + "examples = ['6.1']\nobjectives = ['energie']", "energie"),
         (JOINT + "random = { count = 3, kinds = ['x'] }", "expected 'scalar', 'membrane'"),
@@ -166,16 +146,18 @@ def test_a_study_without_objectives_has_those_of_its_files(path, stated, objecti
     assert found == {"6.1": None, "block": objective}
 
 
-def test_a_dry_run_lists_the_keys_and_writes_nothing(path, capsys):
+def test_a_dry_run_of_the_template_lists_the_keys_and_writes_nothing(path, capsys):
     assert cli.run(["new", "--study", str(path)]) == 0
     assert cli.run(["check", str(path)]) == 0
     capsys.readouterr()
     out = path.parent / "out"
     assert cli.run(["study", str(path), "--out", str(out), "--dry-run", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["solves"] == [solve.key for solve in make_plan(read_study(path), path)]
+    printed, plan = json.loads(capsys.readouterr().out), make_plan(read_study(path), path)
+    assert printed["solves"] == [solve.key for solve in plan]
     assert printed["guess_s"] > 0
     assert not out.exists()
+    assert {solve.variant for solve in plan} == {"fixed", "auto"}
+    assert [build(solve).name for solve in plan] == [solve.name for solve in plan]
 
 
 @pytest.mark.slow

@@ -12,13 +12,10 @@ from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.progress import SolvesProgress, pace
 
 
-def test_a_step_has_gain_residual_and_limits():
+def test_a_step_has_gain_or_another_objective_residual_and_limits():
     step = Step(9, -1.9, float("nan"), 0.0, 0.5**9, 0, 180.0, energy_given=-1.0)
     said = "iteration 9 of 50 at most, J = -1.9, gain 0.9, residual 2.0e-03, 3 min of 10 min at most"
     assert pace(step, Limits(600.0, 50)) == said
-
-
-def test_another_objective_is_shown_in_the_place_of_the_energy():
     step = Step(2, 7.0, 0.0, 0.0, float("nan"), 0, 1.0, objective=0.01, objective_given=0.02)
     said = "iteration 2, objective 0.02 -> 0.01, residual 0.0e+00, 1 s of 10 min at most"
     assert pace(step, Limits(), of_energy=False) == said

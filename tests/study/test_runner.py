@@ -18,7 +18,7 @@ from support.planted import plant, raising
 
 @pytest.fixture(scope="module")
 def one():
-    return planned(EXAMPLES["6.3"]((4, 2)), "fixed")
+    return planned(EXAMPLES["6.3"]((2, 2)), "fixed")
 
 
 def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
