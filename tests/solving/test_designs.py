@@ -22,7 +22,7 @@ def column(*design: rm.DesignVariable, constraints: tuple[rm.Constraint, ...] = 
     names = {variable.name: variable.symbol for variable in design}
     lift, young = names.get("lift", 0.01), YOUNG * names.get("E", 1.0)
     return rm.ContactProblem(
-        mesh=shapes.rectangle(4, 2, x=(0, WIDTH), y=(0, HEIGHT)),
+        mesh=shapes.rectangle(2, 1, x=(0, WIDTH), y=(0, HEIGHT)),
         law=rm.PlaneStress.from_young(young, 0.0),
         dirichlet=(rm.Dirichlet("top", (None, 0.0)), rm.Dirichlet("left", (0.0, None))),
         obstacle=rm.Obstacle("bottom", (0, 1), -lift),
@@ -34,24 +34,19 @@ def column(*design: rm.DesignVariable, constraints: tuple[rm.Constraint, ...] = 
 
 LIFT = rm.DesignVariable("lift", 0.01, (0.0, 0.1))
 STIFF = rm.DesignVariable("E", 1.0, (0.2, 5.0))
-
-
 PRESCRIBED = "square(resultant(bottom) - 30)"
 
 
 @cache
-def lifted(formulation: str) -> rm.Solution:
-    return rm.solve(column(LIFT), formulation, objective=PRESCRIBED)
+def lifted() -> rm.Solution:
+    return rm.solve(column(LIFT), "nested", objective=PRESCRIBED)
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_prescribed_resultant(formulation: str) -> None:
-    found = lifted(formulation)
+def test_prescribed_resultant() -> None:
+    found = lifted()
     assert found.status is Status.CONVERGED
     assert found.design["lift"] == pytest.approx(30 * HEIGHT / (YOUNG * WIDTH), rel=1e-5)
-    record = found.record()
-    assert record["design"] == {"lift": found.design["lift"]}
-    assert record["resultant"] == pytest.approx(30, rel=1e-5)
+    assert found.record()["resultant"] == pytest.approx(30, rel=1e-5)
     assert not found.problem.design
 
 
@@ -76,7 +71,7 @@ def test_constraint_of_two_variables(formulation: str) -> None:
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     constraint = rm.Constraint("resultant(bottom)", (100.0, np.inf))
-    problem = replace(block(H0, BOW, n=(4, 2), constraints=(constraint,)), motion=rm.Motion(0))
+    problem = replace(block(H0, BOW, n=(4, 1), constraints=(constraint,)), motion=rm.Motion(0))
     found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
     record = found.record()
     assert found.status is Status.CONVERGED
@@ -88,7 +83,7 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
 
 
 def test_a_solve_goes_on_from_a_design() -> None:
-    first = lifted("nested")
+    first = lifted()
     again = rm.solve(column(LIFT), "nested", objective=PRESCRIBED, start=first)
     assert again.iterations < first.iterations
     assert again.design["lift"] == pytest.approx(first.design["lift"], rel=1e-6)
@@ -117,11 +112,8 @@ def test_what_designs_cannot_be_asked(formulation: str, objective: str, words: s
 
 
 def test_an_expression_of_a_design_may_be_a_number() -> None:
-    values = [
-        rm.Outer.of(column(LIFT), f"design({text})").function(np.zeros(1)).value
-        for text in ("3", "0*lift + 2")
-    ]
-    assert values == [3.0, 2.0]
+    for text, value in (("3", 3.0), ("0*lift + 2", 2.0)):
+        assert rm.Outer.of(column(LIFT), f"design({text})").function(np.zeros(1)).value == value
 
 
 @pytest.mark.parametrize("formulation", FORMULATIONS)
@@ -129,7 +121,7 @@ def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
     lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
     problem = rm.ContactProblem(
-        mesh=shapes.rectangle(3, 1, x=(0, 3), y=(0, 1)),
+        mesh=shapes.rectangle(2, 1, x=(0, 3), y=(0, 1)),
         law=rm.PlaneStrain.from_young(1000.0, 0.3),
         dirichlet="left",
         obstacle=rm.Obstacle.graph("bottom", lambda x, y: lift.symbol - 0.001 * x),

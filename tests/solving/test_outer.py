@@ -97,18 +97,13 @@ class TestAssessment:
         found = ended(outer, np.zeros(outer.n))
         rows = outer.discretisation.friction_rows
         sliding = np.count_nonzero(outer.contact.given.active.sliding[rows])
-        assert (found.final.sliding_nodes, found.final.sticking_nodes) == (
-            sliding,
-            outer.discretisation.friction_rows.size - sliding,
-        )
-        assert sliding > 0
+        assert found.final.sliding_nodes == sliding > 0
+        assert found.final.sticking_nodes == rows.size - sliding
         assert found.own_residuals == found.final.residuals
         assert max(vars(found.own_residuals).values()) < 1e-9
         still = solved("fixed", "6.3", (4, 2)).record()
-        assert (still["cold_contact_solves"], still["contact_factorisations"]) == (
-            1,
-            outer.contact.given.iterations,
-        )
+        assert still["cold_contact_solves"] == 1
+        assert still["contact_factorisations"] == outer.contact.given.iterations
         smooth = Outer.of(EXAMPLES["6.2"]((4, 2)))
         assert ended(smooth, np.zeros(smooth.n)).final.sliding_nodes is None
 
@@ -164,12 +159,3 @@ class TestAssessment:
         ratio = area_ratio(problem, moved.mesh.p)
         assert ratio < 0.99
         assert moved.assessment.final.min_area_ratio == pytest.approx(ratio, rel=1e-12)
-
-    def test_a_mesh_that_cannot_be_solved_on_is_neither_valid_nor_improved(self) -> None:
-        outer = Outer.of(EXAMPLES["6.1"](3))
-        found = ended(outer, np.full(outer.n, 10.0))
-        assert found.status is Status.INVALID_MESH
-        assert (found.valid, found.improved, found.success) == (False, False, False)
-        final = found.final
-        assert np.all(np.isnan([*final.displacement.ravel(), *final.pressure, final.energy]))
-        assert final.min_area_ratio < 0

@@ -11,11 +11,7 @@ import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
-from rmesh_nlp.solving.verification import (
-    TaylorTest,
-    error_terms,
-    verify_gradient,
-)
+from rmesh_nlp.solving.verification import TaylorTest, error_terms, verify_gradient
 from support.orders import ORDERS
 from support.sliding import sliding_block
 

@@ -131,29 +131,28 @@ def pressed(*_: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def given() -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n=6), motion=Motion(None), quadrature=6)
+    return replace(EXAMPLES["6.1"](n=5), motion=Motion(None), quadrature=6)
 
 
 @pytest.fixture(scope="module")
 def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
     """The mesh as given, and one that suits the solution, whose energy is lower."""
     first = Outer.of(given)
-    made = metric_start(Solved(first.contact, first.contact.given), 49).solved.problem
+    made = metric_start(Solved(first.contact, first.contact.given), 36).solved.problem
     return first, lambda: Outer.of(made)
 
 
 class TestRemeshed:
     def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(self, given):
         script = Script(0.001)
-        solution = solve_once(given, Remeshed(script.formulation, 60))
+        solution = solve_once(given, Remeshed(script.formulation, 40))
         ((outer, q),) = script.begun
         row, nodes = solution.record(), outer.problem.mesh.p.shape[1]
         assert (outer.is_near, np.any(q)) == (True, False)
-        assert abs(nodes - 60) <= 2
-        assert solution.contact_solves == len(row["remeshed_nodes"])  # the script counts none
-        assert (
-            row["remeshed_nodes"][-1] == nodes or min(row["remeshed_energies"]) < row["remeshed_energies"][-1]
-        )
+        assert abs(nodes - 40) <= 2
+        counts, energies = row["remeshed_nodes"], row["remeshed_energies"]
+        assert solution.contact_solves == len(counts)  # the script counts none
+        assert counts[-1] == nodes or min(energies) < energies[-1]
         np.testing.assert_array_equal(solution.initial_nodes, outer.problem.mesh.p)
         assert solution.energy_initial == pytest.approx(Outer.of(given).contact.given.energy, rel=1e-12)
         assert solution.gain_audited > 0
@@ -181,12 +180,6 @@ class TestRemeshed:
         monkeypatch.setattr(Outer, "continuous", lambda outer, q: after if outer is there else outer.initial)
         found = assess(first, Outcome(there, there.variables(), Status.STALLED))
         assert (found.status is Status.EXPLOITED) == higher
-
-    def test_faults_of_the_last_mesh_stay_faults(self, ends: Any) -> None:
-        first, there = ends[0], ends[1]()
-        rough = replace(there.contact.given, u=1.01 * there.contact.given.u)
-        found = assess(first, Outcome(there, there.variables(), Status.CONVERGED, own=rough))
-        assert (found.status, found.valid) == (Status.INACCURATE, False)
 
     def test_without_mmgpy_it_says_what_to_install(self, given, monkeypatch) -> None:
         monkeypatch.setattr("formulations.remeshed.is_available", lambda: False)
