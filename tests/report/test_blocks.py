@@ -44,14 +44,6 @@ def test_unit_of_cost_is_the_median_of_those_measured() -> None:
     assert body(COST, Block(tuple(common)))[0][-1] == "-"
 
 
-def test_failures_are_neither_best_nor_successes() -> None:
-    low, bad = joint_61(energy_audited=-1.2), joint_61(energy_audited=-9.0, success=False)
-    block = Block((bad, low, fixed_61(energy_audited=-1.1)))
-    assert block.best is low
-    assert len(block.succeeded) == 2
-    assert Block((bad,)).best is None
-
-
 @pytest.mark.parametrize(
     ("changes", "is_paper"),
     [
@@ -78,7 +70,6 @@ def test_values_of_the_paper_are_for_its_settings(changes: dict[str, Any], is_pa
     ("changes", "text"),
     [
         ({"formulation": "mpcc", "start": "joint"}, "joint, certified as an MPCC solution"),
-        ({"formulation": "mpcc", "start": "random"}, "mpcc"),
         ({"formulation": "nested", "start": "joint"}, "nested"),
         ({"formulation": "mpcc", "relaxation": "lin-fukushima"}, "mpcc, lin-fukushima"),
         ({"objective": "error-l2", "seed": 0}, "fixed, error-l2, seed 0"),
@@ -109,12 +100,15 @@ def test_titles_and_names_tell_the_settings_that_differ() -> None:
     ]
 
 
-def test_the_best_of_one_other_objective_has_its_lowest_value() -> None:
+def test_the_best_is_the_success_of_least_energy_or_of_the_least_value_of_another_objective() -> None:
+    low, bad = joint_61(energy_audited=-1.2), joint_61(energy_audited=-9.0, success=False)
+    block = Block((bad, low, fixed_61(energy_audited=-1.1)))
+    assert block.best is low
+    assert len(block.succeeded) == 2
+    assert Block((bad,)).best is None
     one, two = designed(), designed(objective_value=5e-4, energy_audited=9.0)
     assert Block((one, two)).best is two
     assert Block((one, {**two, "objective_value": None})).best is one
-    energies = joint_62(), joint_62(energy_audited=-5.0)
-    assert Block(energies).best is energies[1]
 
 
 PAID, REACHED, BOTH = "cost [contact solves]", "cost to that J", ("guaranteed_lower", "guaranteed_upper")
@@ -128,8 +122,6 @@ def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
 @pytest.mark.parametrize(
     ("table", "head", "record", "text"),
     [
-        (COST, "build [s]", {}, "-"),
-        (COST, "build [s]", {"build_time_s": 0.12345}, "0.123"),
         (COST, "build [s]", {"build_time_s": 0.12, "build_time_range_s": [0.1, 0.256]}, "0.12 (0.1 to 0.26)"),
         (COST, "contact solves, cold + warm", {"contact_solves": 7, "cold_contact_solves": 2}, "2 + 5"),
         (COST, PAID, {"build_time_s": 1.0, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5},
@@ -137,22 +129,14 @@ def cell(table: tuple[Column, ...], head: str, record: dict[str, Any]) -> str:
         (COST, PAID, {"build_time_s": None, "solve_time_s": 2.0, "wall_time_s": 9.0, "contact_time_s": 0.5},
          "18"),
         (COST, PAID, {"wall_time_s": 9.0, "contact_time_s": 0.0}, "-"),
-        (COST, PAID, {"wall_time_s": 0.0, "contact_time_s": 0.5}, "0"),
         (COST, PAID, {"wall_time_s": 49.97, "contact_time_s": 0.5}, "99.9"),
-        (COST, "factorisations, contact; KKT", {"kkt_factorisations": 3}, "-"),
         (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 0}, "9"),
-        (COST, "factorisations, contact; KKT", {"contact_factorisations": 9, "kkt_factorisations": 4},
-         "9; 4 or more"),
         (ENERGY, "J relocated, own rule", {"energy": 0.0}, "0.000000"),
         (MAIN, "J relocated", {"energy_audited": -1.23456789e-5}, "-1.234568e-05"),
         (MAIN, "J relocated", {"energy_audited": 1000.5}, "1000.5"),
-        (MAIN, "J relocated", {"energy_audited": 0.00099}, "0.00099"),
-        (MAIN, "gain [%]", {"energy_audited": -2.5, "energy_initial_audited": -2.0}, "25.00"),
         (MAIN, "gain [%]", {"energy_audited": -200.0, "energy_initial_audited": -2.0}, "9.9e+03"),
         (MAIN, "gain [%]", {"energy_audited": 0.5, "energy_initial_audited": 0.0}, "-"),
         (MAIN, "time [s]", {"wall_time_s": 123.4}, "123"),
-        (RESIDUAL, "biactive", {"biactive_nodes": [4, 5]}, "2"),
-        (RESIDUAL, "label", {"stationarity": "S", "biactive": 0}, "S (KKT)"),
         (RESIDUAL, "label", {"stationarity": "S", "biactive": 1}, "S"),
         (COMMON, REACHED, {"cost_to_objective": 1234.4}, "1234"),
         (ERRORS, "sum", {"I1": 0.5, "I2": 0.25, "I3": 0.125}, "0.875000"),

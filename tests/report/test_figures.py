@@ -35,7 +35,7 @@ from rmesh_nlp.report.drawing import (
 from rmesh_nlp.report.figures import block_figures, error_figure
 from rmesh_nlp.report.figures import figures as figures_of
 from rmesh_nlp.report.pictures import pictures
-from rmesh_nlp.report.style import PENS, SETTINGS, Page, add_legend, new_figure, write
+from rmesh_nlp.report.style import SETTINGS, Page, add_legend, new_figure, write
 from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
@@ -103,21 +103,6 @@ def test_texts_are_legible_and_do_not_overlap(figures: dict[str, Figure]) -> Non
                 assert not box.overlaps(other), (name, text, other_text)
 
 
-@pytest.mark.slow
-def test_grids_have_equal_axes_and_show_both_meshes(results, figures) -> None:
-    grids = [axis for axis in figures["6.3-4x3-joint-grid"].axes if axis.get_label() != "<colorbar>"]
-    assert [axis.get_aspect() for axis in grids] == [1.0] * 4
-    titles = [axis.get_title() for axis in grids]
-    assert titles[:2] == ["given grid", "relocated by joint"]
-    assert titles[2] == titles[3]
-    magnification = float(titles[2].removeprefix("deformed, $u$ and gap × "))
-    fields = read_vtu(results[-1].vtu)
-    drawn = np.array(grids[3].lines[0].get_xydata())
-    moved = fields.final.nodes + magnification * fields.final.displacement
-    for corner in (moved[:, 0], moved[:, -1]):
-        assert np.nanmin(np.linalg.norm(drawn - corner, axis=1)) < 1e-12
-
-
 @pytest.mark.parametrize("content", [None, "<VTKFile/>", "no XML"])
 def test_missing_or_broken_solution_file_is_named(tmp_path, content) -> None:
     path = tmp_path / "it.vtu"
@@ -136,27 +121,19 @@ def test_a_figure_whose_name_is_taken_is_numbered(tmp_path: Path) -> None:
     assert paths[0].read_bytes()[:5] == b"%PDF-"
 
 
-def test_looks_are_told_apart_without_colour() -> None:
-    assert len({(one["linestyle"], one["marker"]) for one in PENS}) == len(PENS)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        [f"nested, mean(load, -uy), seed {k}" for k in range(7)],
-        ["newton from forty random starts " * 6],
-    ],
-)
-def test_legend_is_not_wider_than_its_figure(names: list[str]) -> None:
-    figure = new_figure(PAGE.width, 3.0)
-    axis = figure.subplots()
-    for name in names:
-        axis.plot([0, 1], [0, 1], label=name)
-    with rc_context(SETTINGS):
-        add_legend(figure, [axis])
-    (legend,) = figure.legends
-    figure.draw_without_rendering()
-    assert legend.get_window_extent().width <= figure.get_window_extent().width
+def test_legend_is_not_wider_than_its_figure() -> None:
+    many = [f"nested, mean(load, -uy), seed {k}" for k in range(7)]
+    for names in (many, ["newton from forty random starts " * 6]):
+        figure = new_figure(PAGE.width, 3.0)
+        axis = figure.subplots()
+        for name in names:
+            axis.plot([], [], label=name)
+        axis.set_axis_off()
+        with rc_context(SETTINGS):
+            add_legend(figure, [axis])
+        (legend,) = figure.legends
+        figure.draw_without_rendering()
+        assert legend.get_window_extent().width <= figure.get_window_extent().width
 
 
 def state(friction: float, components: int = 2, upright: bool = False) -> MeshState:
@@ -189,9 +166,11 @@ def test_contact_stress_is_drawn_along_the_boundary() -> None:
     for line in axis.lines:
         np.testing.assert_array_equal(line.get_xydata(), [[0, 0], [1, 10], [2, 20]])
     assert axis.get_xlabel() == "$x_1$ on low"
-    (axis,) = stress_figure({"a": state(0.0, upright=True)}).axes
+    (axis,) = stress_figure({"a": state(0.0, upright=True)}, Units("m", "N")).axes
     np.testing.assert_array_equal(axis.lines[0].get_xydata()[:, 0], [0, 1, 2])
-    assert axis.get_xlabel().startswith("$x_2$")
+    assert (axis.get_xlabel(), axis.get_ylabel()) == ("$x_2$ [m] on low", "contact pressure [N/m²]")
+    (axis,) = stress_figure({"a": state(0.0, components=1)}, Units("m", "N")).axes
+    assert axis.get_ylabel() == "contact stress"  # of a scalar problem it has no unit
 
 
 def test_with_friction_a_second_panel_has_the_bounds() -> None:
@@ -214,28 +193,18 @@ def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
     fields = Fields(TRIANGLE, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
     figure = error_figure(fields, record, PAGE)  # of area 0.1
     before, after = figure.axes[:2]
-    assert [axis.collections[0].get_array() for axis in (before, after)] == [
-        pytest.approx(2),
-        pytest.approx(1),
-    ]
+    assert [float(axis.collections[0].get_array()[0]) for axis in (before, after)] == pytest.approx([2, 1])
     assert (before.get_title(), after.get_title()) == ("given, ", "relocated, error estimated at 25 %")
 
 
 def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
     known = {"iteration": range(3), "cost": [1.0, 2.0, 4.0], "value": [-1.0, -1.5, -2.0]}
     way = pd.DataFrame(known).assign(feasible=True)
-    iterations, costs = convergence_figure(
-        [("joint", way)], {"objective": "energy", "energy": -9.0}, PAGE
-    ).axes
+    known = {"objective": "energy", "energy": -9.0}
+    iterations, costs = convergence_figure([("joint", way)], known, PAGE).axes
     np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
     np.testing.assert_allclose(costs.lines[0].get_xdata(), way["cost"])
     assert iterations.get_ylabel() == "|J − J*|"
-
-
-@pytest.mark.parametrize(("components", "label"), [(1, "contact stress"), (2, "contact pressure [N/m²]")])
-def test_stress_has_its_unit_unless_the_problem_is_scalar(components: int, label: str) -> None:
-    (axis,) = stress_figure({"a": state(0.0, components)}, Units("m", "N")).axes
-    assert axis.get_ylabel() == label
 
 
 def test_brackets_of_orders_are_over_unknowns() -> None:
@@ -289,9 +258,8 @@ def test_flat_foundation_stays_flat_and_is_touched(
     solution = pressed(rise, order)
     assert np.any(solution.pressure > 0)
     for axis in drawings(solution, tmp_path):
-        assert axis.get_title() == (
-            f"deformed, $u$ and gap × {factor}" if factor > 1 else "deformed, true scale"
-        )
+        scale = f"$u$ and gap × {factor}" if factor > 1 else "true scale"
+        assert axis.get_title() == f"deformed, {scale}"
         ground = np.vstack([path.vertices for c in axis.collections for path in c.get_paths()])
         body = np.asarray(axis.lines[0].get_xydata())
         assert np.ptp(ground[:, 1]) < 1e-12
@@ -323,9 +291,9 @@ def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, i
 
 def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
     u, even = np.full((2, 3), 1e-4), np.tile([[0.0], [-0.1]], 4)
-    uneven = np.array([[0.0] * 4, [-0.1, -0.1, -0.1, -0.099]])
+    uneven = np.array([[0.0] * 4, [-0.1, -0.1, -0.1, -0.098]])
     assert magnification([body(u)]) == magnification([body(u, even)]) == 500.0
-    assert magnification([body(u, even, uneven)]) == 2.0  # further, 0.75e-3 of gap were seen
+    assert magnification([body(u, even, uneven)]) == 2.0  # further, 1.5e-3 of gap were seen
     assert magnification([body(u, even), body(u, uneven)]) == 2.0
     assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
     (near,) = body(u, even).near
@@ -341,18 +309,16 @@ def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation()
 
 
 @pytest.mark.parametrize(
-    ("columns", "height", "size", "rows"),
+    ("columns", "height", "size"),
     [
-        (1, 0.5, (3.35, 2 * (2.6 * 0.5 + 0.62)), 2),  # one below the other
-        (2, 0.5, (7.0, 3.125 * 0.5 + 0.62), 1),
-        (2, 9.0, (7.0, 3.125 * 2 + 0.62), 1),  # as tall as twice their width at most
+        (1, 0.5, (3.35, 2 * (2.6 * 0.5 + 0.62))),  # one below the other
+        (2, 9.0, (7.0, 3.125 * 2 + 0.62)),  # as tall as twice their width at most
     ],
 )
-def test_panels_fill_the_width_of_the_page(columns, height, size, rows) -> None:
+def test_panels_fill_the_width_of_the_page(columns, height, size) -> None:
     figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], "mm")
     assert figure.get_size_inches() == pytest.approx(size)
     assert axes.shape == (1, 2)
-    assert axes[0, 0].get_gridspec().nrows == rows
     assert axes[0, 0].get_ylabel() == "$x_2$ [mm]"
     assert axes[0, 0].get_ylim() == (0.0, height)
 
@@ -363,11 +329,9 @@ def test_lines_of_fine_meshes_are_rasterised_and_fields_always(fine, monkeypatch
     mesh, axis = rectangle(3, 2), new_figure(2, 2).subplots()
     draw_mesh(axis, mesh.p, mesh.t)
     assert all(line.get_rasterized() is fine for line in axis.lines)
-    assert mesh.p.shape == (2, 12)
-    assert mesh.t.shape == (3, 12)  # so that the number of values does not tell what they belong to
+    assert mesh.p.shape[1] == mesh.t.shape[1]  # the number of values does not tell what they belong to
     smooth = draw_nodal(axis, mesh.p, mesh.t, 2 * mesh.p[0])
     constant = draw_elements(axis, mesh.p, mesh.t, np.arange(mesh.t.shape[1]))
-    assert (type(smooth).__name__, type(constant).__name__) == ("TriMesh", "PolyCollection")
     assert smooth.get_rasterized()
     assert constant.get_rasterized()
     np.testing.assert_allclose(smooth.get_array(), 2 * mesh.p[0, mesh.t].T.ravel(), atol=1e-15)

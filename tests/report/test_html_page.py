@@ -26,8 +26,8 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("compared")
-    plan = plan_comparison(["6.1"], ["fixed", "joint", "nested"], n=4, quadrature=6)
-    plan += plan_comparison(["6.1"], ["joint"], n=3, order=2)
+    plan = plan_comparison(["6.1"], ["fixed", "joint", "nested"], n=3, quadrature=6)
+    plan += plan_comparison(["6.1"], ["joint"], n=2, order=2)
     list(run(plan, Results(path)))
     assert cli.run(["report", str(path)]) == 0
     return path
@@ -51,7 +51,7 @@ def test_meshes_on_the_page_are_those_of_the_solutions(folder: Path) -> None:
     match = re.search(r'id="meshes-json">(.*?)</script>', text, re.S)
     assert match is not None
     shown = json.loads(match[1])
-    names = ["6.1, n = 4, joint", "6.1, n = 4, nested", "6.1, n = 3, order 2, joint"]
+    names = ["6.1, n = 3, joint", "6.1, n = 3, nested", "6.1, n = 2, order 2, joint"]
     assert [one["name"] for one in shown] == names  # what moved
     moved = [result for result in read_results(folder) if result.record["formulation"] != "fixed"]
     for one, result, corners in zip(shown, moved, (3, 3, 6), strict=True):
@@ -59,11 +59,9 @@ def test_meshes_on_the_page_are_those_of_the_solutions(folder: Path) -> None:
         assert one["t"] == fields.triangles.T.tolist()
         assert len(one["t"][0]) == corners
         drawn = np.array([one[name] for name in ("x", "y", "x0", "y0")])
-        np.testing.assert_allclose(
-            drawn, np.vstack([fields.final.nodes, fields.given.nodes]), rtol=1e-4, atol=1e-9
-        )
-        motion = np.linalg.norm(fields.final.nodes - fields.given.nodes, axis=0)
-        final = fields.final
+        final, given = fields.final, fields.given
+        np.testing.assert_allclose(drawn, np.vstack([final.nodes, given.nodes]), rtol=1e-4, atol=1e-9)
+        motion = np.linalg.norm(final.nodes - given.nodes, axis=0)
         values = {"u": final.displacement[0], "contact stress": final.pressure, "motion": motion}
         assert set(one["fields"]) == set(values)
         for name, expected in values.items():
@@ -81,7 +79,8 @@ def test_hostile_text_stays_text(tmp_path: Path) -> None:
     assert text.count("&lt;script&gt;alert") >= 4  # of the title, the question, the problem, the message
 
 
-def test_long_names_and_messages_are_not_cut() -> None:
+def test_long_names_and_messages_are_not_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rmesh_nlp.report.html_page.svg", lambda *_, **__: "")  # the texts alone count
     name, title = "newton from forty starts " * 5, "a long title " * 9
     message = failed_61(message="a reason " * 40, key="x")
     rows = [joint_61(variant=name, family=title, key="y", seed=seed) for seed in range(20)]

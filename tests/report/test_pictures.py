@@ -32,7 +32,7 @@ from support.reporting import designed, saved
 def membrane() -> ContactProblem:
     """A membrane on an obstacle in the interior, with a disc of contact."""
     return ContactProblem(
-        mesh=rectangle(8, 8, x=(-1, 1), y=(-1, 1)),
+        mesh=rectangle(6, 6, x=(-1, 1), y=(-1, 1)),
         law=Laplace(-4.0),
         dirichlet=("left", "right", "top", "bottom"),
         obstacle=Obstacle.interior(-0.3),
@@ -67,7 +67,6 @@ def test_a_solve_of_a_body_has_all_its_pictures(tmp_path: Path) -> None:
     assert all(path.stat().st_size > 5000 for path in paths)
 
 
-@pytest.mark.slow
 def test_nothing_that_is_zero_is_drawn(tmp_path: Path) -> None:
     # held and not loaded: no displacement, no stress, no pressure; and nothing moved
     rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))
@@ -156,8 +155,8 @@ def test_solves_of_very_different_length_have_a_logarithmic_axis() -> None:
 
 
 def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
-    assert design_figure({"": history(0)}, BOUNDS, "area", Page()) is None
-    assert design_figure({"": history(1, names=())}, BOUNDS, "area", Page()) is None
+    for empty in (history(0), history(1, names=())):
+        assert design_figure({"": empty}, BOUNDS, "area", Page()) is None
     missing = Result(designed(), tmp_path / "no.vtu", tmp_path / "no.csv")
     assert figure_of_designs([missing], Page()) is None
     unmoved = replace(missing, record=designed(formulation="fixed"))
@@ -165,8 +164,8 @@ def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
 
 
 def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
-    problem = replace(block(E, H0, BOW, n=(4, 2)), motion=Motion(0))
-    solution = nested.solve(problem, objective="mean(right, uy**2)", limits={"iterations": 4})
+    problem = replace(block(E, H0, BOW, n=(4, 1)), motion=Motion(0))
+    solution = nested.solve(problem, objective="mean(right, uy**2)", limits={"iterations": 2})
     drawn = dict(pictures(saved(solution, tmp_path), Page()))
     assert {"mesh", "pressure", "motion", "design"} <= set(drawn)
     assert "limits" not in drawn  # no node is relocated
@@ -174,7 +173,6 @@ def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
     assert titles == ["first design", "last design"]
     first, last = (line.get_ydata() for line in drawn["pressure"].axes[0].lines)
     assert np.max(last) == pytest.approx(solution.pressure.max())
-    begin = problem.at_design()
-    expected = nested.solve(replace(begin, design=(), motion=Motion(0)), objective="area").pressure
+    expected = fixed.solve(problem.at_design(), objective="area").pressure
     assert np.max(first) == pytest.approx(expected.max(), rel=1e-9)
     assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)

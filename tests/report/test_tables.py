@@ -165,15 +165,6 @@ def test_designs_have_tables_of_their_own_and_no_energies() -> None:
     assert all(table in both for table in DESIGN_TABLES)
 
 
-def test_designs_in_latex() -> None:
-    text = latex(DESIGN_ROWS)
-    assert r"mpcc & $2.500000\cdot 10^{0}$ & $1.000000\cdot 10^{-3}$ & $99.96$ & $96$" in text
-    assert r"h\_0 & -0.5 to 0.5 & $0$ & $-0.5$ \\" in text
-    assert r"gain\\ {[\%]}" in text
-    assert "left on refined" in text
-    assert "J" not in re.sub(r"\\[a-z]+", "", text)
-
-
 def test_many_design_variables_have_a_row_each() -> None:
     names = [f"v{k}" for k in range(FEW + 1)]
     values = {name: float(k) for k, name in enumerate(names)}
@@ -335,16 +326,14 @@ def test_several_starts_are_joined(rows: list[Record], cells: list[str]) -> None
 def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
     text = markdown([joint_62(I1=0.5, I2=1e-3, I3=0.0, energy_above_exact=0.501)])
     assert "| 0.500000 | 1.00e-03 |   0 | 0.501000 |      0.501000 |" in text
-    row = joint_62(
-        formulation="mpcc", objective="error-l2", relaxation="lin-fukushima", biactive_nodes=[3, 4]
-    )
+    row = joint_62(formulation="mpcc", objective="error-l2", biactive_nodes=[3, 4])
     text = markdown([{**row, "objective_initial": 2.929e-3, "objective_value": 9.08e-4}])
-    assert "| mpcc, lin-fukushima, error-l2 |       2.929000e-03 |     9.080000e-04 |        2 |" in text
+    assert "| mpcc, error-l2 |       2.929000e-03 |     9.080000e-04 |        2 |" in text
     assert "I1" not in markdown(ROWS)
     assert "objective at end" not in markdown(ROWS, short=True)
 
 
-def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
+def test_csv_has_every_scalar_field_the_values_of_the_paper_designs_and_constraints() -> None:
     first, second = csv.DictReader(io.StringIO(as_csv(ROWS)))
     assert next(iter(first)) == next(iter(ROWS[0])), "no column of row numbers"
     assert (first["energy"], first["paper_energy_final"]) == ("-4.910329789", "-4.9188")
@@ -353,12 +342,8 @@ def test_csv_has_every_scalar_field_and_the_values_of_the_paper() -> None:
     assert (second["status"], second["energy"]) == ("failed", "")
     assert first["order"] == "1"  # old rows do not name it
     assert set(REQUIRED) - {"versions"} <= set(first)
-
-
-def test_csv_has_designs_and_constraints() -> None:
     first, second = csv.DictReader(io.StringIO(as_csv(DESIGN_ROWS)))
-    assert (first["design.E"], first["design.h_0"]) == ("1.25", "-0.5")
-    assert first["constraint.max-pressure(face)"] == "110.0"
+    assert (first["design.E"], first["constraint.max-pressure(face)"]) == ("1.25", "110.0")
     assert second["design.E"] == ""
 
 
@@ -366,10 +351,8 @@ def test_markup_escapes() -> None:
     assert latex_text(r"a_b & 5% \x") == r"a\_b \& 5\% \textbackslash{}x"
     assert latex_cell("1.5e-06") == r"$1.5\cdot 10^{-6}$"
     assert latex_cell("12x6") == "12x6"
-    assert (
-        Table(["a", "b"], [("", [["x|y", "1"]])]).markdown()
-        == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
-    )
+    table = Table(["a", "b"], [("", [["x|y", "1"]])]).markdown()
+    assert table == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
 
 
 def test_names_are_no_formulas_in_a_csv() -> None:
@@ -394,37 +377,26 @@ def test_files(tmp_path: Path) -> None:
     assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
-BELOW = "lies BELOW the infimum"
 EARLY = joint_62(status="iteration_limit")
 METRES = {"units": {"length": "m", "force": "N"}}
 
 
 @pytest.mark.parametrize(
-    ("rows", "said"),
+    ("rows", "count", "said"),
     [
-        ([joint_62(), EARLY], "iteration_limit: a success that is valid and not worse than the given mesh, "
-         "but not stationary to the tolerance."),
-        ([joint_62(**METRES), joint_62(example="6.3", **METRES), joint_61(units={})],
+        ([joint_62(), EARLY], 1, "a success that is valid and not worse than the given mesh, but not"),
+        ([joint_62(**METRES), joint_62(example="6.3", **METRES), joint_61(units={})], 1,
          "Example 6.2, Example 6.3: u in m, J in N, the energy per m of depth."),
-        ([joint_62(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)],
+        ([joint_62(example="6.1", energy=-4.51, energy_audited=-1.1, energy_above_exact=0.845)], 1,
          "joint: the energy -4.510000 lies BELOW the infimum -1.945000: its quadrature"),
-        ([joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)],
+        ([joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)], 1,
          "the audited energy -4.910330 lies BELOW the infimum -4.900000"),
+        ([joint_62(example="mine", n="144 triangles")], 0, "aper"),
+        ([joint_62(), {**EARLY, "success": False}], 0, "iteration_limit: a success"),
+        ([joint_62(energy_above_exact=0.1)], 0, "BELOW"),
+        ([joint_62(energy_lower_bound=-4.9)], 0, "BELOW"),
+        ([joint_62(**METRES | {"units": {"length": "m"}})], 0, "u in m"),
     ],
 )  # fmt: skip
-def test_note_is_said_once(rows: list[Record], said: str) -> None:
-    assert len([note for note in {*main_notes(rows), *block_notes(rows)} if said in note]) == 1
-
-
-@pytest.mark.parametrize(
-    ("rows", "said"),
-    [
-        ([joint_62(example="mine", n="144 triangles")], "aper"),
-        ([joint_62(), {**EARLY, "success": False}], "iteration_limit: a success"),
-        ([joint_62(energy_above_exact=0.1)], BELOW),
-        ([joint_62(energy_lower_bound=-4.9)], BELOW),
-        ([joint_62(**METRES | {"units": {"length": "m"}})], "u in m"),
-    ],
-)
-def test_note_is_not_said(rows: list[Record], said: str) -> None:
-    assert said not in "".join([*main_notes(rows), *block_notes(rows)])
+def test_a_note_is_said_once_where_records_show_it(rows: list[Record], count: int, said: str) -> None:
+    assert len([note for note in {*main_notes(rows), *block_notes(rows)} if said in note]) == count
