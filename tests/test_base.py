@@ -55,8 +55,6 @@ def test_numbers_of_settings(number: Number, taken: list, refused: list, message
 
 def test_none_stands_for_a_default() -> None:
     check_positive(a=None, b=1)
-    with pytest.raises(BadInputError, match="c must be positive and finite, got 0"):
-        check_positive(a=None, c=0)
 
 
 def test_unknown_names_come_with_the_nearest() -> None:
@@ -97,13 +95,13 @@ def test_units_are_named_where_they_are_known() -> None:
 FORBIDDEN = [
     "__import__('os')", "x.real", "[x]", "lambda: 1", "'a'", "True", "1j", "f'{x}'", "sin(*[x])",
     "x if y else 1", "x in y", "x @ y", "x; y", "", "(" * 500, "-" * 5000 + "x", "sin(x=1)",
-    "x := 1", "9" * 999, "x\0", "sin",
+    "x := 1", "9" * 999, "x\0", "sin", "1 + x^2",
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("text", FORBIDDEN)
 def test_nothing_but_arithmetic_is_let_through(text: str) -> None:
-    with pytest.raises(ValueError, match=r"not allowed|not an expression|too long|unknown"):
+    with pytest.raises(ValueError, match=r"not allowed|not an expression|too long|unknown|\*\*, not \^"):
         Expression(text)
 
 
@@ -144,8 +142,3 @@ def test_part_that_is_finite_nowhere_is_named(text: str, part: str) -> None:
 def test_branch_with_a_pole_elsewhere_is_allowed() -> None:
     points = np.array([[0.5, -1.0], [0, 0]])
     assert np.all(np.isfinite(on_points(Expression("where(x > 0, 1/(x + 1), 1)"), points)))
-
-
-def test_powers_are_written_with_stars() -> None:
-    with pytest.raises(ValueError, match=r"powers are written with \*\*, not \^"):
-        Expression("1 + x^2")
