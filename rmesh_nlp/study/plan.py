@@ -156,7 +156,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """
     stated = study.objectives
     variants = {stated: list(_variants(study, path, stated))}
-    common: dict[str, Any] = {"time_s": study.limits.time, "memory_mb": study.limits.memory}
+    common: dict[str, Any] = {"time_s": study.limits.seconds, "memory_mb": study.limits.memory}
     common |= {"fields": study.fields, "certify": study.certify}
     problems, solves = list(_problems(study, path)), []
     if (count := len(problems) * len(variants[stated]) * study.repeats) > LARGEST:
@@ -179,7 +179,7 @@ def _variants(
     study: StudyTable, path: Path, objectives: Sequence[str]
 ) -> Iterator[tuple[str, str, dict[str, Any]]]:
     """Name, formulation and options of each for each objective and seed, also those that it does not take."""
-    limits = {"seconds": study.limits.time, "iterations": study.limits.iterations}
+    limits = {"seconds": study.limits.seconds, "iterations": study.limits.iterations}
     limits = {name: value for name, value in limits.items() if value is not None}
     for variant, table in study.formulations.items():
         formulation = table.formulation or variant

@@ -92,7 +92,7 @@ class FormulationTable(BaseModel):
 class LimitsTable(Table):
     """``[limits]`` of each solve: seconds, megabytes, iterations."""
 
-    time: Positive = 60.0
+    seconds: Positive = 60.0
     memory: Positive = 4000.0
     iterations: Count | None = None
 
