@@ -11,20 +11,24 @@ from rmesh_nlp.errors import Exit
 
 
 def load(name: str) -> Any:
-    """A module of the package, when it is needed; Ctrl-C meanwhile ends the process at once.
+    """A module of the package, when it is needed; Ctrl-C or SIGTERM meanwhile ends the process at once.
 
     Help needs no CasADi, a solve no pandas and no matplotlib; each takes as long to load as a small solve.
     """
-    is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
-    if is_usual:
-        signal.signal(signal.SIGINT, _leave)
+    hand_over(leave)
     module = importlib.import_module(f"rmesh_nlp.{name}")
-    if is_usual:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+    hand_over(signal.default_int_handler, leave)
     return module
 
 
-def _leave(*_: object) -> None:
+def hand_over(handler: Any, before: Any = signal.default_int_handler) -> None:
+    """Give Ctrl-C and SIGTERM to a handler where another one has them, and they are not ignored."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is before:
+            signal.signal(number, handler)
+
+
+def leave(*_: object) -> None:
     """An exception would come out of libraries that begin as some other one, with its traceback."""
     os.write(2, b"rmesh: interrupted\n")
     os._exit(Exit.INTERRUPTED)

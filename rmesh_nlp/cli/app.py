@@ -17,8 +17,8 @@ ClickException: Any = typer.BadParameter.__mro__[2]
 
 def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; what is wrong is said in one line on stderr."""
-    command: Any = get_command(app)
     try:
+        command: Any = get_command(app)
         code = int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
         if code == Exit.INTERRUPTED:  # Ctrl-C, of which some versions of typer say nothing
             raise KeyboardInterrupt

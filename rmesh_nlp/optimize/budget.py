@@ -174,11 +174,6 @@ def processor_seconds() -> float:
     return time.process_time()
 
 
-def end_like_interrupts() -> None:
-    """Let a request to terminate, SIGTERM, end what runs as Ctrl-C does: with all that was reached kept."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
-
-
 _handlers: list[Any] = [signal.default_int_handler]
 """Those of the contexts of :func:`signals_to` after Python's own."""
 

@@ -36,20 +36,31 @@ def test_an_interruption_is_said_when_there_is_nothing_to_keep(rmesh, monkeypatc
     assert rmesh("table results") == (130, "", "rmesh: interrupted\n")
 
 
+IMPORTS = """
+class Presses:
+    def find_spec(self, name, *_):
+        try: name == 'casadi' and press()
+        except KeyboardInterrupt: raise ImportError('initialization failed')
+sys.meta_path.insert(0, Presses())
+"""
+COMMANDS = "from rmesh_nlp.cli import app; app.get_command = press"
+ENDS = "import atexit; atexit.register(press)"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
-def test_an_interruption_while_libraries_load_is_one_line() -> None:
-    """Those in C make an ImportError of a KeyboardInterrupt that comes while they begin."""
+@pytest.mark.parametrize(
+    ("during", "number"), [(IMPORTS, "SIGINT"), (IMPORTS, "SIGTERM"), (COMMANDS, "SIGINT"), (ENDS, "SIGINT")]
+)
+def test_an_interruption_before_and_after_the_work_is_one_line(during: str, number: str) -> None:
+    """Libraries in C make an ImportError of a KeyboardInterrupt that comes while they begin."""
     code = (
         "import signal, sys; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
-        "class Presses:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        try: name == 'casadi' and signal.raise_signal(signal.SIGINT)\n"
-        "        except KeyboardInterrupt: raise ImportError('initialization failed')\n"
-        "sys.meta_path.insert(0, Presses())\n"
-        "from rmesh_nlp.cli.entry import main; sys.argv[1:] = ['table', 'x']; main()"
+        f"press = lambda *_: signal.raise_signal(signal.{number})\n{during}\n"
+        "from rmesh_nlp.cli.entry import main; main()"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "rmesh: interrupted\n")
+    words = ["--version"] if during == ENDS else ["table", "x"]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "rmesh: interrupted\n")
 
 
 @pytest.mark.slow
