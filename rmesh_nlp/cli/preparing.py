@@ -30,7 +30,8 @@ from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.advice import advise as advice
-from rmesh_nlp.solving.formulation import NEEDLESS, checked, options
+from rmesh_nlp.solving.formulation import checked
+from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.study.study_file import is_study
 
 
@@ -56,7 +57,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         load("cli.study").check(path)
         return
     problem = load_problem(path, order)
-    _, asked = solve_options(path, None, {})
+    name, asked = solve_options(path, None, {})
     parts = discretise(problem)
     free = parts.mesh_map
     rows = problem.summary()
@@ -66,7 +67,8 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     rows += [("outer variables", str(free.n)), ("validity constraints", str(parts.validity.size))]
     rows += [("unknowns of the displacement", str(parts.n_u))]
     with located(path):
-        parts.check_unknowns()
+        plan = Plan.of(problem, name, **asked)
+        _ = plan.outer(plan.problem).at_start  # its objective is evaluated
         model = ContactSolver(problem.at_design())
         space, u = model.discretisation.space, model.displacement.values(model.given.u)
         passing = penetrations(space, model.problem.mesh.p, u)
@@ -142,5 +144,4 @@ def solve_options(
     name = formulation or plan.formulation
     asked = {**plan.options(), **given}
     with located(f"{path}: solve") if formulation or given else table.source.at("solve"):
-        needless = {*NEEDLESS} - options(name)
-        return name, checked(name, {k: v for k, v in asked.items() if k not in needless})
+        return name, checked(name, asked)

@@ -91,7 +91,7 @@ class Source:
             raise
         except ValueError as error:
             said = one_line(error)
-            begin = re.match(r"(?:unknown )?(\w+) (?:must |is |')", said)
+            begin = re.match(r"(?:unknown )?(\w+) (?:must |is |= |')", said)
             entries = [(*table, begin[1]) for table in outwards(place)] if begin else []
             raise self.error(self.first([*entries, place]), said) from error
 

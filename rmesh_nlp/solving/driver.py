@@ -13,18 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.errors import expect
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits, timed
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords, composed
+from rmesh_nlp.solving.formulation import Chooser, Formulation
 from rmesh_nlp.solving.monitor import Monitor, OnStep
-from rmesh_nlp.solving.outer import TOLERANCE, Outer
+from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
@@ -87,10 +86,12 @@ def solve(
         If there is no such formulation, or it does not take the problem or an option.
     """
     expect("problem", problem, ContactProblem, ", which read_problem makes of a file")
-    Keywords(tolerance, seed)
+    if not (on_step is None or callable(on_step)):
+        raise BadInputError(f"on_step must be a function of a step, got {on_step!r}")
     monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
-    asked = composed(formulation, settings)
-    plan = Plan.of(problem, asked, parse_objective(objective), tolerance, start, seed)
+    plan = Plan.of(
+        problem, formulation, objective=objective, start=start, seed=seed, tolerance=tolerance, **settings
+    )
     with monitor.budget.interruptible():
         end, safe = _ended(plan, plan.problem, monitor), None
         if is_spurious(end.assessment):
@@ -112,7 +113,7 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     """
     budget = monitor.budget
     with budget.during("build"):
-        outer = Outer.of(problem, plan.objective, plan.tolerance)
+        outer = plan.outer(problem)
     with budget.during("audit"):
         contact, nodes = outer.contact, problem.mesh.p
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))

@@ -25,6 +25,9 @@ GROUP = "rmesh_nlp.formulations"
 WRAPPERS = "rmesh_nlp.wrappers"
 """Entry points of formulations that take one, by the option that asks for them."""
 
+GIVEN = "given"
+"""The start that names no formulation."""
+
 NEEDLESS = ("tolerance", "limits")
 """Options that a formulation which moves nothing does not need, ..."""
 
@@ -160,10 +163,9 @@ def name_of(kind: type[Any], group: str = GROUP) -> str:
 
 def kind_of(formulation: str | Formulation | Chooser) -> type[Formulation | Chooser]:
     """The class of a formulation, given by its name or by an object."""
-    kind = find(formulation) if isinstance(formulation, str) else formulation
-    kind = kind if isinstance(kind, type) else type(kind)
-    if not issubclass(kind, (Formulation, Chooser)):
-        raise BadInputError(f"formulation {formulation!r} is {kind!r}, not a class of formulations")
+    kind = find(formulation) if isinstance(formulation, str) else type(formulation)
+    if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
+        raise BadInputError(f"formulation must be a name or an object of a formulation, got {formulation!r}")
     return kind
 
 
@@ -190,14 +192,18 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
     """Raise a BadInputError for an option that none of several formulations takes."""
     accepted = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
     for name, value in given.items():
-        if name not in accepted:
-            names = [one if isinstance(one, str) else one.name for one in formulations]
-            raise BadInputError(f"{name} = {value!r}: not an option of {', '.join(names)}")
+        is_off = value is False and name in available(WRAPPERS)
+        if name not in accepted and not is_off:
+            names = ", ".join(one if isinstance(one, str) else one.name for one in formulations)
+            raise BadInputError(
+                f"{name} = {value!r} is not an option of {names}{nearest(name, sorted(accepted))}"
+            )
 
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
     check_start(composed(formulation, given), given)
+    first(given.get("start"))
     Keywords(given.get("tolerance"), given.get("seed"))
     Limits.of(given.get("limits"))
     parse_objective(given.get("objective", "energy"))
@@ -222,16 +228,13 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     take.
     """
     asked = {key: value for key, value in given.items() if value is not None}
+    kind = kind_of(formulation)
     if not isinstance(formulation, str):
         if asked:
             example = f"{type(formulation).__name__}({next(iter(asked))}=...)"
             raise BadInputError(f"settings are fields of the formulation: {example}")
         return formulation
-    kind, accepted = kind_of(formulation), options(formulation)
-    for key, value in asked.items():
-        if key not in accepted and value is not False:
-            said = f"the formulation {formulation!r} takes no {key} = {value!r}"
-            raise BadInputError(said + nearest(key, sorted(accepted)))
+    check_taken(asked, [formulation])
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
     wrappers = available(WRAPPERS)
@@ -239,3 +242,15 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
         made = find(key, WRAPPERS)(made, asked[key])
     return made
+
+
+def first(start: object) -> Formulation | None:
+    """The formulation that a start names, which runs before; None where it names none."""
+    if not isinstance(start, str) or start == GIVEN:
+        return None
+    if start not in available():
+        raise unknown("start", start, [GIVEN, *sorted(available())])
+    named = composed(start, {})
+    if not isinstance(named, Formulation):
+        raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
+    return named

@@ -12,7 +12,8 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Chooser, Formulation, check_start, find
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords, check_start, composed, first
+from rmesh_nlp.solving.outer import TOLERANCE, Outer
 from rmesh_nlp.solving.start import Start
 
 COMPARED = ("fixed", "nested", "joint", "mpcc")
@@ -39,23 +40,36 @@ class Plan:
     def of(
         cls,
         problem: ContactProblem,
-        formulation: Formulation | Chooser,
-        objective: Objective,
-        tolerance: float,
-        start: Start,
-        seed: int | None,
+        formulation: str | Formulation | Chooser,
+        *,
+        objective: str | Objective = "energy",
+        start: Start = None,
+        seed: int | None = None,
+        tolerance: float = TOLERANCE,
+        **settings: Any,
     ) -> Plan:
-        """The plan of a solve; raises a BadInputError where the formulation does not take the problem."""
-        problem = with_levels(problem, objective)
-        check_start(formulation, {"start": start, "seed": seed})
+        """The plan of a solve by the arguments of :func:`rmesh_nlp.solving.driver.solve`.
+
+        Raises a BadInputError where the formulation does not take the problem or an option.
+        """
+        Keywords(tolerance, seed)
+        asked, goal = composed(formulation, settings), parse_objective(objective)
+        problem = with_levels(problem, goal)
+        check_start(asked, {"start": start, "seed": seed})
         is_started = start is not None or seed is not None
-        choice = formulation.choose(problem, objective, is_started=is_started)
+        choice = asked.choose(problem, goal, is_started=is_started)
         chosen = choice.formulation
-        _check_energy(problem, objective, chosen)
-        chosen.accepts(choice.problem, objective)
+        _check_energy(problem, goal, chosen)
+        chosen.accepts(choice.problem, goal)
         if not chosen.relocates:
             start = seed = None
-        return cls(chosen, choice.problem, objective, tolerance, start, seed, formulation.name, choice.why)
+        if (before := first(start)) is not None:
+            before.accepts(choice.problem, goal)
+        return cls(chosen, choice.problem, goal, tolerance, start, seed, asked.name, choice.why)
+
+    def outer(self, problem: ContactProblem) -> Outer:
+        """What is minimised, on the problem or on it by another rule."""
+        return Outer.of(problem, self.objective, self.tolerance)
 
 
 def compared(problem: ContactProblem, options: Mapping[str, Any]) -> Sequence[str]:
@@ -63,7 +77,7 @@ def compared(problem: ContactProblem, options: Mapping[str, Any]) -> Sequence[st
     objective, names = parse_objective(options.get("objective", "energy")), []
     for name in COMPARED:
         with suppress(BadInputError):
-            Plan.of(problem, find(name)(), objective, 1.0, None, None)
+            Plan.of(problem, name, objective=objective)
             names.append(name)
     return names or COMPARED
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.solving.formulation import Formulation, available, composed
+from rmesh_nlp.solving.formulation import GIVEN, first
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
 
 Start = str | Array | Solution | None
 """Node positions (2, nodes), "given", the name of a formulation, a Solution; None for the usual start."""
-
-GIVEN = "given"
 
 
 def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> tuple[Outer, Array, str]:
@@ -27,17 +25,11 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
     """
     if start is None and seed is not None:
         return outer, outer.variables(seed=seed), "random"
-    if start is None or (isinstance(start, str) and start == GIVEN):
+    if (before := first(start)) is not None:
+        outcome = monitor.run(before, outer, outer.variables(seed=seed))
+        return outer.near(), outcome.q, before.name
+    if start is None or isinstance(start, str):
         return outer, outer.variables(), GIVEN
-    if isinstance(start, str):
-        if start not in available():
-            raise unknown("start", start, [GIVEN, *sorted(available())])
-        first = composed(start, {})
-        if not isinstance(first, Formulation):
-            raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
-        first.accepts(outer.problem, outer.objective)
-        outcome = monitor.run(first, outer, outer.variables(seed=seed))
-        return outer.near(), outcome.q, start
     if isinstance(start, Solution):
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         with monitor.budget.during("build"):
@@ -47,7 +39,12 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
 
 def positions(outer: Outer, nodes: ArrayLike) -> Array:
     """Node positions as an array, checked to be those of the problem's mesh."""
-    positions_of, wanted = np.asarray(nodes, dtype=float), outer.problem.mesh.p.shape
+    wanted = outer.problem.mesh.p.shape
+    try:
+        positions_of = np.asarray(nodes, dtype=float)
+    except (TypeError, ValueError):
+        said = f"got {one_line(repr(nodes))[:60]}"
+        raise BadInputError(f"start must be a name, positions (2, nodes) or a Solution, {said}") from None
     if positions_of.ndim != 2 or positions_of.shape[0] != 2:
         raise BadInputError(
             f"start must hold positions (2, nodes), got an array of shape {positions_of.shape}"

@@ -74,8 +74,9 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
         (True, f"-f nested {TYPED_TOO}", "nested",
          {"regularisation": "0.5", "tolerance": 0.5, "seed": 0, "objective": "quality",
           "limits": {"seconds": 9.0}}),
-        # a formulation without iterations needs no limits
-        (False, "-f fixed --time-limit 9 --tolerance 1", "fixed", {}),
+        # a formulation without iterations takes limits that it does not need
+        (False, "-f fixed --time-limit 9 --tolerance 1", "fixed",
+         {"limits": {"seconds": 9.0}, "tolerance": 1.0}),
     ],
 )  # fmt: skip
 def test_options_of_the_command_line_override_those_of_a_file(
@@ -124,6 +125,14 @@ def test_what_is_no_setting_is_refused() -> None:
         ("solve 6.1 --out ''", "--out needs the name of a folder"),
         ("solve 6.1 -f joint --objective error-l2", "error-l2"),
         ("solve 6.1 -f mpcc --relaxation scholtse", "did you mean scholtes"),
+        (
+            "solve 6.1 --set time_limit_s=9",
+            "time_limit_s = 9 is not an option of auto, did you mean 'limits'?",
+        ),
+        (
+            "compare 6.1 --set foo=1",
+            "foo = 1 is not an option of fixed, nested, joint, mpcc: choose from act",
+        ),
         ("solve 6.1 --regularisation much", "'much'"),
         ("solve my.toml --n 4x2", "--n 4x2 is for the examples"),
         ("solve study.toml", "study.toml: this is a study file: use rmesh study"),

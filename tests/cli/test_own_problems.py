@@ -97,13 +97,29 @@ def test_a_body_that_the_load_pulls_off_is_bad_input(rmesh, block: Path) -> None
     assert (rows.code, rows.out.count("| refused |")) == (1, 3)  # and no picture of anything
 
 
-def test_check_refuses_what_solve_would_refuse(rmesh, block: Path) -> None:
-    block.write_text(f"{BLOCK}[solve]\nformulation = 'mpcc'\nipopt_exact = {{ tol = 'a' }}\n")
-    for command in ("check", "solve"):
-        said = rmesh(f"{command} block.toml")
-        assert (said.code, said.err.count("\n")) == (2, 1)
-        assert said.err.startswith("rmesh: error: block.toml: solve")
-        assert "tol = 'a' here" in said.err
+@pytest.mark.parametrize("command", ["check", "solve"])
+@pytest.mark.parametrize(
+    ("solve", "named"),
+    [
+        ('formulation = "<svg>"', "solve.formulation = '<svg>': unknown formulation '<svg>'"),
+        ('formulation = "joint"\nipopt = { linear_solver = "pardiso" }', "linear_solver = 'pardiso' here"),
+        ('formulation = "mpcc"\nipopt_exact = { tol = "a" }', "tol = 'a' here"),
+        ('start = "foo"', "solve.start = 'foo': unknown start 'foo': choose from given, "),
+        ('objective = "fit(none.csv)"', "none.csv: cannot be read"),
+        ('objective = "mean(foo, -uy)"', "unknown boundary 'foo': choose from "),
+        ('objective = "error-l2"', "the objective 'error-l2' needs an exact or reference solution"),
+        ('objective = "mean(top, -uy)"\nformulation = "joint"', "joint minimises the energy only"),
+        ('objective = "mean(top, -uy)"\nstart = "joint"', "joint minimises the energy only"),
+    ],
+)
+def test_check_refuses_what_solve_would_refuse(
+    rmesh, block: Path, command: str, solve: str, named: str
+) -> None:
+    block.write_text(f"{BLOCK}[solve]\n{solve}\n")
+    said = rmesh(f"{command} block.toml")
+    assert (said.code, said.err.count("\n")) == (2, 1)
+    assert said.err.startswith("rmesh: error: block.toml: ")
+    assert named in said.err
 
 
 @pytest.mark.slow

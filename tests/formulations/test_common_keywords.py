@@ -107,7 +107,10 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
         ("start", np.zeros(3), r"start must hold positions \(2, nodes\), got an array of shape \(3,\)"),
         ("start", np.full((2, 15), np.nan), "start: node 0 has no finite position"),
-        ("speed", 3, "the formulation 'joint' takes no speed = 3, did you mean 'seed'"),
+        ("start", SMALL, r"start must be a name, positions \(2, .* got Contact problem '6\.2'"),
+        ("on_step", 3, "on_step must be a function of a step, got 3"),
+        ("speed", 3, "speed = 3 is not an option of joint, did you mean 'seed'"),
+        ("speed", False, "speed = False is not an option of joint"),
     ],
 )  # fmt: skip
 def test_what_makes_no_sense_is_refused(keyword: str, bad: Any, message: str) -> None:
