@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import IntEnum
 
@@ -34,6 +34,12 @@ def expect(name: str, value: object, kind: type, hint: str = "") -> None:
         raise BadInputError(f"{name} must be {kind.__name__}{hint}, got {one_line(repr(value))[:60]}")
 
 
+def expect_list(name: str, value: object, of: str) -> None:
+    """Refuse what is no list; a text is none."""
+    if isinstance(value, str) or not isinstance(value, Sequence):
+        raise BadInputError(f"{name} must be a list of {of}, got {one_line(repr(value))[:60]}")
+
+
 def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose from none") -> BadInputError:
     """The error for a name that is not known, with the nearest one that is, or ``otherwise`` if none is."""
     names = list(known)
@@ -57,11 +63,11 @@ def one_line(error: object) -> str:
 
 
 @contextmanager
-def located(place: object) -> Iterator[None]:
+def located(place: object, kinds: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[None]:
     """What is wrong in this context is bad input at a place: a file, or an entry of one."""
     try:
         yield
-    except ValueError as error:
+    except kinds as error:
         raise BadInputError(f"{place}: {one_line(error)}") from error
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pandas as pd
 
-from rmesh_nlp.errors import BadInputError, expect
+from rmesh_nlp.errors import BadInputError, expect, expect_list
 from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.blocks import in_common_units
@@ -113,13 +113,12 @@ def compare(
         If a formulation does not exist, or none takes an option.
     """
     expect("problem", problem, ContactProblem)
-    if isinstance(formulations, str):
-        raise BadInputError(f"formulations is a list of names, got the text {formulations!r}")
+    expect_list("formulations", formulations, "names or formulations")
     formulations = formulations or compared(problem, options)
+    check_taken(options, formulations)
     names = [one if isinstance(one, str) else described(one) for one in formulations]
     if len(set(names)) < len(names):
         raise BadInputError(f"a formulation is named twice in {names}")
-    check_taken(options, formulations)
     solutions, records = {}, []
     for one, name in zip(formulations, names, strict=True):
         is_object = not isinstance(one, str)

@@ -12,7 +12,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import expect
+from rmesh_nlp.errors import expect, located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -46,6 +46,9 @@ QUADRATIC = {
     "permas",
 }
 """Formats of meshio that have quadratic triangles."""
+
+REFUSED = (meshio.ReadError, meshio.WriteError)
+"""What meshio raises for a suffix, or a format, that it does not know."""
 
 
 def point_data(solution: Solution) -> dict[str, Array]:
@@ -110,7 +113,8 @@ def write_solution(solution: Solution, path: str | Path, file_format: str | None
         of_nodes = {name: values[vertices] for name, values in of_nodes.items()}
     if kind == "vtu":  # what figures are made of
         of_nodes, of_cells = of_nodes | fields.foundations(), of_cells | fields.drawn_stresses()
-    file_mesh(points, cells, of_nodes, of_cells).write(path, file_format)
+    with located(path, REFUSED):
+        file_mesh(points, cells, of_nodes, of_cells).write(path, file_format)
 
 
 def write_mesh(mesh: MeshTri, path: str | Path) -> None:
@@ -122,7 +126,8 @@ def write_mesh(mesh: MeshTri, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix != ".msh":
-        mesh.save(path)
+        with located(path, REFUSED):
+            mesh.save(path)
         return
     triangles = counter_clockwise(mesh.p, mesh.t)
     names: dict[str, Array] = {}

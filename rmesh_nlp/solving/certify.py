@@ -17,7 +17,7 @@ from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.errors import expect, one_line
+from rmesh_nlp.errors import expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -65,6 +65,9 @@ def certify(
         If a quantity is not linear in the displacement.
     """
     expect("solution", solution, Solution)
+    expect_list("quantities", quantities, "texts")
+    for text in quantities:
+        expect("a quantity", text, str)
     return bounded(solution.assessment, quantities, refinements)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -100,8 +101,14 @@ def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "quantity", ["mean(top, ux*uy)", "mean(top, uy+1)", "resultant(top)", "mean(middle, uy)"]
+    ("quantities", "said"),
+    [
+        *(([text], "no bounds") for text in ("mean(top, ux*uy)", "mean(top, uy+1)", "resultant(top)")),
+        (["mean(middle, uy)"], "middle"),
+        ("mean(top, uy)", "quantities must be a list of texts, got 'mean"),
+        ([3], "a quantity must be str, got 3"),
+    ],
 )
-def test_what_is_not_linear_in_the_displacement_has_no_bounds(quantity: str) -> None:
-    with pytest.raises(BadInputError, match=r"no bounds|middle"):
-        certify(solved_body(2, 1, 0.0), quantities=(quantity,))
+def test_what_is_not_linear_in_the_displacement_has_no_bounds(quantities: Any, said: str) -> None:
+    with pytest.raises(BadInputError, match=said):
+        certify(solved_body(2, 1, 0.0), quantities=quantities)

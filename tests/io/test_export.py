@@ -12,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.sampling import edges_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.export import Series, cell_data, element_table, node_table, write_mesh, write_solution
@@ -151,6 +152,14 @@ def test_formats_without_quadratic_triangles_get_the_vertices(problem, solution,
     (block,) = meshio.read(tmp_path / name).cells
     assert block.type == ("triangle" if problem.order == 1 else kind)
     assert len(block.data) == problem.triangles.shape[1]
+
+
+@pytest.mark.parametrize(
+    "write", [lambda path, one: write_mesh(one.mesh, path), lambda path, one: write_solution(one, path)]
+)
+def test_a_suffix_of_no_format_is_bad_input(solution, tmp_path, write):
+    with pytest.raises(BadInputError, match=r"^\S*a\.foo: Could not deduce file format"):
+        write(tmp_path / "a.foo", solution)
 
 
 @pytest.fixture(scope="module")
