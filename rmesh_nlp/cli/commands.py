@@ -272,7 +272,8 @@ def compare(
 
     Prints a row per solve. Writes DIR/records.jsonl, DIR/table.md, .tex, .csv, DIR/figures and DIR/solutions.
     An option goes to those formulations that take it. Problem files are compared with uniform refinements
-    of their meshes as well, so that you see what moving nodes is worth. What an earlier run left in DIR
+    of their meshes as well, so that you see what moving nodes is worth; --jobs is for the examples, many
+    solves of a file by several processes are a study (rmesh new --study). What an earlier run left in DIR
     is moved to DIR/previous when the first solve has ended.
 
     \b

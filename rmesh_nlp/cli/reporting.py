@@ -15,10 +15,14 @@ from rmesh_nlp.report.figures import figures as drawn
 from rmesh_nlp.report.histories import with_common_costs
 from rmesh_nlp.report.html_page import REPRODUCTION, write_report, write_reproduction
 from rmesh_nlp.report.pictures import pictures
+from rmesh_nlp.report.study_summary import is_study
 from rmesh_nlp.report.style import Page, write
 from rmesh_nlp.report.tables import frame, markdown, write_tables
 from rmesh_nlp.study.reproduction import reproduce as derive
 from rmesh_nlp.study.study_file import read_study
+
+UNSOLVED = "no solve has a solution"
+UNRANKED = "those of a study compare formulations that relocate, at least two"
 
 
 def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
@@ -37,7 +41,7 @@ def figures(folder: Path, page: Page) -> None:
     if (folder / kept_problem.PROBLEM).exists() and (folder / RECORD).exists():
         with writable(folder):
             paths = draw_solve(folder, page)
-        print(f"{len(paths)} files in {folder / 'figures'}")
+        print(_made(paths, folder, UNSOLVED))
     else:
         draw_study(folder, page)
 
@@ -46,8 +50,14 @@ def draw_study(folder: Path, page: Page, voice: str = "text") -> None:
     """Write the figures of a folder and print where they are."""
     results = read_quietly(folder)
     paths = write(drawn(results, page), Manifest(folder), page)
+    why = UNRANKED if is_study([result.record for result in results]) else UNSOLVED
     if voice == "text":
-        print(f"{len(paths)} files in {folder / 'figures'}", file=sys.stderr)
+        print(_made(paths, folder, why), file=sys.stderr)
+
+
+def _made(paths: list[Path], folder: Path, why: str) -> str:
+    """How many figures there are, or why there are none."""
+    return f"{len(paths)} files in {folder / 'figures'}" if paths else f"no figures of {folder}: {why}"
 
 
 def draw_solve(folder: Path, page: Page) -> list[Path]:

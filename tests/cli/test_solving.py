@@ -140,3 +140,4 @@ def test_rows_of_several_orders_and_rules_are_exported(rmesh) -> None:
 def test_refusing_the_only_objective_is_no_success(rmesh) -> None:
     assert not does_not_apply({"status": "refused", "objective": "energy"})
     assert rmesh("compare 6.1 --n 4 --formulations joint -q --no-figures --objective error-l2").code == 1
+    assert rmesh("figures results")[::2] == (0, "no figures of results: no solve has a solution\n")

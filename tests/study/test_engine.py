@@ -138,7 +138,7 @@ def test_keys_are_those_of_whole_lines_that_are_still_there(tmp_path):
     ("statuses", "code"),
     [(("converged", "refused"), 0), (("refused", "refused"), 1), (("converged", "died"), 1)],
 )
-def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch):
+def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, monkeypatch, capsys):
     left = [*statuses]
 
     def solve(self, one, folder):
@@ -150,6 +150,8 @@ def test_a_study_succeeds_if_what_was_not_refused_did(statuses, code, tmp_path, 
     path = study_file(tmp_path, SMALL.replace("3", "2"))
     assert cli.run(["study", path, "--out", str(tmp_path / "out"), "--quiet"]) == code
     assert [row["status"] for row in rows_of(tmp_path / "out")] == [*statuses]
+    assert cli.run(["figures", str(tmp_path / "out")]) == 0
+    assert "out: those of a study compare formulations that relocate, at least two" in capsys.readouterr().err
 
 
 def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
