@@ -35,6 +35,8 @@ class Term:
         The boundary whose largest pressure it is, see :mod:`rmesh_nlp.solving.epigraph`.
     minimised_only : bool
         Whether nobody wants it to be large: its weight must be positive.
+    size : float
+        In units of which its rounding is, also where its elements vanish; 0 where its value tells.
     """
 
     name: str
@@ -44,6 +46,7 @@ class Term:
     barrier: bool = False
     minimised_only: bool = False
     level_of: str | None = None
+    size: float = 0.0
 
     @property
     def alone(self) -> Objective:
@@ -97,6 +100,11 @@ class Objective:
     def needs_exact(self) -> bool:
         """Whether a term compares with an exact or reference solution."""
         return any(term.needs_exact for _, term in self.terms)
+
+    @property
+    def size(self) -> float:
+        """In units of which its rounding is, also where its value is zero."""
+        return sum(abs(weight) * term.size for weight, term in self.terms)
 
     @property
     def in_positions(self) -> Objective:

@@ -167,7 +167,10 @@ def _terms() -> dict[str, Term]:
         Term("compliance", _compliance),
         Term("area", _area, of_positions=True),
         *(
-            Term(name, partial(_distortion, name), of_positions=True, barrier=True, minimised_only=True)
+            # size: means of densities of which 1 is subtracted
+            Term(
+                name, partial(_distortion, name), of_positions=True, barrier=True, minimised_only=True, size=1
+            )
             for name in DISTORTIONS
         ),
     ]

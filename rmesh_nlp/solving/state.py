@@ -171,6 +171,7 @@ def measured(outer: Outer, q: Array) -> State:
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
     audited, passing = _audited(at, position, solved, continuous), penetrations(space, nodes, displacement)
+    natural = 0.0 if at.objective.collapses else at.objective.size  # an energy has that of its strain
     return State(
         problem=at.problem,
         design=outer.figures(q),
@@ -193,7 +194,7 @@ def measured(outer: Outer, q: Array) -> State:
         corrections=corrections(at.contact, nodes, solved, continuous),
         point=point,
         objective_audited=audited,
-        size=max(abs(audited), size_of(point)),
+        size=max(abs(audited), size_of(point), natural),
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
         warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),

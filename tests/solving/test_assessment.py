@@ -22,6 +22,7 @@ from rmesh_nlp.assessment.measures import (
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.fem.distortion import DISTORTIONS
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.assessment import EXPLOITED, FAILURES
@@ -91,6 +92,16 @@ def test_what_follows_from_measurements(kind: str) -> None:
         found, valid, improved = compared(said, **figures), kind != "not valid", kind != "not improved"
         assert (found.status, found.valid, found.success) == (status, valid, kind == "success"), figures
         assert found.improved == improved or not valid, figures
+
+
+@pytest.mark.parametrize("name", DISTORTIONS)
+def test_a_rise_of_a_distortion_that_was_zero_is_measured_in_units_of_its_density(name: str) -> None:
+    outer = Outer.of(EXAMPLES["6.1"](2), f"3*{name}")
+    found = ended(outer, np.zeros(outer.n))
+    assert found.given.objective_audited == 0
+    for rise, improved in ((1e-17, True), (2e-9, True), (4e-9, False)):
+        risen = replace(found.final, objective_audited=rise)
+        assert replace(found, final=risen).improved is improved
 
 
 @pytest.mark.parametrize("name", EXPLOITS)
