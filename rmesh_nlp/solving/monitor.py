@@ -224,8 +224,8 @@ class Track:
         lower = self._best is None or merit < self._best[0]
         if lower and np.isfinite(point.value) and self.outer.is_valid(q):
             self._best = merit, np.array(q)
-        residual, spent = self.outer.residual(point), self.monitor.spent.contact_solves
-        known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": residual, "stationarity": residual}
+        spent = self.monitor.spent.contact_solves
+        known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": self.outer.residual(point)}
         energy = point.equilibrium.energy
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 

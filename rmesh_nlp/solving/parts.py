@@ -102,9 +102,6 @@ class Step:
     biactive : float
         Number of pairs at the corner (both members at most ``2 sqrt(t)``, in the same units); NaN
         where there are no pairs.
-    stationarity : float
-        First-order residual of the outer problem at the outer variables, by the measure of records; NaN
-        where it was not measured.
     energy_given, objective_given : float
         Energy and objective on the mesh of this step before any node moved; for progress, and no part of a
         history.
@@ -123,10 +120,14 @@ class Step:
     objective: float = float("nan")
     product: float = float("nan")
     biactive: float = float("nan")
-    stationarity: float = float("nan")
     energy_given: float = field(default=float("nan"), repr=False, compare=False)
     objective_given: float = field(default=float("nan"), repr=False, compare=False)
     design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def stationarity(self) -> float:
+        """``dual_residual`` by its name in records."""
+        return self.dual_residual
 
     def row(self) -> dict[str, Any]:
         """The step as a line of a history: None where unknown, ``t`` may be ``inf``."""
@@ -135,7 +136,7 @@ class Step:
         return {**row, "t": self.t} if np.isinf(self.t) else row
 
 
-HISTORY = tuple(one.name for one in fields(Step) if one.repr)
+HISTORY = (*(one.name for one in fields(Step) if one.repr), "stationarity")
 """Columns of every history; those of design variables follow."""
 
 

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
-import numpy as np
-
 from rmesh_nlp.errors import one_line
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.folder import write_whole
@@ -43,12 +41,7 @@ class Done:
             places.history.unlink(missing_ok=True)
             return
         write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
-        steps = [
-            # of an all-at-once solver the residual is that at its own displacement and forces
-            replace(step, stationarity=step.dual_residual) if np.isnan(step.stationarity) else step
-            for step in solution.history
-        ]
-        rows = [step.row() for step in steps]
+        rows = [step.row() for step in solution.history]
         write_whole(places.history, lambda path: write_history(path, rows))
 
 

@@ -51,6 +51,7 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     done.save(places)
     steps = [*places.steps()["stationarity"]]
     assert np.all(np.isfinite(steps))
+    assert steps == pytest.approx([step.stationarity for step in done.solution.history])
     outer = Outer.of(done.solution.problem)
     q = outer.relocation.mesh_map.q_of(np.asarray(done.solution.mesh.p))
     assert steps[0] == pytest.approx(1, rel=0.1)  # mpcc has the forces of its first relaxation there
