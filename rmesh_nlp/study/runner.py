@@ -17,7 +17,6 @@ from rmesh_nlp.solving import driver
 from rmesh_nlp.solving.entries import versions
 from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.verification import error_terms
 from rmesh_nlp.study.plan import PlannedSolve, build
 
 INTERRUPTED = Status.INTERRUPTED.value
@@ -70,12 +69,10 @@ def _once(solve: PlannedSolve, on_step: OnStep | None) -> Done:
         solution = driver.solve(
             solve.built, formulation, **solve.options, on_step=on_step, certify=solve.certify
         )
-        row = {**identity, "message": solution.status.message, **solution.record(), "key": solve.key}
+        row = {**identity, **solution.record(), "key": solve.key}
         asked = {name: value for name, value in identity.items() if row[name] != value}
         if asked:  # auto chose, or the rule was raised
             row["asked"] = asked
-        if solution.assessment.final.min_area_ratio > 0:
-            row |= error_terms(solution.problem, solution.mesh.p)
         return Done(row, solution)
     except ValueError as error:  # the formulation does not take this problem or option
         return Done(failure(solve, "refused", _one_line(error), watch.elapsed))

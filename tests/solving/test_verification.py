@@ -11,9 +11,11 @@ import rmesh_nlp as rm
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.solving import solution
 from rmesh_nlp.solving.verification import TaylorTest, error_terms, verify_gradient
 from support.orders import ORDERS
 from support.sliding import sliding_block
+from support.solved import solved
 
 
 def total(terms: dict[str, float]) -> float:
@@ -73,6 +75,22 @@ def test_the_terms_sum_to_the_energy_above_the_exact_one_whatever_the_rule() -> 
     assert terms["I3"] == 0
     assert min(terms["I1"], terms["I2"]) > 0
     assert total(terms) == pytest.approx(terms["energy_above_exact"], rel=1e-5)  # but for the load by a rule
+
+
+def test_a_record_has_the_terms_and_their_time_and_a_broken_mesh_has_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = solved("fixed", "6.1", 4)
+    record, terms = found.record(), error_terms(found.problem, found.mesh.p)
+    assert record.items() >= terms.items()
+    assert found.record()["audit_time_s"] == record["audit_time_s"] > found.audit_time_s
+    assert record["wall_time_s"] - found.wall_time_s == pytest.approx(
+        record["audit_time_s"] - found.audit_time_s
+    )
+    monkeypatch.setattr(solution, "error_terms", lambda *_: pytest.fail("it was evaluated"))
+    inverted = replace(found.assessment.final, min_area_ratio=0.0)
+    broken = replace(found, assessment=replace(found.assessment, final=inverted))
+    assert broken.record()["status"] == "invalid_mesh"
 
 
 def test_without_an_exact_solution_there_are_no_terms() -> None:
