@@ -155,7 +155,7 @@ def _say(done: Done, *, in_full: bool) -> None:
         )
         for sentence in certificate.sentences:
             print(sentence)
-    if remark := done.row.get("certificate_remark"):
+    for remark in filter(None, (solution.safe, done.row.get("certificate_remark"))):
         print(f"note: {remark}")
 
 

@@ -27,6 +27,7 @@ from dataclasses import dataclass, field
 
 from rmesh_nlp.assessment.measures import ContactResiduals
 from rmesh_nlp.evaluation import ROUNDING, difference
+from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -47,7 +48,7 @@ LIMITS = (Status.ITERATION_LIMIT, Status.TIME_LIMIT, Status.INTERRUPTED, Status.
 
 EXPLOITED = {
     "quadrature": "The rule for the loads is too coarse: take a higher degree.",
-    "penetration": "Between its nodes the contact boundary passes into the foundation: take gap = 'edge'.",
+    "penetration": "Between its nodes the body passes into the foundation: take {remedy}.",
     "friction": "The friction bound varies within edges.",
     "geometry": "The edges along a curve have grown.",
 }
@@ -205,7 +206,9 @@ class Assessment:
     def detail(self) -> str:
         """What the status leaves open, such as the degree of quadrature to take."""
         if self.status is Status.EXPLOITED:
-            return EXPLOITED.get(self.costliest, "")
+            is_kept_off = with_edge_gaps(self.final.problem) is self.final.problem
+            remedy = "smaller elements there" if is_kept_off else "gap = 'edge'"
+            return EXPLOITED.get(self.costliest, "").format(remedy=remedy)
         if self.status is Status.VIOLATED:
             broken = {
                 text: constrained

@@ -56,6 +56,12 @@ def test_without_a_folder_the_solve_names_its_own(rmesh) -> None:
     assert said.err.startswith("6.3 fixed: converged, audited J = ")
 
 
+def test_a_second_solve_with_a_safe_discretisation_is_told(rmesh) -> None:
+    said = rmesh("solve 6.1 --n 3 --delta 0.2 -f joint --out .")
+    safe = json.loads(Path("record.json").read_text())["safe"]
+    assert f"note: {safe}" in said.out.splitlines()
+
+
 def test_a_solve_that_raises_is_recorded_and_exit_code_1(rmesh, monkeypatch: pytest.MonkeyPatch) -> None:
     said = rmesh("solve 6.3 -f fixed --n 4x2 --out one")
     assert said.code == 0

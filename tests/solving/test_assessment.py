@@ -110,7 +110,7 @@ def test_what_was_exploited_is_the_correction_that_costs_most(name: str) -> None
     rose = {"gain_audited": -0.1, "decrease": -0.1, "corrections": corrections}
     found = compared(**rose)
     assert (found.is_exploited, found.costliest) == (True, name)
-    assert found.message.endswith(EXPLOITED[name])
+    assert found.message.endswith(EXPLOITED[name].format(remedy="smaller elements there"))
     assert not compared(**{**rose, "gain_audited": 0.1, "decrease": 0.1}).is_exploited
     worse = compared(**rose, gain=-0.05)  # one's own measure says the same: the mesh is worse
     assert (worse.is_exploited, worse.status) == (False, Status.WORSE)
