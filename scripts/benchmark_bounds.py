@@ -39,7 +39,7 @@ def bounded(problem: ContactProblem, formulation: str, remesh: bool = False) -> 
 
     (solution, certificate), seconds = timed(work)
     force = next(iter(certificate.bounds.values()))
-    width = 50 * (force.upper - force.lower) / force.value if certificate.guaranteed_bounds else float("nan")
+    width = 50 * (force.upper - force.lower) / force.value if force.guaranteed else float("nan")
     nodes = unknowns(replace(solution.problem, mesh=solution.mesh))
     return {"nodes": nodes, "error": width, "seconds": seconds, "status": solution.status.value}
 

@@ -116,9 +116,9 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     r = oscillation(skeleton, load.remainder, traction.remainder, field.gradient_by_energy)
     spread = field.variation * r + r**2 / 2
     dual = balance.reaction_work - strain - pressure_work
-    lower = dual - float(np.sum(spread)) - doubt - rounding
+    lower = float(dual - np.sum(spread) - doubt - rounding)
     friction = _friction_work(skeleton, conditions, u)
-    upper = computed - load.work(u) - traction.work(u) + float(np.sum(friction))
+    upper = float(computed - load.work(u) - traction.work(u) + np.sum(friction))
     through = _slack(skeleton, conditions, balance, u) * skeleton.lengths[conditions.contact] + friction
     local = field.defect**2 / 2 + spread - load.unbalanced_work(u)
     local += np.bincount(skeleton.owner[conditions.contact], through, local.size)

@@ -101,7 +101,7 @@ def bounded(
         if is_new:  # the elements of a file are those of the last mesh
             before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
     bounds = {
-        resultants[name]: Bounds(low, final.contact[name].normal_force, high)
+        resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
         for name, (low, high) in force_bounds(exact, after.lower).items()
     }
     bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
@@ -166,7 +166,7 @@ def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements:
     flat = np.sqrt(gap * exact.strain) / max(float(np.abs(push) @ np.abs(u)), 1e-300)
     bend = float(push[free] @ (moved(1.0).equilibrium(exact.state.active).u - exact.state.u))
     low, high = slope_bounds(upper, -known.upper, gap, bend, flat)
-    return Bounds(low, value, high)
+    return Bounds(low, value, high, not known.why)
 
 
 def _certificate(

@@ -65,7 +65,6 @@ def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
         return None
     return {
         name: {key: plain(part) for key, part in of._asdict().items()}
-        | {"guaranteed": certificate.guaranteed_bounds}
         for name, of in certificate.bounds.items()
     } or None
 

@@ -147,11 +147,15 @@ def plain(value: Any) -> Any:
 
 
 class Bounds(NamedTuple):
-    """Bounds of a quantity of the exact solution, infinite where there is none, and the computed value."""
+    """Bounds of a quantity of the exact solution, infinite where there is none, and the computed value.
+
+    They are bounds, not estimates, if ``guaranteed``: if both of the energy are.
+    """
 
     lower: float
     value: float
     upper: float
+    guaranteed: bool
 
 
 @dataclass(frozen=True)
@@ -186,8 +190,7 @@ class Certificate:
         Largest violation of static admissibility, relative to the largest force.
     bounds : mapping of str to Bounds
         Of quantities of the exact solution, with the value of the computed one: "resultant(NAME)", the normal
-        force on each contact boundary, and those that were asked for. Infinite where there is none, and
-        bounds if both of the energy are, see ``guaranteed_bounds``.
+        force on each contact boundary, and those that were asked for.
     """
 
     lower: float
@@ -217,11 +220,6 @@ class Certificate:
         """Whether all bounds are."""
         return self.guaranteed_lower and self.guaranteed_upper and self.guaranteed_initial
 
-    @property
-    def guaranteed_bounds(self) -> bool:
-        """Whether the bounds of quantities are bounds."""
-        return self.guaranteed_lower and self.guaranteed_upper
-
     def of_reduction(self, estimated: ErrorReduction) -> ErrorReduction:
         """An error reduction with these bounds, where they are guaranteed."""
         return by_certificate(estimated, *self.gaps) if self.is_guaranteed else estimated
@@ -241,8 +239,8 @@ class Certificate:
     @property
     def sentences(self) -> list[str]:
         """What it says of quantities in words."""
-        word = "guaranteed" if self.guaranteed_bounds else "estimated"
         return [
-            f"{name} {bounds_in_words(of.lower, of.upper)}, {word} (computed: {figure(of.value)})"
+            f"{name} {bounds_in_words(of.lower, of.upper)}, "
+            f"{'guaranteed' if of.guaranteed else 'estimated'} (computed: {figure(of.value)})"
             for name, of in self.bounds.items()
         ]

@@ -192,7 +192,7 @@ CERTIFIED = Certificate(
     lower=-3.0, upper=-2.0, gaps=(2.0, 0.5), error_bound_initial=2.0, error_bound=1.0, relative_initial=0.5,
     relative=0.125, guaranteed_lower=True, guaranteed_upper=True, guaranteed_initial=True, why="because",
     local=np.zeros(1), local_initial=np.zeros(1), field=np.zeros((2, 1)), residual=0.0,
-    bounds={"resultant(bottom)": Bounds(2.0, 2.5, float("inf"))},
+    bounds={"resultant(bottom)": Bounds(2.0, 2.5, float("inf"), True)},
 )  # fmt: skip
 GUARANTEES = ("guaranteed_lower", "guaranteed_upper", "guaranteed_initial")
 
@@ -202,8 +202,9 @@ def test_a_certificate_tells_its_bounds_and_whether_they_are_ones(lacks: str | N
     found = CERTIFIED if lacks is None else replace(CERTIFIED, **{lacks: False})
     word = "at most" if lacks is None else "estimated at"
     assert found.sentence == f"error in the energy norm {word} 50 % before, 12.5 % after"
-    word = "estimated" if lacks in ("guaranteed_lower", "guaranteed_upper") else "guaranteed"
-    assert found.sentences == [f"resultant(bottom) at least 2, {word} (computed: 2.5)"]
+    assert found.sentences == ["resultant(bottom) at least 2, guaranteed (computed: 2.5)"]
+    doubtful = {name: of._replace(guaranteed=False) for name, of in found.bounds.items()}
+    assert "at least 2, estimated (" in replace(found, bounds=doubtful).sentences[0]
     claim = ErrorReduction((1, 2), (1, 2), 1, 2, "refinement", 9, 3)
     proved = found.of_reduction(claim)
     if lacks is None:
