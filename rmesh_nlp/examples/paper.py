@@ -41,7 +41,11 @@ Delta = float | tuple[float, float] | str
 
 @dataclass(frozen=True)
 class PaperValues:
-    """Figures printed in section 6 (truncated there, not rounded), and the paper's settings."""
+    """Figures printed in section 6 (truncated there, not rounded), and the paper's settings.
+
+    ``enlarged``: where no start reaches ``energy_final`` within the move limits, factors by which
+    ``rmesh reproduce`` enlarges them.
+    """
 
     size: tuple[int, int]
     delta: tuple[float, float]
@@ -51,12 +55,13 @@ class PaperValues:
     u_max_initial: float | None = None
     u_min_final: float | None = None
     u_max_final: float | None = None
+    enlarged: tuple[float, ...] = ()
 
 
 PAPER = {
     "6.1": PaperValues((8, 8), (0.0275, 0.0275), -1.1246, -1.4445, -0.4549, 0.4753, -0.5178, 0.5263),
-    "6.2": PaperValues((12, 6), (0.15667, 0.07333), -4.8541, -4.9188),
-    "6.3": PaperValues((12, 6), (0.08333, 0.04166), -0.6099, -0.6211),
+    "6.2": PaperValues((12, 6), (0.15667, 0.07333), -4.8541, -4.9188, enlarged=(1.5, 2.0)),
+    "6.3": PaperValues((12, 6), (0.08333, 0.04166), -0.6099, -0.6211, enlarged=(2.0, 4.0)),
 }
 
 PRINTED_DIGITS = 4

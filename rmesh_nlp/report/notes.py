@@ -29,6 +29,16 @@ def block_notes(records: Sequence[Record]) -> list[str]:
     return [note for block in blocks(records) for note in below_infimum(block)]
 
 
+def paper_notes(records: Sequence[Record]) -> list[str]:
+    """Which energies of the paper were never reached."""
+    return [
+        f"{block.name}: no start within the move limits of the paper reached its {paper.energy_final:.4f} "
+        "(rmesh reproduce)."
+        for block in blocks(records)
+        if (paper := block.paper) is not None and paper.enlarged
+    ]
+
+
 def stopped_early(records: Sequence[Record]) -> list[str]:
     """What a success is whose status is not "converged"."""
     early = {str(record["status"]) for record in records if record["success"]} - {Status.CONVERGED.value}

@@ -15,7 +15,7 @@ from rmesh_nlp.io.results import TABLES, Results
 from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, order_of
 from rmesh_nlp.report.columns import KINDS, MAIN, RESULTS, body, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
-from rmesh_nlp.report.notes import block_notes, main_notes, stopped_early, units_notes
+from rmesh_nlp.report.notes import block_notes, main_notes, paper_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import is_study, median_table, study_notes, summary_table
 from rmesh_nlp.report.table import Table
 from rmesh_nlp.solving.parts import DESIGN
@@ -75,7 +75,7 @@ def markdown(records: Sequence[Record], *, short: bool = False) -> str:
         parts.append(_items(notes) if records else "No solve has ended yet.\n")
     if not short:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
-    if not short and not study and (remarks := block_notes(records)):
+    if not short and not study and (remarks := block_notes(records) + paper_notes(records)):
         parts.append(f"## Notes\n\n{_items(remarks)}")
     return "\n".join(parts).replace("<", "&lt;")
 

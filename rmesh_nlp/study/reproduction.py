@@ -30,9 +30,6 @@ MET, PASSED, NOT_MET = "met", "passed", "cannot be met"
 STARTS, QUICK_STARTS = 40, 1
 """Random starts under the printed move limits."""
 
-LARGER = {"6.2": (1.5, 2.0), "6.3": (2.0, 4.0)}
-"""Factors by which move limits are enlarged where the printed energy is not reached."""
-
 LARGER_STARTS = 5  # random starts under enlarged move limits, and with friction weights held fixed
 USABLE = ("exploited",)
 """Ends other than success whose energy, by the problem's own rule, is that of a valid mesh."""
@@ -65,9 +62,9 @@ def reproduce(*, quick: bool = False, say: Say = lambda text: None) -> list[Stat
         statements += _given(example)
         energies = _descents(example, 1.0, starts, say, nested=not quick)
         statements += _final(example, energies, starts)
-        if example in LARGER and statements[-1].outcome == NOT_MET:
+        if statements[-1].outcome == NOT_MET:
             larger = 0 if quick else LARGER_STARTS
-            statements += [_larger(example, factor, larger, say) for factor in LARGER[example]]
+            statements += [_larger(example, factor, larger, say) for factor in PAPER[example].enlarged]
     statements.append(_frozen(0 if quick else LARGER_STARTS, say))
     return statements
 

@@ -15,7 +15,7 @@ from rmesh_nlp.io.records import REQUIRED, Record
 from rmesh_nlp.io.results import Results
 from rmesh_nlp.report.html_page import page
 from rmesh_nlp.report.joined import multistart_rows, refinement_notes, refinement_rows
-from rmesh_nlp.report.notes import block_notes, main_notes
+from rmesh_nlp.report.notes import block_notes, main_notes, paper_notes
 from rmesh_nlp.report.study_summary import RANGES, summary_table
 from rmesh_nlp.report.table import LINES, Table, latex_cell, latex_text
 from rmesh_nlp.report.tables import DETAILS, latex, markdown, write_tables
@@ -391,6 +391,9 @@ METRES = {"units": {"length": "m", "force": "N"}}
          "joint: the energy -4.510000 lies BELOW the infimum -1.945000: its quadrature"),
         ([joint_62(guaranteed_lower=True, energy_lower_bound=-4.9)], 1,
          "the audited energy -4.910330 lies BELOW the infimum -4.900000"),
+        ([joint_61(), joint_62()], 1,
+         "Example 6.2: no start within the move limits of the paper reached its -4.9188 (rmesh reproduce)."),
+        ([joint_61()], 0, "reached"),
         ([joint_62(example="mine", n="144 triangles")], 0, "aper"),
         ([joint_62(), {**EARLY, "success": False}], 0, "iteration_limit: a success"),
         ([joint_62(energy_above_exact=0.1)], 0, "BELOW"),
@@ -399,4 +402,4 @@ METRES = {"units": {"length": "m", "force": "N"}}
     ],
 )  # fmt: skip
 def test_a_note_is_said_once_where_records_show_it(rows: list[Record], count: int, said: str) -> None:
-    assert len([note for note in {*main_notes(rows), *block_notes(rows)} if said in note]) == count
+    assert len([note for note in {*main_notes(rows), *block_notes(rows), *paper_notes(rows)} if said in note]) == count
