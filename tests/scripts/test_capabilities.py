@@ -9,8 +9,6 @@ from typing import Any
 
 import pytest
 
-from support.nl_files import NL
-
 ROOT = Path(__file__).parents[2]
 FIRST, *SECTIONS = (ROOT / "docs" / "notes" / "capabilities.md").read_text(encoding="utf-8").split("\n## ")
 SETUP = FIRST.split("```python\n")[1].split("```")[0]
@@ -27,7 +25,6 @@ REFUSED = "refused with a reason, in one line"
 def test_every_capability_is_shown_as_the_page_says(section, tmp_path, monkeypatch) -> None:
     """Rows of a section use what former ones defined."""
     monkeypatch.chdir(tmp_path)
-    Path("problem.nl").write_text(NL)
     names: dict[str, Any] = {}
     exec(SETUP, names)
     failed = {}
