@@ -31,8 +31,6 @@ class Run:
     p : array
         Parameters of the lifted problem: those of the source problem and the weight of the objective.
     steps : list of Step
-    iterations : int
-        Ipopt iterations spent.
     nearest : (z, f, excess) or None
         The point with the smallest residuals that any NLP ended at; of exact ones the lowest.
     limit : Status or None
