@@ -70,7 +70,8 @@ def tasks(given: ContactProblem, levels: int) -> Iterator[tuple[int, str, int, M
 
 def table(rows: Sequence[Row]) -> pd.DataFrame:
     """A line for each mesh."""
-    frame = pd.DataFrame(rows)[["case", "order", "method", "nodes", "error", "seconds", "status"]]
+    columns = ["case", "order", "method", "nodes", "error", "seconds", "status"]
+    frame = pd.DataFrame(rows, columns=columns)
     return frame.rename(columns={"error": "half the width [%]", "seconds": "processor time [s]"})
 
 

@@ -402,4 +402,5 @@ METRES = {"units": {"length": "m", "force": "N"}}
     ],
 )  # fmt: skip
 def test_a_note_is_said_once_where_records_show_it(rows: list[Record], count: int, said: str) -> None:
-    assert len([note for note in {*main_notes(rows), *block_notes(rows), *paper_notes(rows)} if said in note]) == count
+    notes = {*main_notes(rows), *block_notes(rows), *paper_notes(rows)}
+    assert len([note for note in notes if said in note]) == count

@@ -15,7 +15,6 @@ import pytest
 import ablation
 import benchmark_cost
 import soak_losses
-from benchmark_coulomb import StickZone, plate, plate_slips, pressed_block
 from formulations import cascade
 from random_designs import random_design
 from rmesh_nlp.contact.solver import ContactSolver
@@ -147,21 +146,3 @@ def test_a_lost_or_doubled_row_is_found_out(tmp_path):
     path.write_text(line.replace("true", "false") + "\n")
     with pytest.raises(AssertionError, match="lost"):
         soak_losses.survive(known, tmp_path)
-
-
-@pytest.mark.parametrize("shear", [0.03, 0.06])
-def test_partial_slip_is_that_of_cattaneo_and_mindlin(shear: float) -> None:
-    """c/a to 2 % on 516 nodes; the interpolation within an edge is less than what brackets the zone."""
-    zone = StickZone.of(ContactSolver(pressed_block(8, shear)))
-    assert 0.2 < zone.load < 0.8
-    assert abs(zone.error) < 0.02
-    low, high = zone.bracket
-    edge = 1 / 8
-    assert low - edge < np.sqrt(1 - zone.load) * zone.contact < high + edge
-
-
-def test_slips_of_a_plate_are_the_published_ones() -> None:
-    """Within the 5 % of their source, and at the first four places within the rounding of three digits."""
-    slips = plate_slips(plate(32, 1))
-    np.testing.assert_allclose(slips, 1.0, atol=0.05)
-    np.testing.assert_allclose(slips[:4], 1.0, atol=0.005)
