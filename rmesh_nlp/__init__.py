@@ -18,7 +18,6 @@ Every name is loaded when it is first used, so that ``rmesh --help`` starts at o
 
 from functools import cache
 from importlib import import_module
-from typing import Any
 
 __version__ = "0.1.0"
 
@@ -42,13 +41,13 @@ def _public() -> dict[str, tuple[str, str]]:
     return {name: seen[name] for name in sorted(public)}
 
 
-def __getattr__(name: str) -> Any:
+def __getattr__(name: str) -> object:
     if name == "__all__":
         return ["__version__", *_public()]
     if name not in _public():
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     module, there = _public()[name]
-    value: Any = None if module == __name__ else getattr(import_module(module), there, None)
+    value = None if module == __name__ else getattr(import_module(module), there, None)
     globals()[name] = value = import_module(f"{module}.{there}") if value is None else value
     return value
 

@@ -5,19 +5,9 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from enum import IntEnum
 
 Place = tuple[str | int, ...]
 """Names of nested tables of a file and numbers in lists, from 0, down to a value."""
-
-
-class Exit(IntEnum):
-    """Exit codes of commands."""
-
-    SUCCESS = 0
-    NO_SUCCESS = 1
-    BAD_INPUT = 2
-    INTERRUPTED = 130
 
 
 class BadInputError(ValueError):

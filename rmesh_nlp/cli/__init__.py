@@ -1,16 +1,28 @@
-"""The command line: it prepares problems, solves them, and reports."""
+"""The command line: it prepares problems, solves them, and reports.
+
+Here, and in what is imported before ``entry.main`` runs, stands little: Ctrl-C meanwhile is a traceback.
+"""
 
 from __future__ import annotations
 
 import importlib
 import os
 import signal
-from typing import Any
+from collections.abc import Callable
+from enum import IntEnum
+from types import ModuleType
 
-from rmesh_nlp.errors import Exit
+
+class Exit(IntEnum):
+    """Exit codes of commands."""
+
+    SUCCESS = 0
+    NO_SUCCESS = 1
+    BAD_INPUT = 2
+    INTERRUPTED = 130
 
 
-def load(name: str) -> Any:
+def load(name: str) -> ModuleType:
     """A module of the package, when it is needed; Ctrl-C or SIGTERM meanwhile ends the process at once.
 
     Help needs no CasADi, a solve no pandas and no matplotlib; each takes as long to load as a small solve.
@@ -21,7 +33,9 @@ def load(name: str) -> Any:
     return module
 
 
-def hand_over(handler: Any, before: Any = signal.default_int_handler) -> None:
+def hand_over(
+    handler: Callable[..., object], before: Callable[..., object] = signal.default_int_handler
+) -> None:
     """Give Ctrl-C and SIGTERM to a handler where another one has them, and they are not ignored."""
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is before:

@@ -8,8 +8,9 @@ from typing import Any
 import typer
 from typer.main import get_command
 
+from rmesh_nlp.cli import Exit
 from rmesh_nlp.cli.commands import app
-from rmesh_nlp.errors import BadInputError, Exit, InterruptedSolveError, one_line
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError, one_line
 
 # typer brings its own click, or uses the installed one: its exceptions are found either way
 ClickException: Any = typer.BadParameter.__mro__[2]

@@ -9,7 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError, Exit, one_line
+from rmesh_nlp.cli import Exit
+from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.mpcc import ampl
 from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.reading import read

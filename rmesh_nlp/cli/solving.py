@@ -8,10 +8,10 @@ from typing import Any
 
 from rich.console import Console
 
-from rmesh_nlp.cli import load
+from rmesh_nlp.cli import Exit, load
 from rmesh_nlp.cli.folders import notes, writable
 from rmesh_nlp.cli.preparing import load_problem, solve_options
-from rmesh_nlp.errors import BadInputError, Exit, InterruptedSolveError
+from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io import kept_problem

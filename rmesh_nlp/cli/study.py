@@ -7,8 +7,9 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from rmesh_nlp.cli import Exit
 from rmesh_nlp.cli.folders import writable
-from rmesh_nlp.errors import Exit, InterruptedSolveError
+from rmesh_nlp.errors import InterruptedSolveError
 from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.results import ROWS, SOLUTIONS, read_rows
 from rmesh_nlp.study import engine

@@ -192,12 +192,10 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
     """Raise a BadInputError for an option that none of several formulations takes."""
     accepted = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
     for name, value in given.items():
-        is_off = value is False and name in available(WRAPPERS)
-        if name not in accepted and not is_off:
+        if name not in accepted:
             names = ", ".join(one if isinstance(one, str) else one.name for one in formulations)
-            raise BadInputError(
-                f"{name} = {value!r} is not an option of {names}{nearest(name, sorted(accepted))}"
-            )
+            near = nearest(name, sorted(accepted))
+            raise BadInputError(f"{name} = {value!r} is not an option of {names}{near}")
 
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -221,14 +219,14 @@ def check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
 
 
 def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
-    """A formulation by name with settings, within those that other options ask for; None is a default.
+    """A formulation by name with settings, within those that other options ask for.
 
-    Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do;
-    ``KEYWORDS`` of a solve have no part in it. A BadInputError names an option that the formulation does not
-    take.
+    Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do, or False;
+    ``KEYWORDS`` of a solve have no part in it. None is a default. A BadInputError names an option that the
+    formulation does not take.
     """
-    asked = {key: value for key, value in given.items() if value is not None}
-    kind = kind_of(formulation)
+    kind, wrappers = kind_of(formulation), available(WRAPPERS)
+    asked = {k: v for k, v in given.items() if v is not None and not (v is False and k in wrappers)}
     if not isinstance(formulation, str):
         if asked:
             example = f"{type(formulation).__name__}({next(iter(asked))}=...)"
@@ -237,8 +235,7 @@ def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any])
     check_taken(asked, [formulation])
     own = kind.names()
     made = kind().having({key: value for key, value in asked.items() if key in own})
-    wrappers = available(WRAPPERS)
-    around = [key for key, value in asked.items() if key in wrappers and value is not False]
+    around = [key for key in asked if key in wrappers]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):
         made = find(key, WRAPPERS)(made, asked[key])
     return made

@@ -14,7 +14,6 @@ import pytest
 
 from rmesh_nlp import __version__
 from rmesh_nlp.cli import app, commands, entry
-from rmesh_nlp.optimize import budget
 
 
 @pytest.mark.parametrize("command", ["solve", "compare", "table", "figures", "study"])
@@ -101,7 +100,7 @@ def test_the_command_takes_one_thread_unless_told(given, threads, monkeypatch) -
     environment = {f"{name}_NUM_THREADS": value for name, value in given.items()}
     monkeypatch.setattr(os, "environ", environment)
     monkeypatch.setattr(app, "run", lambda _: 0)
-    monkeypatch.setattr(budget, "end_like_interrupts", lambda: None)
+    monkeypatch.setattr(signal, "signal", lambda *_: None)
     with pytest.raises(SystemExit):
         entry.main()
     assert [environment.get(f"{name}_NUM_THREADS") for name in names] == threads

@@ -90,7 +90,7 @@ def test_keys_are_file_names_and_settings_reach_the_example():
         (["own.toml", "other.toml"], {}, "two problem files are both called 'block'"),
         (["6.1"], {"n": -1}, "-1"),
         (["6.1"], {"options": {"objective": ["energy", "nonsense"]}}, "nonsense"),
-        (["6.1"], {"options": {"relaxation": "scholtes"}}, "relaxation = 'scholtes' is not an option"),
+        (["6.1"], {"options": {"relaxation": "scholtes"}}, "'scholtes' is not an option of fixed"),
     ],
 )
 def test_settings_that_do_not_fit_are_named(file, names, settings, said):
