@@ -7,8 +7,9 @@ import pytest
 
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import Mobility
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.residual import OuterResidual, Released, released, size_of
-from rmesh_nlp.problem import Motion
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_sliding_on_a_circle
 from support.curved import HOLE, plate
@@ -123,3 +124,10 @@ def test_a_gradient_that_is_no_number_has_no_multipliers_of_elements() -> None:
     rates = released(outer.energy, np.zeros(outer.n), np.full(outer.n, np.nan))
     assert rates.residual(1.0) == np.inf
     assert not np.any(rates.multipliers.area)
+
+
+def test_energies_that_cancel_are_measured_by_their_size() -> None:
+    """-u'' = -6 with u = 1 at one end and free at the other: 6 are stored, and done by the load."""
+    outer = Outer.of(ContactProblem(rectangle(8, 1), Laplace(-6.0), Dirichlet("left", 1.0), motion=Motion(0)))
+    point = outer.energy(np.zeros(outer.n))
+    assert abs(point.value) < 0.1 < 2 < size_of(point)
