@@ -20,6 +20,8 @@ from rmesh_nlp.certificate.fields import Fields, element_of, law_of
 from rmesh_nlp.certificate.integrals import body_forces, integrals
 from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.examples import EXAMPLES
+from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -33,8 +35,9 @@ from rmesh_nlp.problem import (
     PointLoad,
     Traction,
 )
-from rmesh_nlp.solving.certify import with_upper
+from rmesh_nlp.solving.certify import certify, with_upper
 from support.certificates import distorted, guess_on, of_values, proved
+from support.formulations import fixed, joint
 from support.frames import turned
 from support.orders import ORDERS
 
@@ -134,6 +137,17 @@ def test_bounds_meet_where_a_linear_displacement_slides_or_sticks(slip: float) -
         assert rough.lower == pytest.approx(energy, rel=1e-10)
         assert rough.upper == pytest.approx(energy, rel=1e-10)
         adds_up(rough)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_exact_energy_of_61_is_inside_before_and_after(order: int) -> None:
+    problem = EXAMPLES["6.1"](4, order=order)
+    for formulation in (fixed, joint):
+        found = certify(formulation.solve(problem))
+        assert found.guaranteed_lower
+        assert found.guaranteed_upper
+        assert found.lower <= EXACT_ENERGY_61 <= found.upper
+    assert found.error_bound < found.error_bound_initial
 
 
 def block(**changes) -> ContactProblem:

@@ -117,9 +117,10 @@ def test_check_refuses_what_solve_would_refuse(
 ) -> None:
     block.write_text(f"{BLOCK}[solve]\n{solve}\n")
     said = rmesh(f"{command} block.toml")
-    assert (said.code, said.err.count("\n")) == (2, 1)
-    assert said.err.startswith("rmesh: error: block.toml: ")
-    assert named in said.err
+    error = said.err.strip()  # older versions of rich end a progress bar by an empty line
+    assert (said.code, error.count("\n")) == (2, 0)
+    assert error.startswith("rmesh: error: block.toml: ")
+    assert named in error
 
 
 @pytest.mark.slow
