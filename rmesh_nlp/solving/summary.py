@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
@@ -12,11 +12,8 @@ from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
 
-if TYPE_CHECKING:
-    from rmesh_nlp.solving.solution import Solution
 
-
-def summary(solution: Solution) -> Rows:
+def summary(solution: Any) -> Rows:
     """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
     final, motion = (
         solution.assessment.final,
@@ -56,7 +53,7 @@ def summary(solution: Solution) -> Rows:
     return rows
 
 
-def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
+def _objective_rows(solution: Any) -> list[tuple[str, str]]:
     """Another objective than the energy, the design, and what is constrained."""
     rows: list[tuple[str, str]] = []
     assessment, surviving = solution.assessment, solution.surviving_gain
@@ -83,7 +80,7 @@ def _objective_rows(solution: Solution) -> list[tuple[str, str]]:
     return rows + [(f"constraint {text}", quantity.in_words()) for text, quantity in constrained]
 
 
-def _energy_rows(solution: Solution) -> list[tuple[str, str]]:
+def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
     of_another = solution.problem.has_coulomb and not solution.objective.startswith("energy")
     if solution.designed is not None or of_another:
@@ -97,7 +94,7 @@ def _energy_rows(solution: Solution) -> list[tuple[str, str]]:
     ]
 
 
-def contact_rows(solution: Solution) -> Rows:
+def contact_rows(solution: Any) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
     rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS
     named = {"peak_pressure": units.stress, "contact_length": units.length}
