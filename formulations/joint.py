@@ -140,6 +140,6 @@ def build(problem: ContactProblem) -> NLP:
 def _own(program: Relocation, result: NLPResult) -> OwnState:
     """The program's own displacement, and contact forces: the multipliers of its gaps and slips."""
     (_, u, _), (normal, friction) = program.split(result.x), program.forces(result.lam_g)
-    tangential = np.zeros(program.n_contact if program.n_s else 0)
-    tangential[program.friction_rows] = friction
+    tangential = np.zeros(program.parts.n_contact if program.parts.n_s else 0)
+    tangential[program.parts.friction_rows] = friction
     return OwnState(u, normal, tangential)

@@ -196,7 +196,7 @@ def _options(outer: Outer, scaling: float) -> dict[str, Any]:
 def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
     """Outer variables, displacement, and normal and tangential forces where there is friction."""
     q, u, normal, tangential = program.split(x)
-    return q, u, normal, tangential[program.friction_rows]
+    return q, u, normal, tangential[program.parts.friction_rows]
 
 
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
@@ -214,7 +214,7 @@ def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, An
         "b_stationary": result.b_stationary,
         "biactive": result.biactive.size,
         "biactive_nodes": np.unique(nodes).tolist(),
-        "equilibrium_multiplier": magnitude(result.lam_g[: program.n_u]),
+        "equilibrium_multiplier": magnitude(result.lam_g[: program.parts.n_u]),
         "constraint_violation": result.constraint_violation,
         "complementarity": result.complementarity,
         "nlp_solves": result.counts["nlp_solves"],

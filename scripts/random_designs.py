@@ -208,7 +208,7 @@ class _Known:
 
     def largest_pressure(self) -> float:
         """Over all contact nodes."""
-        problem, force = self.energy.relocation.problem, self.point.equilibrium.normal_force
+        problem, force = self.energy.relocation.parts.problem, self.point.equilibrium.normal_force
         return float(np.max(force / self.solver.discretisation.space.weights(np.asarray(problem.mesh.p))))
 
 
@@ -218,7 +218,7 @@ def _stated(draw: _Draw, problem: rm.ContactProblem) -> RandomDesign | None:
     at_feasible = problem.at_design(feasible)
     solver = ContactSolver(discretise(at_feasible))
     energy = ReducedEnergy(solver)
-    point = energy(np.zeros(energy.relocation.n_q))
+    point = energy(np.zeros(energy.relocation.parts.n_q))
     state = point.equilibrium
     if state.status is not Status.CONVERGED or not np.any(state.normal_force > 0):
         return None

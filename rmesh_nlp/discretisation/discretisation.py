@@ -25,29 +25,65 @@ from rmesh_nlp.problem.rigid import rigid_motions
 
 @dataclass(frozen=True)
 class Discretisation:
-    """Space, fields and validity rows of one problem, each made once, when first asked for."""
+    """Space and fields of one problem; validity rows and positions as parameters when first asked for.
+
+    Attributes
+    ----------
+    space : DisplacementSpace
+        Nodes, gaps, weights, values for output.
+    mesh_map : MeshMap
+        The vertex positions as a function of q, and the move limits.
+    displacement : Field
+        (components, nodes), a function of u.
+    slip : Field
+        (obstacles, nodes), slip magnitudes as a function of s; zero where there is no friction.
+    contact_force : Field
+        (obstacles, nodes), normal contact forces as a function of one unknown per gap.
+    n_q, n_u, n_contact, n_s : int
+        Numbers of outer variables, displacement unknowns, gaps, and slip magnitudes.
+    friction_rows : (n_s,) array
+        Numbers of the gaps at which friction may act.
+    floats : bool
+        Whether contact alone prevents some rigid motion.
+    """
 
     problem: ContactProblem
+    space: DisplacementSpace
+    mesh_map: MeshMap
+    displacement: Field
+    slip: Field
+    contact_force: Field
+    n_q: int
+    n_u: int
+    n_contact: int
+    n_s: int
+    friction_rows: Index
+    floats: bool
 
-    @cached_property
-    def space(self) -> DisplacementSpace:
-        """The displacement space: nodes, gaps, weights, values for output."""
-        return DisplacementSpace(self.problem)
-
-    @cached_property
-    def mesh_map(self) -> MeshMap:
-        """The field of vertex positions as a function of q, and the move limits."""
-        return MeshMap.of(self.problem)
+    @classmethod
+    def of(cls, problem: ContactProblem) -> Discretisation:
+        """That of a problem."""
+        space, mesh_map = DisplacementSpace(problem), MeshMap.of(problem)
+        displacement, n_u = displacement_field(space)
+        return cls(
+            problem,
+            space,
+            mesh_map,
+            displacement,
+            slip_field(space),
+            gap_field(space),
+            mesh_map.n,
+            n_u,
+            space.contact_nodes.size,
+            space.friction_rows.size,
+            space.friction_rows,
+            rigid_motions(problem).size > 0,
+        )
 
     @cached_property
     def vertices(self) -> VertexParameters:
         """The vertex positions as parameters of what is solved at positions that are given."""
         return VertexParameters(self.problem)
-
-    @cached_property
-    def floats(self) -> bool:
-        """Whether contact alone prevents some rigid motion."""
-        return rigid_motions(self.problem).size > 0
 
     def check_unknowns(self) -> None:
         """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
@@ -64,46 +100,6 @@ class Discretisation:
         for k, motion in enumerate(motions):
             result[self.displacement.index[free], k] = motion[free]
         return result
-
-    @cached_property
-    def displacement(self) -> Field:
-        """(components, nodes), a function of u."""
-        return self._displacement[0]
-
-    @cached_property
-    def slip(self) -> Field:
-        """(obstacles, nodes), slip magnitudes as a function of s; zero where there is no friction."""
-        return slip_field(self.space)
-
-    @cached_property
-    def contact_force(self) -> Field:
-        """(obstacles, nodes), normal contact forces as a function of one unknown per gap."""
-        return gap_field(self.space)
-
-    @property
-    def n_q(self) -> int:
-        """Number of outer variables."""
-        return self.mesh_map.n
-
-    @property
-    def n_u(self) -> int:
-        """Number of displacement unknowns."""
-        return self._displacement[1]
-
-    @property
-    def friction_rows(self) -> Index:
-        """(n_s,) numbers of the gaps at which friction may act."""
-        return self.space.friction_rows
-
-    @property
-    def n_contact(self) -> int:
-        """Number of gaps."""
-        return self.space.contact_nodes.size
-
-    @property
-    def n_s(self) -> int:
-        """Number of slip magnitudes."""
-        return self.friction_rows.size
 
     @cached_property
     def validity(self) -> Validity:
@@ -133,11 +129,7 @@ class Discretisation:
             ),
         )
 
-    @cached_property
-    def _displacement(self) -> tuple[Field, int]:
-        return displacement_field(self.space)
-
 
 def discretise(problem: ContactProblem | Discretisation) -> Discretisation:
     """The discretisation of a problem; one that is given is handed on as it is."""
-    return problem if isinstance(problem, Discretisation) else Discretisation(problem)
+    return problem if isinstance(problem, Discretisation) else Discretisation.of(problem)

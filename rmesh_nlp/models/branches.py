@@ -90,7 +90,7 @@ class Branches:
 
 def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     """The MPCC in d, a and b; None if the KKT conditions are singular or constraints violated."""
-    program, n, first = at.program, at.program.n_q, at.program.n_equations
+    program, n, first = at.program, at.program.parts.n_q, at.program.n_equations
     g, lower, upper = at.rows[first : program.n_g], program.lower[first:], program.upper[first:]
     violation = np.max(np.maximum(lower - g, g - upper), initial=0.0)
     if violation > tolerance or at.factors is None:

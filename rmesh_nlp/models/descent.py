@@ -56,8 +56,8 @@ def descend(
     return minimise(
         evaluate,
         q,
-        relocation.mesh_map.lower,
-        relocation.mesh_map.upper,
+        relocation.parts.mesh_map.lower,
+        relocation.parts.mesh_map.upper,
         local=local if has_barrier else None,
         on_step=watch,
         **options,
@@ -66,7 +66,7 @@ def descend(
 
 def node_widths(relocation: Relocation, q: Array) -> Array:
     """Least height of the elements at the node behind each outer variable, in the unit of the variable."""
-    triangles, positions = relocation.problem.triangles, relocation.mesh_map.positions
+    triangles, positions = relocation.parts.problem.triangles, relocation.parts.mesh_map.positions
     nodes = relocation.nodes(q)
     corner = nodes[:, triangles]
     edges = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=0)
@@ -89,7 +89,7 @@ def longest_valid(relocation: Relocation, q: Array, step: Array) -> float:
 
     The area is quadratic along the step; its first root is computed without cancellation.
     """
-    triangles = relocation.problem.triangles
+    triangles = relocation.parts.problem.triangles
     nodes = relocation.nodes(q)
     move = (relocation.nodes(q + step) - nodes)[:, triangles]
     X = nodes[:, triangles]

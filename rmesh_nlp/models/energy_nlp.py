@@ -20,13 +20,12 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, Block, Index, Symmetric
+from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import gaps, slips
 from rmesh_nlp.fem.fields import ElementGroup, Field, Fields
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY, energy
-from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.mapping.validity import Validity
 from rmesh_nlp.optimize.constraints import Linearised
 from rmesh_nlp.optimize.nlp import NLP
@@ -52,7 +51,7 @@ class Relocation:
         Unit of displacements, slips and gaps in ``x`` and the rows.
     """
 
-    discretisation: Discretisation
+    parts: Discretisation
     x: ca.MX
     groups: tuple[ElementGroup, ...]
     displacement: Field
@@ -65,15 +64,15 @@ class Relocation:
     @cached_property
     def assembled(self) -> Assembled:
         """Objective, all rows and derivatives by ``x``, each built when it is first asked for."""
-        first = self.n_contact + 2 * self.n_s
+        first = self.parts.n_contact + 2 * self.parts.n_s
         valid = replace(self.validity.upright_group, rows=self.validity.group.rows + first)
         return Assembled((*self.groups, valid), self.x, ca.MX(0, 1), self.n_rows)
 
     @cached_property
     def nlp(self) -> NLP:
         """The NLP with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
-        free, rest = self.mesh_map, np.full(self.n_u + self.n_s, np.inf)
-        ends = np.cumsum([0, self.n_q, self.n_u, self.n_s]).tolist()
+        free, rest = self.parts.mesh_map, np.full(self.parts.n_u + self.parts.n_s, np.inf)
+        ends = np.cumsum([0, self.parts.n_q, self.parts.n_u, self.parts.n_s]).tolist()
         return NLP(
             x=self.x,
             p=ca.MX(0, 1),
@@ -88,44 +87,14 @@ class Relocation:
         )
 
     @property
-    def problem(self) -> ContactProblem:
-        """What was discretised."""
-        return self.discretisation.problem
-
-    @property
-    def mesh_map(self) -> MeshMap:
-        """Outer variables to node positions."""
-        return self.discretisation.mesh_map
-
-    @property
-    def n_q(self) -> int:
-        """Number of outer variables."""
-        return self.discretisation.n_q
-
-    @property
-    def n_u(self) -> int:
-        """Number of displacement unknowns."""
-        return self.discretisation.n_u
-
-    @property
-    def n_s(self) -> int:
-        """Number of slip magnitudes."""
-        return self.discretisation.n_s
-
-    @property
-    def n_contact(self) -> int:
-        """Number of gap rows."""
-        return self.discretisation.n_contact
-
-    @property
     def n_x(self) -> int:
         """Number of unknowns."""
-        return self.n_q + self.n_u + self.n_s
+        return self.parts.n_q + self.parts.n_u + self.parts.n_s
 
     @property
     def n_rows(self) -> int:
         """Number of rows."""
-        return self.n_contact + 2 * self.n_s + self.n_valid
+        return self.parts.n_contact + 2 * self.parts.n_s + self.n_valid
 
     @property
     def n_valid(self) -> int:
@@ -133,23 +102,18 @@ class Relocation:
         return self.validity.size
 
     @property
-    def friction_rows(self) -> Index:
-        """(n_s,) numbers of the gaps at which friction may act."""
-        return self.discretisation.friction_rows
-
-    @property
     def gap_rows(self) -> slice:
         """Rows of the gaps."""
-        return slice(0, self.n_contact)
+        return slice(0, self.parts.n_contact)
 
     @property
     def slip_rows(self) -> slice:
         """Rows ``s + u_t >= 0``; those of ``s - u_t >= 0`` are before them."""
-        return slice(self.n_contact + self.n_s, self.n_contact + 2 * self.n_s)
+        return slice(self.parts.n_contact + self.parts.n_s, self.parts.n_contact + 2 * self.parts.n_s)
 
     def split(self, x: Array) -> tuple[Array, Array, Array]:
         """Outer variables, displacements and slips of ``x``, the last two in the unit of the problem."""
-        q, u, s = np.split(x, [self.n_q, self.n_q + self.n_u])
+        q, u, s = np.split(x, [self.parts.n_q, self.parts.n_q + self.parts.n_u])
         return q, u * self.length, s * self.length
 
     def unknowns(self, q: Array, u: Array, s: Array) -> Array:
@@ -159,13 +123,13 @@ class Relocation:
     def forces(self, lam_g: Array) -> tuple[Array, Array]:
         """Contact forces, normal and (n_s,) tangential, that multipliers of the NLP are."""
         # CasADi's multiplier of an active lower bound is negative
-        rows = -lam_g[: self.n_contact + 2 * self.n_s] / self.length
-        normal, minus, plus = np.split(rows, [self.n_contact, self.n_contact + self.n_s])
+        rows = -lam_g[: self.parts.n_contact + 2 * self.parts.n_s] / self.length
+        normal, minus, plus = np.split(rows, [self.parts.n_contact, self.parts.n_contact + self.parts.n_s])
         return normal, plus - minus
 
     def nodes(self, q: Array) -> Array:
         """Node positions (2, nodes)."""
-        return self.mesh_map.positions.values(q)
+        return self.parts.mesh_map.positions.values(q)
 
 
 def relocation(

@@ -94,21 +94,6 @@ class Bilevel:
     x: ca.MX
 
     @property
-    def n_q(self) -> int:
-        """Number of outer variables."""
-        return self.parts.n_q
-
-    @property
-    def n_u(self) -> int:
-        """Number of displacement unknowns."""
-        return self.parts.n_u
-
-    @property
-    def n_contact(self) -> int:
-        """Number of gaps."""
-        return self.parts.n_contact
-
-    @property
     def n_pairs(self) -> int:
         """Number of complementarity pairs."""
         return self.parts.n_contact + 2 * self.parts.n_s
@@ -119,15 +104,10 @@ class Bilevel:
         return self.n_equations + self.constraints.size + self.parts.validity.bound.size
 
     @property
-    def friction_rows(self) -> Index:
-        """(n_s,) numbers of the gaps at which friction may act."""
-        return self.parts.friction_rows
-
-    @property
     def sizes(self) -> tuple[int, ...]:
         """Numbers of the unknowns ``q, u, lambda, s, mu-, mu+, sigma``."""
         n_s = self.parts.n_s
-        return self.n_q, self.n_u, self.n_contact, n_s, n_s, n_s, self.sums.size
+        return self.parts.n_q, self.parts.n_u, self.parts.n_contact, n_s, n_s, n_s, self.sums.size
 
     @cached_property
     def lower(self) -> Array:
@@ -162,19 +142,21 @@ class Bilevel:
 
     def pair_rows(self, pairs: Index) -> Index:
         """The gaps of complementarity pairs: those of contact, then two of friction each where it may act."""
-        every = np.concatenate([np.arange(self.n_contact), self.friction_rows, self.friction_rows])
+        every = np.concatenate(
+            [np.arange(self.parts.n_contact), self.parts.friction_rows, self.parts.friction_rows]
+        )
         return every[pairs]
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
         q, u, normal, _, minus, plus, _ = np.split(x, np.cumsum(self.sizes[:-1]))
-        tangential = np.zeros(self.n_contact if self.friction_rows.size else 0)
-        tangential[self.friction_rows] = (plus - minus) * self.force
+        tangential = np.zeros(self.parts.n_contact if self.parts.friction_rows.size else 0)
+        tangential[self.parts.friction_rows] = (plus - minus) * self.force
         return q, u * self.length, normal * self.force, tangential
 
     def point(self, point: ContactPoint) -> Array:
         """The unknowns ``x`` of a contact solution."""
-        x = kkt_unknowns(point, self.friction_rows) / _units(self.length, self.force, self.sizes)
+        x = kkt_unknowns(point, self.parts.friction_rows) / _units(self.length, self.force, self.sizes)
         return np.append(x, self._sum_values(x) / self.sums)
 
     @cached_property

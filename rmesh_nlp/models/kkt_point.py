@@ -110,7 +110,7 @@ class KKTPoint:
     @cached_property
     def of_q(self) -> sp.csr_array:
         """C_q."""
-        return self.jacobian[self.equations][:, : self.program.n_q]
+        return self.jacobian[self.equations][:, : self.program.parts.n_q]
 
     @cached_property
     def factors(self) -> SuperLU | None:
@@ -118,7 +118,7 @@ class KKTPoint:
         if not is_finite(self.jacobian.data):
             return None
         try:
-            return splu(sp.csc_array(self.jacobian[self.equations][:, self.program.n_q :]))
+            return splu(sp.csc_array(self.jacobian[self.equations][:, self.program.parts.n_q :]))
         except RuntimeError:
             return None
 
@@ -126,7 +126,7 @@ class KKTPoint:
         """Nu of functions with derivatives ``slopes`` (..., x.size); NaN where there are no factors."""
         if self.factors is None or slopes.size == 0:
             return np.full((*slopes.shape[:-1], self.equations.size), np.nan)
-        return -self.factors.solve(slopes[..., self.program.n_q :].T, "T").T
+        return -self.factors.solve(slopes[..., self.program.parts.n_q :].T, "T").T
 
     def totals(self, slopes: Array) -> tuple[Array, Array]:
         """Derivatives by q, and by the held members of the biactive pairs, along contact solutions.
@@ -134,7 +134,7 @@ class KKTPoint:
         They are those of functions with derivatives ``slopes`` (..., x.size).
         """
         nu = self.multipliers(slopes)
-        by_q = slopes[..., : self.program.n_q] + nu @ self.of_q
+        by_q = slopes[..., : self.program.parts.n_q] + nu @ self.of_q
         return by_q, -nu[..., self.program.n_equations + self.pairs]
 
     @cached_property
@@ -199,7 +199,7 @@ def positive(diagonal: Array) -> Array:
 
 def held_by(program: Bilevel, active: ActiveSet) -> Mask:
     """The pairs whose first member an active set holds at zero: contact, stick, one side of what slides."""
-    sliding = active.sliding[program.friction_rows] if active.sliding.size else np.zeros(0)
+    sliding = active.sliding[program.parts.friction_rows] if active.sliding.size else np.zeros(0)
     return np.concatenate([active.touching, sliding >= 0, sliding <= 0])
 
 
@@ -215,8 +215,8 @@ def held_members(
     convention; and where friction sets in with the contact force at a node that slides, whose one condition
     of its own is the contact pair.
     """
-    n_c, n_s, n_u = program.n_contact, program.friction_rows.size, program.n_u
-    of_u = abs(jacobian[program.n_g : program.n_g + G.size, program.n_q : program.n_q + n_u])
+    n_c, n_s, n_u = program.parts.n_contact, program.parts.friction_rows.size, program.parts.n_u
+    of_u = abs(jacobian[program.n_g : program.n_g + G.size, program.parts.n_q : program.parts.n_q + n_u])
     moves = of_u.max(axis=1).toarray().ravel() > ZERO if G.size and n_u else np.zeros(G.size, bool)
     zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
     biactive = zero_G & zero_H & (zero >= G)
@@ -225,7 +225,7 @@ def held_members(
     held[gaps] &= moves[gaps]
     biactive[gaps] &= moves[gaps]
     if n_s:
-        is_open = ~held[gaps][program.friction_rows]
+        is_open = ~held[gaps][program.parts.friction_rows]
         slips = np.abs(G[plus] - G[minus]) > zero
         bare = H[minus] + H[plus] <= zero  # no friction
         one_sided = ~moves[minus] | (bare & (is_open | slips))

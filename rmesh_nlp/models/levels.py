@@ -16,7 +16,6 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Index, cross, magnitude
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.problem import ContactProblem, Relative, signed_areas
 from rmesh_nlp.problem.body import Body
@@ -163,9 +162,7 @@ def _barycentric(corner: Array, point: Array) -> Array:
     return np.stack(parts) / whole
 
 
-def prolonged(
-    coarse_nodes: Array, coarse_triangles: NDArray, shift: Array, fine: Relocation | Discretisation
-) -> Array:
+def prolonged(coarse_nodes: Array, coarse_triangles: NDArray, shift: Array, fine: Discretisation) -> Array:
     """Outer variables of a finer mesh that follow the ``shift`` (2, coarse nodes) of a coarser one.
 
     An element that lies across several may be inverted: then the shift is made smaller as a whole.

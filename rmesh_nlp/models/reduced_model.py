@@ -62,7 +62,7 @@ class ReducedEnergy:
         self._is_given_counted = False
         self._last: ReducedPoint | None = None
         rel = self.relocation
-        self._rows = Block(rel.assembled.first.pattern, slice(None), slice(0, rel.n_q))
+        self._rows = Block(rel.assembled.first.pattern, slice(None), slice(0, rel.parts.n_q))
         self._position_terms = element_values(rel.position_groups)
 
     @property
@@ -92,7 +92,7 @@ class ReducedEnergy:
     @property
     def start(self) -> ContactPoint:
         """The contact solution on the mesh as given; it counts as no contact solve of a formulation."""
-        q = np.zeros(self.relocation.n_q)
+        q = np.zeros(self.relocation.parts.n_q)
         return ContactPoint(q, self.model.system_at(q), self.model.given)
 
     def __call__(self, q: Array) -> ReducedPoint:
@@ -113,7 +113,7 @@ class ReducedEnergy:
     def of(self, inner: ContactPoint) -> ReducedPoint:
         """Value and gradient where the contact solution is known."""
         q, equilibrium = inner.q, inner.equilibrium
-        friction = equilibrium.tangential_force[self.relocation.friction_rows]
+        friction = equilibrium.tangential_force[self.relocation.parts.friction_rows]
         gradient = self.gradient(self.unknowns(q, equilibrium.u), equilibrium.normal_force, friction)
         value = equilibrium.energy + self.of_positions(q)
         return ReducedPoint(q, inner.system, equilibrium, value, gradient, True)
@@ -127,19 +127,19 @@ class ReducedEnergy:
         forces = np.zeros(rel.n_rows)
         forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
         _, gradient, _, rows = rel.assembled.first(x, None)
-        return gradient[: rel.n_q] - self._rows(rows).T @ forces
+        return gradient[: rel.parts.n_q] - self._rows(rows).T @ forces
 
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
         rel, slip = self.relocation, np.zeros(0)
-        if rel.n_s:
-            slip = self.model.slips(rel.nodes(q), u, rel.mesh_map.design(q))[rel.friction_rows]
+        if rel.parts.n_s:
+            slip = self.model.slips(rel.nodes(q), u, rel.parts.mesh_map.design(q))[rel.parts.friction_rows]
         return rel.unknowns(q, u, np.abs(slip))
 
 
 def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:
     """Whether no element is inverted where a distortion in the objective needs that."""
-    return not objective.has_barrier or is_upright(relocation.problem, relocation.nodes(q))
+    return not objective.has_barrier or is_upright(relocation.parts.problem, relocation.nodes(q))
 
 
 class ReducedObjective:
@@ -155,7 +155,7 @@ class ReducedObjective:
     @cached_property
     def conditions(self) -> KKTConditions:
         """The KKT conditions, in units of the contact solution on the mesh as given."""
-        parts = self.energy.relocation.discretisation
+        parts = self.energy.relocation.parts
         return KKTConditions(in_units_of(parts, self.objective, self.energy.start))
 
     def is_defined(self, q: Array) -> bool:

@@ -50,9 +50,9 @@ def reduced_nlp(function: Reduced, constraints: ReducedConstraints | None = None
     rel = function.energy.relocation
     n_g = rel.n_valid + (0 if constraints is None else constraints.rows.size)
     second = _dense(function) if isinstance(function, ReducedObjective) else _lifted(function)
-    areas, free, first = rel.validity.assembled, rel.mesh_map, _First(function, constraints)
+    areas, free, first = rel.validity.assembled, rel.parts.mesh_map, _First(function, constraints)
     hessian = _Second(function, n_g, *second)
-    n_w = hessian.size1_out(0) - rel.n_q
+    n_w = hessian.size1_out(0) - rel.parts.n_q
     q, w, unlimited = rel.validity.q, ca.MX.sym("w", n_w), np.full(n_w, np.inf)
     x, p, lam_f, lam_g = ca.vertcat(q, w), ca.MX(0, 1), ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_g)
     value, gradient, rows, of_rows = first(q)
@@ -84,7 +84,10 @@ class _First(PythonFunction):
 
     def __init__(self, function: Reduced, constraints: ReducedConstraints | None) -> None:
         self._function, self._constraints = function, constraints
-        self._rows, n = 0 if constraints is None else constraints.rows.size, function.energy.relocation.n_q
+        self._rows, n = (
+            0 if constraints is None else constraints.rows.size,
+            function.energy.relocation.parts.n_q,
+        )
         shapes = (1,), (n,), (self._rows,), (self._rows, n)
         super().__init__("reduced", [ca.Sparsity.dense(n)], [ca.Sparsity.dense(*shape) for shape in shapes])
 
@@ -92,7 +95,7 @@ class _First(PythonFunction):
         q, function, constraints = arg[0].full().ravel(), self._function, self._constraints
         rel, of_rows = function.energy.relocation, np.zeros((self._rows, q.size))
         # the contact problem of a mesh with inverted elements has no meaning
-        upright = rel.n_valid + self._rows == 0 or is_upright(rel.problem, rel.nodes(q))
+        upright = rel.n_valid + self._rows == 0 or is_upright(rel.parts.problem, rel.nodes(q))
         if not (upright and function.is_defined(q)):  # Ipopt then takes a shorter step
             return [np.nan, np.full(q.size, np.nan), np.full(self._rows, np.nan), of_rows]
         point = function(q)
@@ -110,7 +113,7 @@ class _Second(PythonFunction):
 
     def __init__(self, function: Reduced, n_g: int, upper: ca.Sparsity, values: Values) -> None:
         self._energy, self._upper, self._values = function.energy, upper, values
-        inputs = [ca.Sparsity.dense(size) for size in (self._energy.relocation.n_q, 1, n_g)]
+        inputs = [ca.Sparsity.dense(size) for size in (self._energy.relocation.parts.n_q, 1, n_g)]
         super().__init__("reduced_hessian", inputs, [upper])
 
     def eval(self, arg: list[ca.DM]) -> list[ca.DM]:
@@ -122,7 +125,7 @@ class _Second(PythonFunction):
 
 def _dense(function: ReducedObjective) -> tuple[ca.Sparsity, Values]:
     """Second derivatives of another objective than the energy, a dense matrix."""
-    n, conditions = function.energy.relocation.n_q, function.conditions
+    n, conditions = function.energy.relocation.parts.n_q, function.conditions
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
@@ -180,19 +183,19 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     variables that gap and slip there depend on. In the coordinates of contact the displacements of a node are
     turned into each other.
     """
-    rel, q = relocation, slice(0, relocation.n_q)
-    u, index = slice(rel.n_q, rel.n_q + rel.n_u), rel.displacement.index - rel.n_q
+    rel, q = relocation, slice(0, relocation.parts.n_q)
+    u, index = slice(rel.parts.n_q, rel.parts.n_q + rel.parts.n_u), rel.displacement.index - rel.parts.n_q
     component, node = np.nonzero(index >= 0)
     places = index[component, node], node
-    of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.n_u, index.shape[1]))
+    of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.parts.n_u, index.shape[1]))
     turned, first = of_node @ of_node.T, sp.csr_array(rel.assembled.first.pattern, dtype=float)
     gaps, slips = first[rel.gap_rows], first[rel.slip_rows]
     follows = turned @ (gaps[:, u].T @ gaps[:, q] + slips[:, u].T @ slips[:, q])
     unknowns = sp.block_array(
-        [[sp.eye_array(rel.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]
+        [[sp.eye_array(rel.parts.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]
     )
     upper = rel.assembled.second.pattern
-    whole = unknowns.T @ (upper + upper.T) @ unknowns + sp.eye_array(rel.n_q + rel.n_u)
+    whole = unknowns.T @ (upper + upper.T) @ unknowns + sp.eye_array(rel.parts.n_q + rel.parts.n_u)
     pattern = sp.csc_array(sp.triu(whole))
     pattern.sort_indices()
     return pattern

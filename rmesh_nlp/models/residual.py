@@ -57,7 +57,7 @@ class OuterResidual:
 
         It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
         """
-        q = self._energy.relocation.mesh_map.clipped(q)  # an interior point may leave them by rounding
+        q = self._energy.relocation.parts.mesh_map.clipped(q)  # an interior point may leave them by rounding
         return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
 
     def at(self, q: Array, gradient: Array) -> float:
@@ -82,16 +82,16 @@ class Released:
         """The residual in a unit of gradients; infinite if the gradient is not finite."""
         if not is_finite(self.rest):
             return float("inf")
-        natural = np.abs(self.q - self.relocation.mesh_map.clipped(self.q - self.rest / unit))
+        natural = np.abs(self.q - self.relocation.parts.mesh_map.clipped(self.q - self.rest / unit))
         pairs = np.abs(np.minimum(self.slack, self.fitted / unit))
         return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 
     @property
     def multipliers(self) -> Multipliers:
         """Of the elements those that were fitted; what then remains at the move limits is theirs."""
-        validity, free = self.relocation.validity, self.relocation.mesh_map
+        validity, free = self.relocation.validity, self.relocation.parts.mesh_map
         by_element = self.fitted[: validity.size].reshape(-1, validity.rows_per_element)
-        area, angle = np.zeros((2, self.relocation.problem.mesh.t.shape[1]))
+        area, angle = np.zeros((2, self.relocation.parts.problem.mesh.t.shape[1]))
         area[validity.elements] = by_element[:, 0]
         angle[validity.elements] = by_element[:, 1:].sum(axis=1)
         stopped = ~is_inside(self.q, free.lower, free.upper)
@@ -113,7 +113,7 @@ def released(
         rows.append(constraints.linearised(energy(q)))
     if not rows:
         return Released(relocation, q, gradient, np.zeros(0), np.zeros(0))
-    free, every = relocation.mesh_map, stacked(rows)
+    free, every = relocation.parts.mesh_map, stacked(rows)
     fitted = np.zeros(every.slack.size)
     if is_finite(gradient):
         fitted = every.fitted(gradient, is_inside(q, free.lower, free.upper))

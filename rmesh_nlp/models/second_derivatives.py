@@ -50,9 +50,11 @@ class Curvature:
 
     def __init__(self, energy: ReducedEnergy) -> None:
         self._energy, rel = energy, energy.relocation
-        q, u, s = (slice(a, b) for a, b in pairwise(np.cumsum([0, rel.n_q, rel.n_u, rel.n_s])))
+        q, u, s = (
+            slice(a, b) for a, b in pairwise(np.cumsum([0, rel.parts.n_q, rel.parts.n_u, rel.parts.n_s]))
+        )
         upper, first = rel.assembled.second.pattern, rel.assembled.first.pattern
-        self._second = Symmetric(upper, rel.n_q), Block(upper, q, u), Block(upper, q, s)
+        self._second = Symmetric(upper, rel.parts.n_q), Block(upper, q, u), Block(upper, q, s)
         self._first = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
 
     def at(self, point: ReducedPoint) -> Hessian:
@@ -60,12 +62,12 @@ class Curvature:
         rel, solved = self._energy.relocation, point.equilibrium
         x, rows = self._energy.unknowns(point.q, solved.u), np.zeros(rel.n_rows)
         rows[rel.gap_rows] = -solved.normal_force
-        if rel.n_s:
-            rows[rel.slip_rows] = -solved.tangential_force[rel.friction_rows]
+        if rel.parts.n_s:
+            rows[rel.slip_rows] = -solved.tangential_force[rel.parts.friction_rows]
         (second,) = rel.assembled.second(x, None, np.ones(1), rows)
         *_, first = rel.assembled.first(x, None)
         blocks = [block(second) for block in self._second] + [block(first) for block in self._first]
-        return Hessian(point, Blocks(*blocks), rel.friction_rows)
+        return Hessian(point, Blocks(*blocks), rel.parts.friction_rows)
 
 
 @dataclass(frozen=True)

@@ -180,7 +180,7 @@ def _difference(problem: ContactProblem, program: Relocation) -> ca.MX:
     bound = float(part.obstacle.friction)  # type: ignore[arg-type]
     nodes = problem.boundary_nodes((str(part.obstacle.boundary),))  # held ends too: edges end there
     order = nodes[np.argsort(problem.mesh.p[0, nodes])]
-    positions, slip, x = program.mesh_map.positions, program.slip, program.nlp.x
+    positions, slip, x = program.parts.mesh_map.positions, program.slip, program.nlp.x
 
     def place(node: int) -> ca.MX:
         index = int(positions.index[0, node])

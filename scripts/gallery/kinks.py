@@ -102,7 +102,7 @@ def across(end: rm.Solution, case: str, node: int, reach: float = REACH, points:
     """Contact solutions as a node of an end is moved, all others held."""
     _, objective, axis, _ = CASES[case]
     outer = Outer.of(end.problem, objective)
-    q, positions = outer.variables(np.asarray(end.mesh.p)), outer.relocation.mesh_map.positions
+    q, positions = outer.variables(np.asarray(end.mesh.p)), outer.relocation.parts.mesh_map.positions
     row, limit = positions.index[axis, node], positions.scale[axis, node]
     place = int(np.flatnonzero(outer.contact.contact_nodes == node)[0])
     rows = []

@@ -47,7 +47,7 @@ def local(field: Field, x: ca.MX) -> ca.MX:
 
 
 def of_energy_nlp(rel: Relocation) -> tuple[ca.MX, ca.MX]:
-    valid = rel.validity.group.shifted(rel.n_contact + 2 * rel.n_s)
+    valid = rel.validity.group.shifted(rel.parts.n_contact + 2 * rel.parts.n_s)
     return expressions([*rel.groups, valid], rel.x, rel.n_rows)
 
 

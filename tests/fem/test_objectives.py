@@ -322,7 +322,7 @@ def test_derivatives_where_points_are_in_space(order: int) -> None:
     objective = rm.quantities.fit(points, values, [1, 2, 3, 4])
     energy, rng = reduced(problem), np.random.default_rng(1)
     function = ReducedObjective(energy, objective)
-    q, d = rng.uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.3], [1]]
+    q, d = rng.uniform(-1, 1, (2, energy.relocation.parts.n_q)) * [[0.3], [1]]
     here = function(q)
     displacement = energy.relocation.displacement.values(energy.unknowns(q, here.equilibrium.u))
     moved = replace(problem, mesh=relocated_mesh(problem.mesh, energy.relocation.nodes(q)))

@@ -197,4 +197,4 @@ def test_friction_that_sets_in_at_a_sliding_node_is_one_condition_and_not_two() 
     assert vanish.size > 3
     found = outer.branches(point)
     assert set(found.pairs) < set(vanish)
-    assert np.all(found.pairs < program.n_contact)
+    assert np.all(found.pairs < program.parts.n_contact)

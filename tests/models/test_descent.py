@@ -46,9 +46,12 @@ def test_widths_are_heights_in_units_of_the_outer_variables() -> None:
     for legs, problem in ((1 / 4, EXAMPLES["6.1"](n=4)), (1 / 8, EXAMPLES["6.1"](n=8))):
         rel = relocation(replace(problem, motion=Motion(None)))
         # right isosceles triangles, moves in units of the shortest edge: all heights are alike
-        np.testing.assert_allclose(node_widths(rel, np.zeros(rel.n_q)), np.sqrt(0.5))
+        np.testing.assert_allclose(node_widths(rel, np.zeros(rel.parts.n_q)), np.sqrt(0.5))
         limited = relocation(replace(problem, motion=Motion((0.02, 0.01))))
-        width, index = node_widths(limited, np.zeros(limited.n_q)), limited.mesh_map.positions.index
+        width, index = (
+            node_widths(limited, np.zeros(limited.parts.n_q)),
+            limited.parts.mesh_map.positions.index,
+        )
         height = legs * np.sqrt(0.5)
         np.testing.assert_allclose(width[index[0][index[0] >= 0]], height / 0.02)
         np.testing.assert_allclose(width[index[1][index[1] >= 0]], height / 0.01)
@@ -57,9 +60,11 @@ def test_widths_are_heights_in_units_of_the_outer_variables() -> None:
 @pytest.mark.parametrize("length", [1e-3, 1.0, 50.0])
 def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: float) -> None:
     rel = relocation(free_membrane(), parse_objective("energy + 0.1*quality"))
-    q, step = np.random.default_rng(5).uniform(-1, 1, (2, rel.n_q)) * [[0.1], [length]]
+    q, step = np.random.default_rng(5).uniform(-1, 1, (2, rel.parts.n_q)) * [[0.1], [length]]
     part = longest_valid(rel, q, step)
-    areas = [signed_areas(rel.nodes(q + t * step), rel.problem.triangles) for t in np.linspace(0, part, 20)]
+    areas = [
+        signed_areas(rel.nodes(q + t * step), rel.parts.problem.triangles) for t in np.linspace(0, part, 20)
+    ]
     ratios = np.min(areas / areas[0], axis=1)
     assert min(ratios) >= KEPT - 1e-9
     # cut no more than it must be
@@ -78,7 +83,7 @@ def test_steps_are_cut_where_an_element_would_lose_most_of_its_area(length: floa
 )
 def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple[int, int]) -> None:
     energy = with_distortion(replace(no_move_limits(EXAMPLES[name](n=size)), quadrature=6))
-    outer, steps = Outer.of(energy.relocation.problem, energy.relocation.objective), list[Step]()
+    outer, steps = Outer.of(energy.relocation.parts.problem, energy.relocation.objective), list[Step]()
     start = np.zeros(outer.n)
     end = Nested().run(outer, start, Monitor(on_step=steps.append))
     assert end.status is Status.CONVERGED

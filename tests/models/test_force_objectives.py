@@ -115,7 +115,7 @@ def test_derivatives_of_the_area(order: int) -> None:
     problem = replace(punch(), obstacle=rm.Obstacle.graph("bottom", 0.0), order=order)
     check_derivatives(problem, ["square(area - 0.9)", "level-pressure(bottom)"])
     energy = reduced(problem, "energy + 30*area")
-    q, d = np.random.default_rng(6).uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.2], [1]]
+    q, d = np.random.default_rng(6).uniform(-1, 1, (2, energy.relocation.parts.n_q)) * [[0.2], [1]]
     assert abs(taylor_order(energy, q, d) - 2) < 0.02
     assert energy.of_positions(q) == pytest.approx(
         30 * signed_areas(energy.relocation.nodes(q), problem.triangles).sum()

@@ -102,7 +102,7 @@ def test_no_map_is_defined_where_an_arc_cuts_through_its_triangle() -> None:
     inner = int(np.setdiff1d(problem.triangles[:, element], ends)[0])
     nodes = np.array(problem.mesh.p)
     nodes[:, inner] = 0.98 * nodes[:, ends].mean(axis=1) + 0.02 * nodes[:, inner]
-    q = energy.relocation.mesh_map.q_of(nodes)
+    q = energy.relocation.parts.mesh_map.q_of(nodes)
     assert np.min(signed_areas(energy.relocation.nodes(q), problem.triangles)) > 0
     assert not energy.is_defined(q)
 
@@ -263,5 +263,5 @@ def test_slivers_of_a_coarse_map_are_prolonged_as_they_are() -> None:
     flat = coarse.mesh.p.copy()
     flat[0] = np.where(flat[0] == 0.25, 1e-4, flat[0])  # the first column has 4e-4 of its width
     fine = relocation(refined(coarse))
-    found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, flat - coarse.mesh.p, fine))
+    found = fine.nodes(prolonged(coarse.mesh.p, coarse.triangles, flat - coarse.mesh.p, fine.parts))
     np.testing.assert_allclose(found[:, : flat.shape[1]], flat, atol=1e-12)

@@ -87,7 +87,7 @@ def test_terms_in_the_positions_are_added_and_undefined_where_an_element_is_inve
     plain, mixed, quality = (
         reduced(EXAMPLES["6.1"](3), text) for text in ("energy", "energy + 0.5*quality", "energy + 1*quality")
     )
-    q = np.random.default_rng(0).uniform(-0.5, 0.5, plain.relocation.n_q)
+    q = np.random.default_rng(0).uniform(-0.5, 0.5, plain.relocation.parts.n_q)
     term = mixed.of_positions(q)
     assert term == pytest.approx(0.5 * quality.of_positions(q))
     assert mixed(q).value == pytest.approx(plain(q).value + term)
@@ -111,8 +111,8 @@ PROBLEMS = {
 @pytest.mark.parametrize("name", slow_but(PROBLEMS))
 def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(1)
-    assert order_at_random(energy, energy.relocation.n_q, 1, 0.6) >= 1.9
-    q, d, other = rng.uniform(-1, 1, (3, energy.relocation.n_q)) * [[0.3], [1], [1]]
+    assert order_at_random(energy, energy.relocation.parts.n_q, 1, 0.6) >= 1.9
+    q, d, other = rng.uniform(-1, 1, (3, energy.relocation.parts.n_q)) * [[0.3], [1], [1]]
     hessian = Curvature(energy).at(energy(q))
     product = hessian(d)
     assert difference_order(lambda x: energy(x).gradient, product, q, d, 2e-3) > 1.9
@@ -138,8 +138,8 @@ def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
     """By the adjoint, which for the energy are those of the reduced energy."""
     energy, rng = reduced(with_exact((CONTACTS | QUADRATIC)[name]())), np.random.default_rng(1)
     function = ReducedObjective(energy, parse_objective(objective))
-    assert order_at_random(function, energy.relocation.n_q, 1, 0.5) >= 1.9
-    q, d = rng.uniform(-1, 1, (2, energy.relocation.n_q)) * [[0.3], [1]]
+    assert order_at_random(function, energy.relocation.parts.n_q, 1, 0.5) >= 1.9
+    q, d = rng.uniform(-1, 1, (2, energy.relocation.parts.n_q)) * [[0.3], [1]]
     here = function(q)
     hessian = curvature_of(function)(here)
     assert difference_order(lambda x: function(x).gradient, hessian(d), q, d, 2e-3) > 1.9

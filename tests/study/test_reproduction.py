@@ -69,7 +69,7 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
 def test_frozen_weights_are_those_of_the_given_mesh_in_every_contact_problem():
     """By a search over meshes whose contact problems have the bounds of friction of the given one."""
     outer = Outer.of(problem := EXAMPLES["6.3"]((2, 2)))
-    bound, limits = outer.contact.system(problem.mesh.p).slip_bound, outer.relocation.mesh_map
+    bound, limits = outer.contact.system(problem.mesh.p).slip_bound, outer.relocation.parts.mesh_map
 
     def energy(q):
         return solve(replace(outer.contact.system(outer.nodes(q)), slip_bound=bound)).energy

@@ -53,7 +53,7 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     assert np.all(np.isfinite(steps))
     assert steps == pytest.approx([step.stationarity for step in done.solution.history])
     outer = Outer.of(done.solution.problem)
-    q = outer.relocation.mesh_map.q_of(np.asarray(done.solution.mesh.p))
+    q = outer.relocation.parts.mesh_map.q_of(np.asarray(done.solution.mesh.p))
     assert steps[0] == pytest.approx(1, rel=0.1)  # mpcc has the forces of its first relaxation there
     assert steps[-1] == pytest.approx(outer.residual(outer.energy(q)), abs=1e-5)
     assert steps[-1] <= 1e-5
