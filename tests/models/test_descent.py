@@ -48,10 +48,8 @@ def test_widths_are_heights_in_units_of_the_outer_variables() -> None:
         # right isosceles triangles, moves in units of the shortest edge: all heights are alike
         np.testing.assert_allclose(node_widths(rel, np.zeros(rel.parts.n_q)), np.sqrt(0.5))
         limited = relocation(replace(problem, motion=Motion((0.02, 0.01))))
-        width, index = (
-            node_widths(limited, np.zeros(limited.parts.n_q)),
-            limited.parts.mesh_map.positions.index,
-        )
+        width = node_widths(limited, np.zeros(limited.parts.n_q))
+        index = limited.parts.mesh_map.positions.index
         height = legs * np.sqrt(0.5)
         np.testing.assert_allclose(width[index[0][index[0] >= 0]], height / 0.02)
         np.testing.assert_allclose(width[index[1][index[1] >= 0]], height / 0.01)
