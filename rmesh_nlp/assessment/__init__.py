@@ -1,1 +1,13 @@
-"""What a mesh is worth to the continuous problem: the exact energy of an admissible displacement."""
+"""What a mesh is worth to the continuous problem: the exact energy of an admissible displacement.
+
+Other folders use of its modules:
+
+- ``admissible``: Admissible, admissible, Continuous
+- ``contact_results``: contact_results, ContactResult, worse
+- ``coulomb``: coulomb_residual, growth
+- ``energy``: friction_energy, load_vector
+- ``error_reduction``: by_certificate, error_reduction, ErrorReduction, on_refined, SLOWEST
+- ``integrals``: over_edges, over_triangles
+- ``measures``: ContactResiduals, corrections, residuals
+- ``parts``: edge_parts, PROVED
+"""

@@ -1,1 +1,14 @@
-"""The inner problem: contact on a fixed mesh, solved exactly."""
+"""The inner problem: contact on a fixed mesh, solved exactly.
+
+Other folders use of its modules:
+
+- ``active_set``: solve
+- ``factorisation``: factorised, HAS_CHOLMOD
+- ``penetration``: deepest, penetrations
+- ``sensitivity``: TangentResponse, weakly_active
+- ``setup_warnings``: penetration_warnings, setup_warnings
+- ``solver``: coefficients, ContactSolver, Directions
+- ``standoff``: Cells, cells_of
+- ``system``: ActiveSet, ContactSystem, Equilibrium, OwnState
+- ``uniqueness``: contraction
+"""

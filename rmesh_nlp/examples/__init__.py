@@ -1,4 +1,11 @@
-"""The paper's examples, and reference solutions for those without an exact one."""
+"""The paper's examples, and reference solutions for those without an exact one.
+
+Other folders use of its modules:
+
+- ``paper``: as_size, PRINTED_DIGITS, RULES, truncated
+- ``random_problems``: random_problem
+- ``reference``: with_reference
+"""
 
 from rmesh_nlp.examples.paper import (
     EXACT_ENERGY_61,

@@ -1,4 +1,17 @@
-"""Meshes in: arrays and simple shapes, with named boundaries and subdomains; files in ``reading``."""
+"""Meshes in: arrays and simple shapes, with named boundaries and subdomains; files in ``reading``.
+
+Other folders use of its modules:
+
+- ``arrays``: from_arrays
+- ``coarsening``: decimated, Lines
+- ``curves``: Circle, Curve, fitted_circle, on_values, Parametrised, Spline, spline_through
+- ``embedding``: fault
+- ``geometry``: counter_clockwise, have_same_mesh, lengths, members_of, named_by_user, node_at, nodes_of,
+  relocated_mesh, SEVEN_DIGITS, signed_areas
+- ``mmg``: is_available, MISSING, remeshed
+- ``reading``: read_mesh
+- ``shapes``: rectangle
+"""
 
 from rmesh_nlp.meshes.arrays import MeshRepairWarning, from_arrays, named
 
