@@ -82,7 +82,7 @@ class Page:
 
     def panels(
         self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0
-    ) -> tuple[Figure, NDArray[Any]]:
+    ) -> tuple[Figure, NDArray]:
         """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
 
         Axes are equal, and labelled with the unit of length. On one column panels stand one below the other.
@@ -93,7 +93,7 @@ class Page:
         shapes = [float(np.ptp(window[1]) / np.ptp(window[0])) for window in windows]
         heights = [width * min(shape, TALLEST) for shape in shapes for _ in range(stacked)]
         figure = new_figure(LABELS + across * width, sum(heights) + ABOVE * len(heights) + below)
-        axes: NDArray[Any] = figure.subplots(
+        axes: NDArray = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
         axes = axes.reshape(len(windows), count)

@@ -101,12 +101,12 @@ def size_of(u: Array) -> Array:
     return u[0] if u.shape[0] == 1 else np.linalg.norm(u, axis=0)
 
 
-def is_fine(triangles: NDArray[Any]) -> bool:
+def is_fine(triangles: NDArray) -> bool:
     """Whether a mesh (nodes per element, elements) is too fine for vectors."""
     return bool(triangles.shape[1] > FINE)
 
 
-def triangulation(nodes: Array, cells: NDArray[Any]) -> Triangulation:
+def triangulation(nodes: Array, cells: NDArray) -> Triangulation:
     """Matplotlib's mesh of the pieces of a mesh with its nodes at (2, nodes), cell by cell."""
     cut = pieces(cells)
     x, y = sampled(cells, nodes, cut.shares).reshape(2, -1)
@@ -114,7 +114,7 @@ def triangulation(nodes: Array, cells: NDArray[Any]) -> Triangulation:
     return Triangulation(x, y, (first[:, None] + cut.triangles[:, None]).reshape(3, -1).T)
 
 
-def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], **options: Any) -> None:
+def draw_mesh(axis: Axes, nodes: Array, cells: NDArray, **options: Any) -> None:
     """The edges of a mesh, with thinner lines on finer meshes; those with a node in the middle are bent."""
     width = float(np.clip(8 / np.sqrt(cells.shape[1]), 0.08, 0.5))
     pen = {"color": GRID_LINE, "linewidth": width, "rasterized": is_fine(cells), **options}
@@ -122,7 +122,7 @@ def draw_mesh(axis: Axes, nodes: Array, cells: NDArray[Any], **options: Any) -> 
     axis.plot(*np.pad(lines, ((0, 0), (0, 0), (0, 1)), constant_values=np.nan).reshape(2, -1), **pen)
 
 
-def draw_nodal(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **options: Any) -> Any:
+def draw_nodal(axis: Axes, nodes: Array, cells: NDArray, values: Array, **options: Any) -> Any:
     """The size of a field (nodes,) or (components, nodes), smooth and so always rasterised.
 
     Returned for its colour bar.
@@ -132,7 +132,7 @@ def draw_nodal(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **o
     return axis.tripcolor(triangulation(nodes, cells), size_of(at_points).ravel(), **look)
 
 
-def draw_elements(axis: Axes, nodes: Array, cells: NDArray[Any], values: Array, **options: Any) -> Any:
+def draw_elements(axis: Axes, nodes: Array, cells: NDArray, values: Array, **options: Any) -> Any:
     """A field (elements,) or (elements, pieces), constant on each; returned for its colour bar."""
     look = {"cmap": MAP, "rasterized": True, **options}
     each = pieces(cells).triangles.shape[1]
