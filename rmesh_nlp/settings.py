@@ -34,6 +34,9 @@ class Number:
         number = isinstance(value, Real) and not isinstance(value, bool)
         if number and ((self.zero and value == 0) or (self.infinite and value == math.inf)):
             return
+        least = 0 if self.zero else 1
+        if self.whole and not (number and isinstance(value, Integral) and int(value) >= least):
+            raise BadInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
         if not (number and 0 < value < math.inf):
             what = "finite and not negative" if self.zero else "positive and finite"
             raise BadInputError(f"{name} must be {what}, got {value!r}")
@@ -41,8 +44,6 @@ class Number:
             raise BadInputError(f"{name} must be above {self.above:g}, got {value!r}")
         if not value < self.below:
             raise BadInputError(f"{name} must be below {self.below:g}, got {value!r}")
-        if self.whole and not isinstance(value, Integral):
-            raise BadInputError(f"{name} must be a whole number, got {value!r}")
 
 
 Positive = Annotated[float, Number()]

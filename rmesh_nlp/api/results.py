@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from rmesh_nlp.errors import expect
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import read_results
 from rmesh_nlp.solving.solution import Solution
@@ -52,6 +53,8 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
 
     if not solutions:
         raise ValueError("nothing to draw: give one or several solutions")
+    for solution in solutions:
+        expect("what is drawn", solution, Solution)
     n, extent = len(solutions), np.ptp(solutions[0].problem.mesh.p, axis=1)
     height = WIDTH * (0.6 if what == "pressure" else float(np.clip(extent[1] / extent[0], 0.1, 2.0)))
     _, (row,) = pyplot.subplots(

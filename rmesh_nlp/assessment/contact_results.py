@@ -85,7 +85,7 @@ def worse(
             if abs(last - fine) > abs(given - fine) + max(CLEAR * abs(fine), ROUNDING * size):
                 at = f" at {place}" if len(places) > 1 else ""
                 sentences.append(
-                    f"the {label}{at} got worse while the energy got better: {given:.4g} on the given mesh, "
+                    f"the {label}{at} got worse: {given:.4g} on the given mesh, "
                     f"{last:.4g} after relocation, {fine:.4g} on the refined mesh"
                 )
     return sentences

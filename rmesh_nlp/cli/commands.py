@@ -55,7 +55,7 @@ def _rmesh(
 def solve(
     context: typer.Context,
     example: Annotated[
-        str, Argument(metavar="EXAMPLE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
+        str, Argument(metavar="EXAMPLE|FILE", help="6.1, 6.2 or 6.3, or a problem file such as my.toml.")
     ],
     formulation: Annotated[
         str | None,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, numbers_of
 from rmesh_nlp.fem.bernstein import SIDES
-from rmesh_nlp.meshes.geometry import lengths
+from rmesh_nlp.meshes.geometry import lengths, members_of
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import on_points
@@ -200,7 +200,7 @@ def contact_edges(problem: ContactProblem, obstacle: Obstacle) -> Index:
 
 def outward_edges(problem: ContactProblem, boundary: str) -> Index:
     """(2, edges) vertices of the edges of a boundary, the body on their left."""
-    facets = problem.mesh.boundaries[boundary]
+    facets = members_of("boundary", boundary, problem.mesh.boundaries)
     edges = problem.mesh.facets[:, facets]
     triangles = problem.triangles[:, problem.mesh.f2t[0, facets]]
     after = (np.argmax(triangles == edges[0], axis=0) + 1) % 3

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import warnings
 from collections.abc import Iterable
 from contextlib import suppress
@@ -19,6 +18,7 @@ from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_messages import as_text
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import EVERY, Count, Number, Seconds
+from rmesh_nlp.solving.parts import plain
 
 Record = dict[str, Any]
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
@@ -112,19 +112,7 @@ def parse_json(text: str, where: str) -> Any:
 
 def to_json(record: Record, indent: int | None = None) -> str:
     """Strict JSON: what is not a finite number becomes null, an unpaired surrogate a question mark."""
-    return json.dumps(_plain(record), indent=indent, allow_nan=False)
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):  # numpy scalars and arrays
-        value = value.tolist()
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value.encode(errors="replace").decode() if isinstance(value, str) else value
+    return json.dumps(plain(record), indent=indent, allow_nan=False)
 
 
 def read_lines(path: Path) -> list[Record]:

@@ -44,7 +44,7 @@ def rectangle(
         if not isinstance(n, (int, np.integer)) or n < 1:
             raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
     for name, ends in (("x", x), ("y", y)):
-        if len(ends) != 2 or not (is_finite(ends) and ends[0] < ends[1]):
+        if np.shape(ends) != (2,) or not (is_finite(ends) and ends[0] < ends[1]):
             raise ValueError(f"{name} must be two increasing numbers, got {ends}")
     _affordable(2 * nx * ny)
     if diagonal not in DIAGONALS:

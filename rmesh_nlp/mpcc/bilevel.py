@@ -19,7 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import located, unknown
+from rmesh_nlp.errors import expect, located, unknown
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.problem import MPCC, _column
 from rmesh_nlp.optimize.nlp import NLP, Symbolic
@@ -61,6 +61,8 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     sufficient only if it is convex. Where the lower level has several minima the MPCC takes that which
     suits the upper level (optimistic).
     """
+    expect("upper", upper, Mapping)
+    expect("lower", lower, Mapping)
     if "x" not in upper:
         raise ValueError("upper: 'x' is missing, the upper level's variables")
     if "p" in lower:

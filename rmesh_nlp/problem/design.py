@@ -6,7 +6,7 @@ is the amplitude of a motion of boundary nodes. :func:`rmesh_nlp.ContactProblem.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
 from typing import Any, ClassVar
@@ -112,6 +112,8 @@ class Constraint:
     bounds: tuple[float, Any]
 
     def __post_init__(self) -> None:
+        if not isinstance(self.bounds, Sequence) or len(self.bounds) != 2:
+            raise ValueError(f"the bounds of {str(self.value)!r} must be two numbers, got {self.bounds!r}")
         if isinstance(self.bounds[1], ca.SX):
             return
         lower, upper = (float(bound) for bound in self.bounds)
@@ -122,12 +124,12 @@ class Constraint:
 
 
 def _check(variable: DesignVariable | Shape) -> None:
-    name, start, bounds = variable.name, variable.start, tuple(variable.bounds)
-    object.__setattr__(variable, "bounds", bounds)
+    name, start, bounds = variable.name, variable.start, variable.bounds
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
-    if len(bounds) != 2 or not (is_finite(bounds) and bounds[0] < bounds[1]):
-        raise ValueError(f"the bounds of {name!r} must be finite and increase, got {list(bounds)}")
+    if np.shape(bounds) != (2,) or not (is_finite(bounds) and bounds[0] < bounds[1]):
+        raise ValueError(f"the bounds of {name!r} must be two finite numbers that increase, got {bounds}")
+    object.__setattr__(variable, "bounds", tuple(bounds))
     if not bounds[0] <= start <= bounds[1]:
         raise ValueError(f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from rmesh_nlp.errors import expect
+
 
 @dataclass(frozen=True)
 class Units:
@@ -19,6 +21,10 @@ class Units:
 
     length: str = ""
     force: str = ""
+
+    def __post_init__(self) -> None:
+        for name, unit in vars(self).items():
+            expect(f"the unit of {name}", unit, str)
 
     @property
     def line_force(self) -> str:

@@ -99,6 +99,7 @@ class Advice:
     second_order_factor: float | None = None
     second_order_remeshing_factor: float | None = None
     is_rough: bool = False
+    command: str = "rmesh solve"
 
     def record(self) -> dict[str, Any]:
         """As plain values."""
@@ -110,11 +111,8 @@ class Advice:
         rows = [
             ("error of the energy", figure(self.error)),
             ("best mesh of as many triangles", _less(self.attainable_factor, " error", least=least)),
-            ("rmesh solve --remesh", _less(self.remeshing_factor, _cost("remesh"), least=least)),
-            (
-                "rmesh solve: nodes move",
-                _less(self.attainable_same_connectivity, _cost("relocate")),
-            ),
+            (f"{self.command} --remesh", _less(self.remeshing_factor, _cost("remesh"), least=least)),
+            (f"{self.command}: nodes move", _less(self.attainable_same_connectivity, _cost("relocate"))),
             ("refined locally, as many triangles", _less(self.attainable_by_refinement, ", at best")),
             ("refined uniformly, four times as many", _less(4**self.rate, _cost("refine"))),
             ("recommended with as many nodes", self.sentence),
@@ -122,7 +120,7 @@ class Advice:
         if self.second_order_factor is not None:
             rows.append(("order 2 on this mesh", _less(self.second_order_factor)))
             remeshed = _less(self.second_order_remeshing_factor, about="roughly ")
-            rows.append(("rmesh solve --order 2 --remesh", remeshed))
+            rows.append((f"{self.command} --order 2 --remesh", remeshed))
         return rows
 
     @property
@@ -133,8 +131,8 @@ class Advice:
         if self.recommended == "refine":
             return "refine: this mesh suits the solution already"
         if self.recommended == "relocate":
-            return "relocate: rmesh solve"
-        return "remesh and relocate: rmesh solve --remesh" + ("" if is_available() else f" ({MISSING})")
+            return f"relocate: {self.command}"
+        return f"remesh and relocate: {self.command} --remesh" + ("" if is_available() else f" ({MISSING})")
 
 
 def _less(factor: float | None, more: str = "", *, about: str = "", least: float = np.inf) -> str:
@@ -150,7 +148,8 @@ def _cost(what: str) -> str:
 def advise(problem: ContactProblem) -> Advice:
     """Say what relocation, a new mesh, refinement and order 2 can attain, and recommend one.
 
-    Move limits are not regarded; over curved foundations gaps hold along edges, as in ``auto``.
+    Move limits are not regarded, nor by the ``command`` that is recommended; over curved foundations gaps
+    hold along edges, as in ``auto``.
     """
     if problem.has_coulomb:
         raise BadInputError(
@@ -180,6 +179,7 @@ def advise(problem: ContactProblem) -> Advice:
         second_order_factor=factor,
         second_order_remeshing_factor=remeshed,
         is_rough=prospect.is_rough,
+        command="rmesh solve" + ("" if problem.motion.delta is None else " --delta none"),
     )
 
 

@@ -33,7 +33,6 @@ from rmesh_nlp.solving.entry import (
     of_energies,
     of_seconds,
 )
-from rmesh_nlp.solving.parts import plain
 
 Solution = Any
 """A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
@@ -63,10 +62,7 @@ def _remark(solution: Solution) -> str | None:
 def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
     if (certificate := solution.certificate) is None:
         return None
-    return {
-        name: {key: plain(part) for key, part in of._asdict().items()}
-        for name, of in certificate.bounds.items()
-    } or None
+    return {name: of._asdict() for name, of in certificate.bounds.items()} or None
 
 
 # fmt: off

@@ -245,9 +245,8 @@ def first(start: object) -> Formulation | None:
     """The formulation that a start names, which runs before; None where it names none."""
     if not isinstance(start, str) or start == GIVEN:
         return None
-    if start not in available():
-        raise unknown("start", start, [GIVEN, *sorted(available())])
-    named = composed(start, {})
-    if not isinstance(named, Formulation):
-        raise BadInputError(f"start must be a formulation that is no choice of others, got {start!r}")
+    named = composed(start, {}) if start in available() else None
+    if not isinstance(named, Formulation):  # what chooses among others is none
+        names = [name for name in sorted(available()) if isinstance(composed(name, {}), Formulation)]
+        raise unknown("start", start, [GIVEN, *names])
     return named

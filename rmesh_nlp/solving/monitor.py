@@ -15,6 +15,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import expect
 from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.meshes.geometry import have_same_mesh
 from rmesh_nlp.models.reduced_model import ReducedPoint
@@ -123,6 +124,7 @@ class Monitor:
         self._track = None
         outcome, last = self.attempt(lambda: formulation.run(outer, q, self)), self._track
         if outcome is not None:
+            expect("what run returns", outcome, Outcome)
             return outcome
         if last is None:
             return Outcome(outer, q, self.end)

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from rmesh_nlp.contact.system import OwnState
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.outer import Outer
+from rmesh_nlp.solving.parts import plain
 
 
 @dataclass(frozen=True)
@@ -31,7 +37,8 @@ class Outcome:
     label : str, optional
         Stationarity of an MPCC; by default "KKT" where the measured residual allows.
     details : mapping of str to object
-        Entries of the record by their names, declared in :mod:`rmesh_nlp.solving.entries`.
+        Entries of the record by their names: those that :mod:`rmesh_nlp.solving.entries` declares without a
+        value of a Solution, or others; numbers, texts, lists and mappings of them.
     remarks : tuple of str
         For people: what else there is to say of a choice of settings.
     """
@@ -43,6 +50,17 @@ class Outcome:
     label: str | None = None
     details: Mapping[str, Any] = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        expect("the status of an outcome", self.status, Status)
+        if np.shape(self.q) != (self.outer.n,):
+            raise BadInputError(f"q of an outcome must be of shape ({self.outer.n},), got {np.shape(self.q)}")
+        if of_driver := [name for name in self.details if name in ENTRIES and ENTRIES[name].of is not None]:
+            raise BadInputError(f"details: the driver itself writes {', '.join(of_driver)}")
+        try:
+            json.dumps(plain(self.details))
+        except TypeError as error:
+            raise BadInputError(f"details: {error}") from error
 
     def having(self, details: Mapping[str, Any], **changes: Any) -> Outcome:
         """The same with further entries."""

@@ -52,7 +52,7 @@ class Constrained:
 
     def record(self) -> dict[str, float | None]:
         """The three and the violation as JSON, where an infinite bound is null."""
-        return {**{name: plain(value) for name, value in vars(self).items()}, "violation": self.violation}
+        return {**plain(vars(self)), "violation": self.violation}
 
     def in_words(self) -> str:
         """For people."""
@@ -131,8 +131,8 @@ class Step:
 
     def row(self) -> dict[str, Any]:
         """The step as a line of a history: None where unknown, ``t`` may be ``inf``."""
-        row = {name: plain(getattr(self, name)) for name in HISTORY}
-        row |= {DESIGN + name: plain(value) for name, value in self.design.items()}
+        row: dict[str, Any] = plain({name: getattr(self, name) for name in HISTORY})
+        row |= plain({DESIGN + name: value for name, value in self.design.items()})
         return {**row, "t": self.t} if np.isinf(self.t) else row
 
 
@@ -141,9 +141,15 @@ HISTORY = (*(one.name for one in fields(Step) if one.repr), "stationarity")
 
 
 def plain(value: Any) -> Any:
-    """A value for JSON: numbers of numpy as Python's, and None for what is not finite."""
-    value = value.item() if isinstance(value, np.generic) else value
-    return None if isinstance(value, float) and not np.isfinite(value) else value
+    """A value for JSON: numpy's as Python's, None for what is not finite, "?" for unpaired surrogates."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value.encode(errors="replace").decode() if isinstance(value, str) else value
 
 
 class Bounds(NamedTuple):

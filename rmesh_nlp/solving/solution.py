@@ -264,8 +264,7 @@ class Solution(Shown):
         """The entries of :mod:`rmesh_nlp.solving.entries` as plain JSON values. NaN becomes None."""
         terms, seconds = self._error_terms
         timed = replace(self, audit_time_s=self.audit_time_s + seconds)
-        row = {**written(timed), **terms, **self.details, **self.assessment.first_order.label}
-        return {name: plain(value) for name, value in row.items()}
+        return plain({**written(timed), **terms, **self.details, **self.assessment.first_order.label})
 
     @cached_property
     def _error_terms(self) -> tuple[dict[str, float], float]:

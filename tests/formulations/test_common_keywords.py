@@ -103,7 +103,7 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
         ("limits", {"seconds": 0}, "seconds must be positive and finite, got 0"),
         ("limits", {"iterations": 1.5}, r"iterations must be a whole number, got 1\.5"),
         ("start", "jiont", "unknown start 'jiont': did you mean joint"),
-        ("start", "auto", "start must be a formulation that is no choice of others, got 'auto'"),
+        ("start", "auto", "unknown start 'auto': choose from given, cascade, fixed, joint, mpcc, nested"),
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
         ("start", np.zeros(3), r"start must hold positions \(2, nodes\), got an array of shape \(3,\)"),
         ("start", np.full((2, 15), np.nan), "start: node 0 has no finite position"),
