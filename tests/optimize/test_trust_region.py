@@ -165,7 +165,7 @@ def test_bad_settings_are_refused_by_name() -> None:
     for given, message in (
         ({"poor": 0.9}, "poor < good"),
         ({"shrink": 1.5}, "shrink must be below 1"),
-        ({"max_products": 2.5}, "max_products must be a whole number, got 2.5"),
+        ({"max_products": 2.5}, "max_products must be a whole number of at least 1, got 2.5"),
         ({"grow": 1.0}, "grow must be above 1"),
     ):
         with pytest.raises(BadInputError, match=message):

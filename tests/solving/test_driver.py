@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from formulations.multistart import MultiStart
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.optimize.budget import Limits
@@ -157,3 +158,13 @@ def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: Contact
     assert outer.is_near
     np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)
     assert (then.start, then.iterations) == ("joint", first.iterations)
+
+
+@pytest.mark.parametrize(
+    ("details", "words"),
+    [({"energy": -1e9}, "the driver itself writes energy"), ({"a": {1}}, "type set is not JSON")],
+)
+def test_what_the_driver_measures_is_not_written_over(details: dict[str, object], words: str) -> None:
+    outer = Outer.of(EXAMPLES["6.1"](2))
+    with pytest.raises(BadInputError, match=words):
+        Outcome(outer, np.zeros(outer.n), Status.CONVERGED, details=details)

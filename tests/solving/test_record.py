@@ -93,7 +93,7 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     reduction = ErrorReduction((0.3, 0.4), (0.1, 0.2), 2.0, 3.0, "refinement", 15, 7)
     fell = replace(made, reduced_error=ReducedError(reduction))
     assert dict(fell.summary())["error reduction"] == fell.error_reduction.text()
-    assert fell.record()["error_reduction"] == fell.error_reduction.record()
+    assert fell.record()["error_reduction"] == plain(fell.error_reduction.record())
     assert replace(made, certificate_remark="no").record()["certificate_remark"] == "no"
 
 

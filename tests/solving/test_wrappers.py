@@ -104,7 +104,7 @@ class TestMultiStart:
         solution = solve_once(problem, MultiStart(script.formulation, 5))
         assert len(script.begun) == 2
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-        assert solution.record()["start_seeds"] == (None, 1)
+        assert solution.record()["start_seeds"] == [None, 1]
         np.testing.assert_allclose(solution.mesh.p, script.ends[0].outer.nodes(script.ends[0].q))
 
 
