@@ -15,9 +15,7 @@ import pytest
 import ablation
 import benchmark_cost
 import soak_losses
-from formulations import cascade
 from random_designs import random_design
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.solving.outer import Outer
 from rows import Store, markdown
 
@@ -86,19 +84,13 @@ def test_table_of_the_ablation_has_gains_failures_and_cost():
     assert cells == [rule, "3", "0.7500", "0.500", "1, 0", "1, 0", "2.00"]
 
 
-def test_parts_of_the_cost_add_up_to_the_whole_and_the_package_is_left_as_it_was(capsys):
-    before = cascade.descend, ContactSolver.__init__
+def test_cost_of_a_solve_is_larger_than_its_unit(capsys):
     assert benchmark_cost.main(["6.1:2"]) == 0
-    assert (cascade.descend, ContactSolver.__init__) == before
     lines = capsys.readouterr().out.splitlines()
     header, _, row = ([one.strip() for one in line.split("|")[1:-1]] for line in lines if line)
-    parts = [*benchmark_cost.PARTS, "rest"]
-    assert header[-len(parts) :] == parts
-    found = dict(zip(header, row, strict=True))
-    assert (found["problem"], found["nodes"]) == ("6.1:2", "9")
-    # rounded to three digits
-    assert sum(float(found[part]) for part in parts) == pytest.approx(float(found["whole"]), rel=0.05)
-    assert min(float(found[part]) for part in ("models", "descents", "assess", "reduction", "unit")) > 0
+    cost = dict(zip(header, row, strict=True))
+    assert (cost["problem"], cost["nodes"]) == ("6.1:2", "9")
+    assert 1 < float(cost["without assessment"]) < float(cost["whole"])
 
 
 made = cache(random_design)
