@@ -20,17 +20,14 @@ CHECK = 512, 96
 class Equilibrium:
     """A displacement (unknowns,) of a mesh, with friction integrated in its ``energy`` J.
 
-    ``peak`` is the largest normal force over the length or area of its node, ``resultant`` the sum of all
-    normal forces, ``length`` is where they act.
+    ``resultant`` is the sum of all normal forces.
     """
 
     body: Body
     u: np.ndarray
     energy: float
     converged: bool
-    peak: float
     resultant: float
-    length: float
 
 
 def gap_rows(body: Body, parts: int) -> tuple[csr_matrix, np.ndarray, np.ndarray]:
@@ -103,7 +100,7 @@ def equilibrium(body: Body, F: np.ndarray, parts: int = 1, check: int = 0) -> Eq
     With ``check`` points where the gap is most negative among so many more are added, until none is.
     """
     held, u = body.given
-    free, c, weight, u = ~held, body.c, nodal_weights(body), u.copy()
+    free, u = ~held, u.copy()
     (A, d, bound), slips = contact_rows(body, parts * body.data.order)
     fine = gap_rows(body, check) if check else None
     K, f, given = body.stiffness[free][:, free], (F - body.stiffness @ u)[free], np.where(held, u, 0.0)
@@ -120,11 +117,7 @@ def equilibrium(body: Body, F: np.ndarray, parts: int = 1, check: int = 0) -> Eq
         new = cells * z.shape[1] + z[cells].argmin(axis=1)
         A, d = vstack([A, fine[0][new]]).tocsr(), np.append(d, fine[1][new])
         bound = np.append(bound, np.full(new.size, np.inf))
-    on = np.where(weight > 1e-12 * np.max(weight), weight, np.inf)
-    pressure = np.linalg.norm((A[slips:].T @ mu[slips:]).reshape(-1, c), axis=1) / on
-    peak, resultant = float(np.max(pressure)), float(np.sum(mu[slips:]))
-    length = float(np.sum(weight[pressure > 1e-6 * peak]))
-    return Equilibrium(body, u, energy(body, F, u), converged, peak, resultant, length)
+    return Equilibrium(body, u, energy(body, F, u), converged, float(np.sum(mu[slips:])))
 
 
 def least(data: Data, mesh: MeshTri) -> Equilibrium:
@@ -133,22 +126,7 @@ def least(data: Data, mesh: MeshTri) -> Equilibrium:
     return equilibrium(body, accurate_loads(body), 8, CHECK[data.foundation.kind == "interior"])
 
 
-def penetration(body: Body, u: np.ndarray) -> float:
-    """The deepest negative gap, where it is not given by supports."""
-    A, d, free = gap_rows(body, CHECK[body.data.foundation.kind == "interior"])
-    return float(np.max(-(A @ u + d)[free], initial=0.0))
-
-
 def blocked(body: Body) -> bool:
     """Whether supports alone press the body into the foundation: then nothing is admissible."""
     A, d, free = gap_rows(body, 8)
     return bool(np.min((A @ body.given[1] + d)[~free], initial=0.0) < -1e-9)
-
-
-def nodal_weights(body: Body) -> np.ndarray:
-    """Length of the contact boundary, or area, that belongs to each node."""
-    if body.data.foundation.kind == "interior":  # of order 2 the thirds belong to the middles of edges
-        return np.bincount(body.nodes[-3:].ravel(), np.tile(body.area / 3, 3), body.size)
-    t, w = composite(1, 3)
-    _, length, matrix = body.trace(body.data.foundation.boundary, t)
-    return np.asarray(matrix.T @ (length * w).ravel())
