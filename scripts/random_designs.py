@@ -7,7 +7,7 @@ constraints come from what the contact solution is at a random design, so that t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,13 +16,7 @@ import numpy as np
 from skfem import MeshTri
 
 import rmesh_nlp as rm
-from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.errors import ProblemError
-from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes import named
-from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective, ReducedPoint
-from rmesh_nlp.optimize.status import Status
 
 LENGTH = 2.0
 """Of the body; its height is 1."""
@@ -82,7 +76,7 @@ def random_design(seed: int) -> RandomDesign:
         try:
             problem = _membrane(draw) if rng.random() < 0.2 else _body(draw)
             result = _stated(draw, _designed(draw, problem))
-        except ProblemError:  # the foundation cuts a support at the first or at the feasible design
+        except rm.ProblemError:  # the foundation cuts a support at the first or at the feasible design
             continue
         if result is not None:
             return result
@@ -101,28 +95,28 @@ def _mesh(draw: _Draw) -> MeshTri:
     return mesh
 
 
+def _by_region(mesh: MeshTri, law: Callable[[str], Any]) -> Any:
+    """A law by the name of its region, for each region or all of the mesh."""
+    return {name: law(name) for name in ("a", "b")} if mesh.subdomains else law("")
+
+
 def _body(draw: _Draw) -> rm.ContactProblem:
     mesh, law = _mesh(draw), draw.one_of([rm.PlaneStrain, rm.PlaneStress])
     weight = (0.0, -LOAD * draw.number("weight", 0.0, 1.0))
-    regions = ("a", "b") if mesh.subdomains else ("",)
-    laws = {
-        name: law.from_young(
+    laws = _by_region(
+        mesh,
+        lambda name: law.from_young(
             YOUNG * draw.number(f"E{name}", 0.5, 2.0), draw.number(f"nu{name}", 0.1, 0.4), weight
-        )
-        for name in regions
-    }
+        ),
+    )
     push, pull = LOAD * draw.number("push", 0.5, 2.0), LOAD * draw.number("pull", -1.0, 1.0)
     held = draw.one_of(["left", "top", "both"])
-    loads = {
-        "left": (rm.Traction("top", (pull, lambda x, y: -push * (1 + x))), rm.Traction("right", (pull, 0.0))),
-        "top": (rm.Traction("right", (-push, pull)),),
-        "both": (rm.Traction("top", (pull, -10 * push)),),
-    }[held]
-    shift = (0.0, -float(draw.rng.uniform(0.005, 0.03)))
-    supports = {
-        "left": (rm.Dirichlet("left", (0.0, 0.0)),),
-        "top": (rm.Dirichlet("top", shift),),
-        "both": (rm.Dirichlet("left", (0.0, 0.0)), rm.Dirichlet("right", (0.0, 0.0))),
+    top = rm.Dirichlet("top", (0.0, -float(draw.rng.uniform(0.005, 0.03))))
+    slope = pull, lambda x, y: -push * (1 + x)
+    supports, loads = {
+        "left": (("left",), (rm.Traction("top", slope), rm.Traction("right", (pull, 0.0)))),
+        "top": ((top,), (rm.Traction("right", (-push, pull)),)),
+        "both": (("left", "right"), (rm.Traction("top", (pull, -10 * push)),)),
     }[held]
     friction = draw.one_of(FRICTIONS)
     bounds = {
@@ -132,7 +126,7 @@ def _body(draw: _Draw) -> rm.ContactProblem:
     }[friction]
     return rm.ContactProblem(
         mesh=mesh,
-        law=laws if mesh.subdomains else laws[""],
+        law=laws,
         dirichlet=supports,
         obstacle=replace(_foundation(draw), **bounds),
         tractions=loads,
@@ -159,12 +153,9 @@ def _membrane(draw: _Draw) -> rm.ContactProblem:
     """A scalar problem above an obstacle, or with a unilateral boundary."""
     mesh = _mesh(draw)
     source = draw.number("source", -4.0, -2.0)
-    regions = ("a", "b") if mesh.subdomains else ("",)
     wave = draw.number("wave", -1.0, 1.0)
-    laws = {
-        name: rm.Laplace(lambda x, y: source + wave * ca.sin(3 * x), draw.number(f"k{name}", 0.5, 2.0))
-        for name in regions
-    }
+    load = lambda x, y: source + wave * ca.sin(3 * x)  # noqa: E731
+    laws = _by_region(mesh, lambda name: rm.Laplace(load, draw.number(f"k{name}", 0.5, 2.0)))
     depth, bend = draw.number("h0", 0.1, 0.3), draw.number("bend", -0.1, 0.1)
     psi = lambda x, y: -depth + bend * (x - 1) ** 2  # noqa: E731
     obstacle = (
@@ -174,7 +165,7 @@ def _membrane(draw: _Draw) -> rm.ContactProblem:
     )
     return rm.ContactProblem(
         mesh=mesh,
-        law=laws if mesh.subdomains else laws[""],
+        law=laws,
         dirichlet=(rm.Dirichlet("left", (0.0,)),),
         obstacle=obstacle,
         motion=rm.Motion(0),
@@ -193,40 +184,34 @@ def _designed(draw: _Draw, problem: rm.ContactProblem) -> rm.ContactProblem:
 
 @dataclass(frozen=True)
 class _Known:
-    """The contact solution at the feasible design, and the names of what is measured of it."""
+    """The problem at the feasible design, and the names of what is measured of it."""
 
-    solver: ContactSolver
-    energy: ReducedEnergy
-    point: ReducedPoint
+    outer: rm.Outer
     contact: str | None  # boundary with contact
     free: str  # boundary whose displacement is measured
     u: str
 
     def value(self, text: str) -> float:
         """Value of an objective."""
-        return float(ReducedObjective(self.energy, parse_objective(text))(self.point.q).value)
+        return float(self.outer.minimising(rm.objective(text)).at_start.value)
 
     def largest_pressure(self) -> float:
         """Over all contact nodes."""
-        problem, force = self.energy.relocation.parts.problem, self.point.equilibrium.normal_force
-        return float(np.max(force / self.solver.discretisation.space.weights(np.asarray(problem.mesh.p))))
+        space, nodes = self.outer.discretisation.space, np.asarray(self.outer.problem.mesh.p)
+        return float(np.max(self.outer.contact.given.normal_force / space.weights(nodes)))
 
 
 def _stated(draw: _Draw, problem: rm.ContactProblem) -> RandomDesign | None:
     """With an objective and constraints; None if nothing is in contact at the feasible design."""
     feasible = {variable.name: float(draw.rng.uniform(*variable.bounds)) for variable in problem.design}
-    at_feasible = problem.at_design(feasible)
-    solver = ContactSolver(discretise(at_feasible))
-    energy = ReducedEnergy(solver)
-    point = energy(np.zeros(energy.relocation.parts.n_q))
-    state = point.equilibrium
-    if state.status is not Status.CONVERGED or not np.any(state.normal_force > 0):
+    outer = rm.Outer.of(problem.at_design(feasible))
+    state = outer.contact.given
+    if state.status is not rm.Status.CONVERGED or not np.any(state.normal_force > 0):
         return None
+    at_feasible = outer.problem
     contact, scalar = at_feasible.contact_sets[0].obstacle.boundary, at_feasible.components == 1
     solved = _Known(
-        solver,
-        energy,
-        point,
+        outer,
         contact if isinstance(contact, str) else None,
         "right" if scalar or at_feasible.supports[0].boundary == "top" else "top",
         "u" if scalar else draw.one_of(["ux", "uy"]),
