@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import pandas as pd
 from matplotlib.figure import Figure
@@ -21,11 +22,11 @@ from matplotlib.figure import Figure
 import rmesh_nlp as rm
 from best_mesh.cases import next_mesh
 from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns, warm_up
-from best_mesh.tables import cases, draw, finished, of
+from best_mesh.tables import cases, finished, side_by_side, written
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
-from rows import Row, Store, command_line, markdown, timed
+from rows import Row, Store, command_line, timed
 
 METHODS = (UNIFORM, ADAPTIVE, RELOCATED, REMESHED)
 
@@ -77,15 +78,14 @@ def table(rows: Sequence[Row]) -> pd.DataFrame:
 
 def picture(rows: Sequence[Row]) -> Figure:
     """Half the width of the first problem's bounds against nodes and against time."""
-    sheet, case = Figure(figsize=(8, 4.4), layout="constrained"), cases(rows)[0]
-    left, right = sheet.subplots(1, 2, sharey=True)
-    for axis, x in ((left, "nodes"), (right, "seconds")):
-        for order, style in ((1, "--"), (2, "-")):
-            for method in METHODS:
-                look = {"linestyle": style, "label": f"{method}, order {order}"}
-                draw(axis, of(rows, case, method, order), x, method, **look)
+    styles = {1: "--", 2: "-"}
+    curves = [
+        (method, order, {"linestyle": style, "label": f"{method}, order {order}"})
+        for (order, style), method in product(styles.items(), METHODS)
+    ]
+    sheet, left = side_by_side(rows, cases(rows)[0], curves)
     left.set(ylabel="half the width of the force's bounds [%]")
-    return finished(sheet, {"nodes of the displacement": [left], "processor time [s]": [right]}, left)
+    return finished(sheet, "nodes of the displacement")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -101,10 +101,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         free = replace(problem, motion=replace(problem.motion, delta=None, pinned=()))
         for task in tasks(free, options.levels):
             measure(store, free.name, *task)
-    text = markdown(table(store.rows))
-    (options.out / "table.md").write_text(text)
-    picture(store.rows).savefig(options.out / "force_bounds.png", dpi=150)
-    print(text)
+    written(options.out, [table(store.rows)], picture(store.rows), "force_bounds.png")
     return 0
 
 

@@ -40,8 +40,8 @@ from best_mesh.methods import (
     by_scikit_fem,
     measure,
 )
-from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
-from rows import Row, Store, command_line, figure, markdown
+from best_mesh.tables import cases, error_at, finished, of, side_by_side, times, written
+from rows import Row, Store, command_line
 
 MANY = 300
 """Nodes from which on times are compared."""
@@ -86,34 +86,16 @@ def factors(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.DataFrame(lines)[[*columns, f"{RELOCATED} [s]", f"{REMESHED} [s]"]]
 
 
-def times(rows: Sequence[Row]) -> pd.DataFrame:
-    """Processor times over those of h-adaptive refinement at equal error."""
-    lines = []
-    for name in cases(rows):
-        peer = of(rows, name, ADAPTIVE)
-        for method in (LOOP, RELOCATED, REMESHED):
-            own = of(rows, name, method).query("nodes >= @MANY")
-            ratios = [mesh.seconds / seconds_at(peer, mesh.error) for mesh in own.itertuples()]
-            if np.any(np.isfinite(ratios)):
-                columns = {"nodes": own.nodes, "s": own.seconds, "over h-adaptive's": ratios}
-                cells = {key: ", ".join(map(figure, values)) for key, values in columns.items()}
-                lines.append({"problem": name, "method": method, **cells})
-    return pd.DataFrame(lines, columns=["problem", "method", "nodes", "s", "over h-adaptive's"])
-
-
 def picture(rows: Sequence[Row], case: str = "6.1") -> Figure:
     """Error against nodes and against time."""
-    sheet = Figure(figsize=(8, 4.2), layout="constrained")
-    left, right = sheet.subplots(1, 2, sharey=True)
-    for axis, x in ((left, "nodes"), (right, "seconds")):
-        for method in (UNIFORM, ADAPTIVE, LOOP, RELOCATED, REMESHED):
-            draw(axis, of(rows, case, method), x, method, label=method)
-        second = {"color": "#E69F00", "marker": "x", "label": "second order, uniform"}
-        draw(axis, of(rows, case, UNIFORM, 2), x, UNIFORM, **second)
+    methods = (UNIFORM, ADAPTIVE, LOOP, RELOCATED, REMESHED)
+    second = {"color": "#E69F00", "marker": "x", "label": "second order, uniform"}
+    curves = [(method, 1, {"label": method}) for method in methods] + [(UNIFORM, 2, second)]
+    sheet, left = side_by_side(rows, case, curves)
     bound = of(rows, case, ATTAINABLE)
     left.loglog(bound.nodes, bound.error, "k--", label="attainable with linear elements")
     left.set(ylabel=f"error of the energy, Example {case}")
-    return finished(sheet, {"nodes": [left], "processor time [s]": [right]}, left)
+    return finished(sheet)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,10 +109,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for case in (CASES[name] for name in options.cases):
         for task in tasks(case, case.sizes[: options.levels]):
             measure(store, case.name, *task)
-    text = f"{markdown(factors(store.rows))}\n{markdown(times(store.rows))}"
-    (options.out / "table.md").write_text(text)
-    picture(store.rows).savefig(options.out / "best_mesh.png", dpi=150)
-    print(text)
+    compared = times(store.rows, 1, (LOOP, RELOCATED, REMESHED), (ADAPTIVE,), MANY)
+    written(options.out, (factors(store.rows), compared), picture(store.rows), "best_mesh.png")
     return 0 if all(np.isfinite(row.get("error", np.nan)) for row in store.rows) else 1
 
 

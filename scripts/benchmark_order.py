@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -29,10 +30,10 @@ from best_mesh import adaptive as plain
 from best_mesh import methods
 from best_mesh.cases import CASES, MORE, Case, extrapolated
 from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
-from best_mesh.tables import cases, draw, error_at, finished, of, seconds_at
+from best_mesh.tables import cases, draw, error_at, finished, of, times, written
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
-from rows import Row, Store, command_line, figure, markdown
+from rows import Row, Store, command_line
 
 SIZES = {
     "L-shape r^(2/3)": (4, 8, 16, 32),
@@ -161,45 +162,20 @@ def orders(rows: Sequence[Row]) -> pd.DataFrame:
     return pd.concat(parts)
 
 
-def times(rows: Sequence[Row]) -> pd.DataFrame:
-    """Processor times over those of uniform and h-adaptive meshes of scikit-fem at equal error, at order 2.
-
-    Where no mesh that was measured reaches the error, the last ones are continued: with the rate of the
-    error, and with a time in proportion to the nodes, so that the ratio is a bound.
-    """
-    lines = []
-    for case in cases(rows):
-        for method in (RELOCATED, REMESHED):
-            for mesh in of(rows, case, method, 2).query("nodes >= @MANY").itertuples():
-                line = {"problem": case, "method": method, "nodes": mesh.nodes}
-                for peer in (UNIFORM, ADAPTIVE):
-                    own = of(rows, case, peer, 2).dropna(subset="seconds")
-                    line[f"over {peer}"] = figure(mesh.seconds / seconds_at(own, mesh.error))
-                    if len(own) > 1 and mesh.error < own.error.iloc[-1]:
-                        (_, before), (_, last) = own[-2:].iterrows()
-                        rate = np.log(before.error / last.error) / np.log(last.nodes / before.nodes)
-                        least = last.seconds * (last.error / mesh.error) ** (1 / rate)
-                        line[f"over {peer}"] = f"< {figure(mesh.seconds / least)}"
-                lines.append(line)
-    columns = ["problem", "method", "nodes", f"over {UNIFORM}", f"over {ADAPTIVE}"]
-    return pd.DataFrame(lines, columns=columns)
-
-
 def picture(rows: Sequence[Row]) -> Figure:
     """Error against unknowns and against time: orders 1 (open, dashed) and 2 of all methods."""
     sheet = Figure(figsize=(8, 6.4), layout="constrained")
     axes = sheet.subplots(2, len(SHOWN), sharey="col")
     for column, (case, title) in enumerate(SHOWN.items()):
-        for row, x in enumerate(("nodes", "seconds")):
-            for method in METHODS:
-                for order, look in ((1, {"markerfacecolor": "white", "linestyle": "--"}), (2, {})):
-                    label = f"order {order}, {method}"
-                    own = of(rows, case, method, order)
-                    draw(axes[row, column], own, x, method, label=label, **look)
+        for axis, x in zip(axes[:, column], ("nodes", "seconds"), strict=True):
+            for method, order in product(METHODS, (1, 2)):
+                look = {"markerfacecolor": "white", "linestyle": "--"} if order == 1 else {}
+                own = of(rows, case, method, order)
+                draw(axis, own, x, method, label=f"order {order}, {method}", **look)
         axes[0, column].set(title=title)
     for axis in axes[:, 0]:
         axis.set_ylabel("error (squared energy norm)")
-    return finished(sheet, {"unknown nodes": axes[0], "processor time [s]": axes[1]}, axes[0, 0])
+    return finished(sheet, "unknown nodes")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -214,10 +190,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         methods.warm_up()
         for name in options.cases:
             measured(store, {**CASES, **MORE}[name], options.levels)
-    text = "\n".join(markdown(table(store.rows)) for table in (factors, orders, times))
-    (options.out / "table.md").write_text(text)
-    picture(store.rows).savefig(options.out / "order.png", dpi=150)
-    print(text)
+    compared = times(store.rows, 2, (RELOCATED, REMESHED), (UNIFORM, ADAPTIVE), MANY)
+    tables = factors(store.rows), orders(store.rows), compared
+    written(options.out, tables, picture(store.rows), "order.png")
     return 0 if all(np.isfinite(row.get("error", np.nan)) for row in store.rows) else 1
 
 

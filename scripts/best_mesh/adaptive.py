@@ -57,25 +57,9 @@ def nothing(x: NDArray) -> NDArray:
 class Equations:
     """A problem by functions of points (2, ...), whose values (...) may have a first axis of components.
 
-    Attributes
-    ----------
-    source : callable
-        Body forces.
-    held : callable
-        Which points of the boundary have u given.
-    above : callable, optional
-        Which points are contact nodes, none of them by default.
-    given : callable
-        The values of u where it is held.
-    slope : callable, optional
-        Gradients (2, ...) of the exact solution.
-    components : int
-    stress : callable
-        Of gradients (components, 2, ...).
-    traction, offset : callable
-        On the boundary; at contact nodes, linear on edges.
-    friction : callable, optional
-        Bound of the friction stress.
+    ``held`` says which points of the boundary have u ``given``, ``above`` which are contact nodes; ``slope``
+    has gradients (2, ...) of the exact solution; the stress is one of gradients (components, 2, ...);
+    ``offset`` is linear on edges, and ``friction`` the bound of the friction stress.
     """
 
     source: OnPoints

@@ -81,18 +81,9 @@ def extrapolated(coarse: tuple[int, float], fine: tuple[int, float], rate: int =
 
 @dataclass(frozen=True)
 class Case:
-    """A problem at several sizes, without move limits.
+    """A problem at several sizes, without move limits, and perhaps its ``equations`` for scikit-fem.
 
-    Attributes
-    ----------
-    name : str
-    sizes : tuple of int
-    make : callable
-        The problem of a size.
-    equations : Equations, optional
-        The same as scikit-fem has it.
-    known : float
-        The exact energy; else it is that of a locally refined mesh, extrapolated.
+    ``known`` is the exact energy; else it is that of a locally refined mesh, extrapolated.
     """
 
     name: str
@@ -253,28 +244,16 @@ def _constant(value: float) -> Callable[[Array], Array]:
     return lambda x: np.full(x.shape[1:], value)
 
 
-def _numpy(function: Callable[[Any, Any], Any]) -> Callable[[Array], Array]:
-    """A function of CasADi at points (2, n)."""
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    compiled = ca.Function("f", [x, y], [function(x, y)])
-    return lambda x: np.asarray(compiled(*x.reshape(2, 1, -1))).reshape(x.shape[1:])
+def _exact(solution: Callable[[Any, Any], Any]) -> tuple[OnPoints, OnPoints]:
+    """A function of CasADi and its gradient, at points (2, ...)."""
+    x = ca.SX.sym("x", 2)
+    value = solution(x[0], x[1])
 
+    def at(part: ca.SX, *shape: int) -> OnPoints:
+        compiled = ca.Function("exact", [x], [part])
+        return lambda points: np.asarray(compiled(points.reshape(2, -1))).reshape(*shape, *points.shape[1:])
 
-def _mode_slope(x: Array) -> Array:
-    a, b = x - 0.5
-    third = (np.arctan2(a - b, -a - b) + 3 * np.pi / 4) * 2 / 3
-    size, angle = 2 / 3 * np.hypot(a, b) ** (-1 / 3), np.arctan2(b, a)
-    return size * np.stack([np.sin(third - angle), np.cos(third - angle)])
-
-
-def _root_slope(x: Array) -> Array:
-    root = 1.5 * np.sqrt(x[0] + 1j * x[1])
-    return np.stack([root.real, -root.imag])
-
-
-def _radial_slope(x: Array) -> Array:
-    r2 = np.maximum((x**2).sum(axis=0), 1.0)
-    return x * (1 - 1 / r2)
+    return at(value), at(ca.gradient(value, x), 2)
 
 
 def _plane_strain(lame: float, mu: float) -> Callable[[Array], Array]:
@@ -293,28 +272,28 @@ def _loaded(x: Array) -> Array:
     return (x[1] == 1) & (x[0] > 2)
 
 
-def source_61(x: Any, y: Any, sin: Callable[[Any], Any], choose: Callable[[Any, Any, Any], Any]) -> Any:
-    """-Laplace of the exact solution (6.2), differentiated by hand; by numpy or CasADi."""
-    a, pi = 0.5 - y, np.pi
-    lower = 200 * sin(2 * pi * x) * (4 * pi**2 * y * a**4 + 8 * a**3 - 12 * y * a**2)
-    upper = 100 * sin(pi / 2 * x) * (pi**2 / 4 * (1 - y) * a**4 - 8 * a**3 - 12 * (1 - y) * a**2)
-    return choose(y <= 0.5, lower, upper)
+def _source_61(points: Array) -> Array:
+    """-Laplace of the exact solution (6.2), differentiated by hand."""
+    (x, y), pi = points, np.pi
+    a = 0.5 - y
+    lower = 200 * np.sin(2 * pi * x) * (4 * pi**2 * y * a**4 + 8 * a**3 - 12 * y * a**2)
+    upper = 100 * np.sin(pi / 2 * x) * (pi**2 / 4 * (1 - y) * a**4 - 8 * a**3 - 12 * (1 - y) * a**2)
+    return np.where(y <= 0.5, lower, upper)
 
 
 EQUATIONS_61 = Equations(
-    lambda x: source_61(x[0], x[1], np.sin, np.where),
+    _source_61,
     lambda x: (x[0] == 0) | (x[1] == 0) | (x[1] == 1),
     lambda x: x[0] == 1,
 )
 TORSION = Equations(_constant(1.0), _everywhere)
-MODE = Equations(nothing, _everywhere, nothing, _numpy(mode), _mode_slope)
-RADIAL = Equations(_constant(-2.0), _everywhere, _everywhere, _numpy(free_boundary.exact), _radial_slope)
+MODE = Equations(nothing, _everywhere, nothing, *_exact(mode))
+RADIAL = Equations(_constant(-2.0), _everywhere, _everywhere, *_exact(free_boundary.exact))
 ROOT = Equations(
     nothing,
     lambda x: (abs(x[0]) == 1) | (x[1] == 1),
     lambda x: x[1] == 0,
-    _numpy(signorini.exact),
-    _root_slope,
+    *_exact(signorini.exact),
 )
 
 WEDGE = Equations(

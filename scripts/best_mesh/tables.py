@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from best_mesh.methods import ADAPTIVE, LOOP, RELOCATED, REMESHED, UNIFORM
-from rows import Row
+from rows import Row, figure, markdown
 
 LOOKS = {
     UNIFORM: ("#000000", "o"),
@@ -20,6 +21,9 @@ LOOKS = {
     REMESHED: ("#009E73", "*"),
 }
 """Colour (Okabe and Ito's, told apart by colour-blind readers) and marker."""
+
+Curve = tuple[str, int, dict[str, object]]
+"""Method, order, and how it is drawn."""
 
 NEAR = 1e-3
 """How far beyond its ends a curve is read."""
@@ -64,11 +68,58 @@ def draw(axis: Axes, frame: pd.DataFrame, x: str, method: str, **look: object) -
     axis.loglog(shown[x], shown.error, **look)
 
 
-def finished(sheet: Figure, axes: Mapping[str, Sequence[Axes]], first: Axes) -> Figure:
+def side_by_side(rows: Sequence[Row], case: str, curves: Iterable[Curve]) -> tuple[Figure, Axes]:
+    """Errors against nodes and against time, by method, order and look; and the axis of nodes."""
+    sheet = Figure(figsize=(8, 4.4), layout="constrained")
+    left, right = sheet.subplots(1, 2, sharey=True)
+    for method, order, look in curves:
+        for axis, x in ((left, "nodes"), (right, "seconds")):
+            draw(axis, of(rows, case, method, order), x, method, **look)
+    return sheet, left
+
+
+def finished(sheet: Figure, unknowns: str = "nodes") -> Figure:
     """With names of the axes, a grid, and one legend below."""
-    for name, group in axes.items():
-        for axis in group:
+    for axis in sheet.axes:
+        axis.grid(alpha=0.3)
+    half = len(sheet.axes) // 2
+    for name, axes in ((unknowns, sheet.axes[:half]), ("processor time [s]", sheet.axes[half:])):
+        for axis in axes:
             axis.set(xlabel=name)
-            axis.grid(alpha=0.3)
-    sheet.legend(*first.get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=9)
+    handles = sheet.axes[0].get_legend_handles_labels()
+    sheet.legend(*handles, loc="outside lower center", ncols=3, fontsize=9)
     return sheet
+
+
+def times(
+    rows: Sequence[Row], order: int, methods: Sequence[str], peers: Sequence[str], many: int
+) -> pd.DataFrame:
+    """Processor times of meshes of ``many`` nodes over those of plain meshes of scikit-fem at equal error.
+
+    Where no mesh that was measured reaches the error, the last ones are continued: with the rate of the
+    error, and with a time in proportion to the nodes, so that the ratio is a bound.
+    """
+    lines = []
+    for case in cases(rows):
+        curves = {peer: of(rows, case, peer, order).dropna(subset="seconds") for peer in peers}
+        for method in methods if any(map(len, curves.values())) else ():
+            for mesh in of(rows, case, method, order).query("nodes >= @many").itertuples():
+                line = {"problem": case, "method": method, "nodes": mesh.nodes, "s": mesh.seconds}
+                for peer, own in curves.items():
+                    line[f"over {peer}"] = figure(mesh.seconds / seconds_at(own, mesh.error))
+                    if len(own) > 1 and mesh.error < own.error.iloc[-1]:
+                        (_, before), (_, last) = own[-2:].iterrows()
+                        rate = np.log(before.error / last.error) / np.log(last.nodes / before.nodes)
+                        least = last.seconds * (last.error / mesh.error) ** (1 / rate)
+                        line[f"over {peer}"] = f"< {figure(mesh.seconds / least)}"
+                lines.append(line)
+    columns = ["problem", "method", "nodes", "s", *(f"over {peer}" for peer in peers)]
+    return pd.DataFrame(lines, columns=columns)
+
+
+def written(folder: Path, tables: Iterable[pd.DataFrame], sheet: Figure, name: str) -> None:
+    """Print tables, and write them and a figure into a folder."""
+    text = "\n".join(map(markdown, tables))
+    (folder / "table.md").write_text(text)
+    sheet.savefig(folder / name, dpi=150)
+    print(text)
