@@ -34,13 +34,7 @@ def timed(work: Callable[..., T], *arguments: Any, **settings: Any) -> tuple[T, 
 
 
 class Store:
-    """Rows in a file of JSON lines: a run that is broken off goes on where it ended.
-
-    Parameters
-    ----------
-    path : Path, optional
-        Where rows are added as they are measured; without it they are kept in memory alone.
-    """
+    """Rows in a file of JSON lines, or in memory: a run that is broken off goes on where it ended."""
 
     def __init__(self, path: Path | None) -> None:
         self._path = path

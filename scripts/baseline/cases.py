@@ -38,20 +38,7 @@ End = dict[str, object]
 
 @dataclass(frozen=True)
 class Case:
-    """A solve to be repeated.
-
-    Attributes
-    ----------
-    name : str
-        The same in every version.
-    group : str
-    formulation : str
-        Whose seconds it counts to.
-    run : callable
-        Solves, and says how that ended.
-    quick : bool
-        Whether it belongs to the quick subset.
-    """
+    """A solve to be repeated, with the same name in every version; its seconds count to a formulation."""
 
     name: str
     group: str

@@ -67,17 +67,7 @@ class Comparison:
 
 
 def compare(baseline: Sequence[Rows], rows: Rows, allowed: Collection[str] = ()) -> Comparison:
-    """Hold rows against the runs of a baseline.
-
-    Parameters
-    ----------
-    baseline : sequence of {name: row}
-        Runs of the older version with different rounding.
-    rows : {name: row}
-        Of the newer one; cases that the baseline does not have are passed over.
-    allowed : collection of str
-        Entries of records that may be missing.
-    """
+    """Hold rows against the runs of a baseline; entries of records that are ``allowed`` may be missing."""
     common = [name for name in rows if all(name in run for run in baseline)]
     result, lost = Comparison(), losses(baseline, rows, common)
     among: list[dict[str, list[str]]] = []

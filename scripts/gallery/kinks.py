@@ -75,14 +75,8 @@ CASES = {
 class Across:
     """The objective and the contact of one node that alone is moved along an axis.
 
-    Attributes
-    ----------
-    shift, value : array (m,)
-        By how far it is moved, and the objective.
-    first, second : array (m,)
-        Gap and contact force; along the foundation slip and what friction leaves of its bound.
-    gradient : float
-        The derivative that ``nested`` uses where it ended, the contact set held.
+    ``first`` and ``second`` are gap and contact force; along the foundation slip and what friction leaves of
+    its bound. ``gradient`` is the derivative that ``nested`` uses where it ended, the contact set held.
     """
 
     shift: Array
