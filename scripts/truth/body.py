@@ -15,7 +15,6 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, hstack
-from scipy.spatial import cKDTree
 from skfem import DiscreteField, ElementTriP1, ElementTriP2, MeshTri
 from skfem.quadrature import get_quadrature_line
 
@@ -139,14 +138,9 @@ class Body:
 
     def locate(self, points: np.ndarray) -> np.ndarray:
         """Triangles of points (2, n); of points beyond the mesh those that they are least outside of."""
-        tree = cKDTree(self.p[:, self.t].mean(axis=1).T)
-        triangle, inside = np.zeros(points.shape[1], dtype=int), np.full(points.shape[1], -np.inf)
-        for elements in np.atleast_2d(tree.query(points.T, min(40, self.t.shape[1]))[1].T):
-            todo = np.flatnonzero(inside < -1e-9)
-            least = self.hats(elements[todo], points[:, todo, None]).min(axis=0)[:, 0]
-            better = least > inside[todo]
-            triangle[todo[better]], inside[todo[better]] = elements[todo][better], least[better]
-        return triangle
+        every = np.arange(self.t.shape[1])
+        parts = np.array_split(points[:, None], 1 + every.size * points.shape[1] // 1_000_000, axis=2)
+        return np.concatenate([self.hats(every, part).min(axis=0).argmax(axis=0) for part in parts])
 
     def trace(self, name: str, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, csr_matrix]:
         """Points (2, n, m) at parameters t of a boundary's edges or arcs, lengths (n, 1), and :meth:`at`."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial import cKDTree
 from skfem import MeshTri
 
 from truth.body import Body
@@ -66,16 +65,12 @@ def refined(data: Data, mesh: MeshTri, elements: np.ndarray | None = None) -> Me
     """The mesh refined in all or in marked elements, with its names, and new nodes on the curves."""
     bare = replace(mesh, _boundaries=None, _subdomains=None)
     fine = bare.refined() if elements is None else bare.refined(elements)
-    p, n = np.array(fine.p), fine.p.shape[1]
-    keys, tree = fine.facets[0].astype(np.int64) * n + fine.facets[1], cKDTree(p.T)
-    order, names = np.argsort(keys), {}
+    p, rim, names = np.array(fine.p), fine.boundary_facets(), {}
+    middle = p[:, fine.facets[:, rim]].mean(axis=1)[..., None]
     for name, facets in mesh.boundaries.items():
-        one, two = mesh.facets[:, np.asarray(facets)].astype(np.int64)
-        off, new = tree.query((mesh.p[:, one] + mesh.p[:, two]).T / 2)
-        cut = off < 1e-12 * np.ptp(p)
-        halves = [(one[~cut], two[~cut]), (one[cut], new[cut]), (two[cut], new[cut])]
-        pairs = np.sort(np.hstack([np.stack(half) for half in halves]), axis=0)
-        names[name] = order[np.searchsorted(keys[order], pairs[0] * n + pairs[1])]
+        a, b = mesh.p[:, mesh.facets[:, np.asarray(facets)]].transpose(1, 0, 2)[:, :, None]
+        to_a, to_b, length = (np.linalg.norm(way, axis=0) for way in (middle - a, middle - b, a - b))
+        names[name] = rim[np.any(to_a + to_b < (1 + 1e-9) * length, axis=1)]
     for name, (x, y, radius) in data.circles.items():
         nodes, centre = np.unique(fine.facets[:, names[name]]), np.array([[x], [y]])
         out = p[:, nodes] - centre
