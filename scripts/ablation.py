@@ -11,7 +11,7 @@ from __future__ import annotations
 import importlib
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -24,8 +24,6 @@ import pandas as pd
 import rmesh_nlp as rm
 from random_designs import random_design
 from rmesh_nlp.examples.random_problems import random_problem
-from rmesh_nlp.meshes.shapes import l_shape, plate_with_hole, wedge_block
-from rmesh_nlp.problem import Relative
 from rows import Row, Store, command_line, markdown
 
 SEEDS, DESIGN_SEEDS = range(91_000, 91_012), range(92_000, 92_008)
@@ -44,40 +42,35 @@ class Rule:
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
-def limited(delta: float) -> Callable[[rm.ContactProblem], rm.ContactProblem]:
-    """Move limits, in parts of the shortest edge."""
-    return lambda problem: replace(problem, motion=replace(problem.motion, delta=Relative(delta)))
+def moving(problem: rm.ContactProblem, part: float | None) -> rm.ContactProblem:
+    """With move limits in parts of the shortest edge; without any a rule that moves do not exploit."""
+    if part is None:
+        return replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
+    return replace(problem, motion=replace(problem.motion, delta=rm.Relative(part)))
 
 
-def unlimited(problem: rm.ContactProblem) -> rm.ContactProblem:
-    """No move limits, and a rule that they do not exploit."""
-    return replace(problem, motion=replace(problem.motion, delta=None), quadrature=8)
-
-
-def shaped() -> Iterator[tuple[str, rm.ContactProblem]]:
+def shaped() -> dict[str, rm.ContactProblem]:
     """Meshes of gmsh: a corner, a hole in a plate on a foundation, a wedge."""
-    yield "corner", rm.ContactProblem(l_shape(0.3), rm.Laplace(1.0), ("corner", "outer"))
-    law, down = (
-        rm.PlaneStress.from_young(1.0, 0.3),
-        (rm.Traction("top", (0.0, lambda x, y: -0.02 - 0.006 * x)),),
-    )
-    plate, block = plate_with_hole(1.8), wedge_block(0.4)
-    yield "hole", rm.ContactProblem(plate, law, ("left",), tractions=down, obstacle=rm.Obstacle("bottom"))
-    yield "wedge", rm.ContactProblem(block, law, ("left",), tractions=down)
+    law, down = rm.PlaneStress.from_young(1.0, 0.3), rm.Traction("top", (0.0, lambda x, y: -0.02 - 0.006 * x))
+    plate, block = rm.shapes.plate_with_hole(1.8), rm.shapes.wedge_block(0.4)
+    return {
+        "corner": rm.ContactProblem(rm.shapes.l_shape(0.3), rm.Laplace(1.0), ("corner", "outer")),
+        "hole": rm.ContactProblem(plate, law, ("left",), rm.Obstacle("bottom"), tractions=(down,)),
+        "wedge": rm.ContactProblem(block, law, ("left",), tractions=(down,)),
+    }
 
 
 def problems() -> dict[str, tuple[str, rm.ContactProblem, str]]:
     """Kind, problem and objective by name; of a design its own objective."""
     cases: dict[str, tuple[str, rm.ContactProblem, str]] = {}
     for seed in SEEDS:
-        order = 1 + (seed % 4 == 3)
-        problem = random_problem(seed, order=order)
-        cases[f"limits {seed}"] = "limits", limited(0.3 + 0.5 * (seed % 2))(problem), "energy"
-        cases[f"free {seed}"] = "free", unlimited(problem), "energy"
-        cases[f"error {seed}"] = "other", limited(0.3)(random_problem(seed)), "compliance"
-    for name, problem in shaped():
-        cases[f"limits {name}"] = "limits", limited(0.5)(problem), "energy"
-        cases[f"free {name}"] = "free", unlimited(problem), "energy"
+        problem = random_problem(seed, order=1 + (seed % 4 == 3))
+        cases[f"limits {seed}"] = "limits", moving(problem, 0.3 + 0.5 * (seed % 2)), "energy"
+        cases[f"free {seed}"] = "free", moving(problem, None), "energy"
+        cases[f"error {seed}"] = "other", moving(random_problem(seed), 0.3), "compliance"
+    for name, problem in shaped().items():
+        cases[f"limits {name}"] = "limits", moving(problem, 0.5), "energy"
+        cases[f"free {name}"] = "free", moving(problem, None), "energy"
     cases["fine 40"] = "fine", rm.EXAMPLES["6.1"](40), "energy"
     for seed in DESIGN_SEEDS:
         drawn = random_design(seed)

@@ -235,14 +235,6 @@ def summary(rows: Sequence[Row]) -> int:
     return 1 if faults(rows) or share < SUCCEED else 0
 
 
-def show(row: Row) -> None:
-    """Print a solve."""
-    errors = [f"{value:.3g}" for value in row.get("errors", [])]
-    word, claim = row["status"] + ", success" * row["success"], row.get("claimed")
-    print(f"{row['name']}: {word}; {', '.join(row['faults']) or 'no fault'}")
-    print(f"    true errors {errors}, factor {factor([row]):.3f}, claimed {claim}")
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """The soak; returns the exit code."""
     parser = command_line(__doc__)
@@ -266,7 +258,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             row = task.result()
             store.add(row)
             if row["faults"] or options.kind == "aimed" or (row["well_posed"] and not row["success"]):
-                show(row)
+                word = row["status"] + ", success" * row["success"]
+                print(f"{row['name']}: {word}; {', '.join(row['faults']) or 'no fault'}")
+                print(f"    true factor {factor([row]):.3f}, claimed {row.get('claimed')}")
     return summary(store.rows) if store.rows else 0
 
 
