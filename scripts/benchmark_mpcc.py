@@ -129,17 +129,14 @@ def table(rows: Sequence[Row]) -> str:
     if frame.group.nunique() > 1:
         frame = pd.concat([frame, frame.assign(group="all")])
     for group, own in frame.groupby("group", sort=False):
-        sums = own.groupby("solver", sort=False).agg(
-            {"problem": "count", **dict.fromkeys((*SHOWN, "iterations", "seconds"), "sum")}
-        )
-        counted = own.iterations.notna().groupby(own.solver, sort=False).all()
-        part = pd.DataFrame({"problems": f"{group}, " + sums.problem.astype(str), "solver": sums.index})
-        part[[*SHOWN]] = sums[[*SHOWN]]
-        part["iterations"] = [
-            f"{n:.0f}" if all_ else None for n, all_ in zip(sums.iterations, counted, strict=True)
-        ]
-        part["time [s]"] = [f"{seconds:.2f}" for seconds in sums.seconds]
-        part["over ours"] = [f"{ratio:.2f}" for ratio in sums.seconds / sums.seconds.iloc[0]]
+        sums = own.groupby("solver", sort=False)[[*SHOWN, "seconds"]].sum()
+        counted = own.groupby("solver", sort=False).iterations.agg(lambda column: column.sum(skipna=False))
+        problems_of = own.solver.value_counts(sort=False).astype(str)
+        part = pd.DataFrame({"problems": [*f"{group}, " + problems_of], "solver": sums.index})
+        part[[*SHOWN]] = sums[[*SHOWN]].to_numpy()
+        part["iterations"] = [*counted.map("{:.0f}".format, "ignore")]
+        part["time [s]"] = [*sums.seconds.map("{:.2f}".format)]
+        part["over ours"] = [*(sums.seconds / sums.seconds.iloc[0]).map("{:.2f}".format)]
         parts.append(part)
     return markdown(pd.concat(parts))
 

@@ -52,9 +52,6 @@ STEADY = 1.5
 
 NOTHING = {"keys": [], "success": False, "label": "", "value": None, "iterations": 0, "contact_solves": 0}
 
-DIGITS = 6
-"""Of a measured number in a file; values that were minimised have all."""
-
 
 class Run(TypedDict):
     """A run: its kernel, and by the name of a case its row and the seconds of the fixed work beside it."""
@@ -85,9 +82,9 @@ def row_of(case: Case) -> tuple[Row, float]:
             words = " ".join(str(error).split())[:200]
             is_refused = isinstance(error, ValueError)
             end |= {"status": REFUSED if is_refused else CRASHED, "text": f"{type(error).__name__}: {words}"}
-    end["seconds"] = time.process_time() - began
+    end["seconds"] = round(time.process_time() - began, 4)
     end["label"] = end["label"] or ""
-    return cast(Row, end), (unit + fixed_work()) / 2
+    return cast(Row, end), round((unit + fixed_work()) / 2, 5)
 
 
 def isolated_row(case: Case, limit: float) -> tuple[Row, float]:
@@ -136,21 +133,8 @@ def seconds(run: Run, chosen: Sequence[Case]) -> dict[str, float]:
 
 
 def write(path: Path, runs: Sequence[Run]) -> None:
-    """Write runs, their numbers with ``DIGITS`` digits."""
-
-    def short(row: Row) -> Row:
-        numbers = {key: float(f"{value:.{DIGITS}g}") for key, value in row["numbers"].items()}
-        return {**row, "seconds": round(row["seconds"], 4), "numbers": numbers}
-
-    rounded = [
-        Run(
-            kernel=run["kernel"],
-            rows={name: short(row) for name, row in run["rows"].items()},
-            units={name: round(unit, 5) for name, unit in run["units"].items()},
-        )
-        for run in runs
-    ]
-    path.write_bytes(gzip.compress(json.dumps(rounded, sort_keys=True).encode(), mtime=0))
+    """Write runs."""
+    path.write_bytes(gzip.compress(json.dumps(runs, sort_keys=True).encode(), mtime=0))
 
 
 def read(path: Path) -> list[Run]:

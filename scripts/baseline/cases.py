@@ -58,10 +58,10 @@ def keys_of(record: Mapping[str, object], prefix: str = "") -> list[str]:
 
 
 def of_record(record: Mapping[str, object]) -> End:
-    """What is kept of a record: what was minimised, and every measured number."""
+    """What is kept of a record: what was minimised, and six digits of every measured number."""
     of_energy = record["objective"] == "energy"
     numbers = {
-        key: value
+        key: float(f"{value:.6g}")
         for key, value in record.items()
         if isinstance(value, float) and not key.endswith(("_time_s", "_residual", "tolerance"))
     }
