@@ -3,16 +3,9 @@
     python scripts/benchmark_mesh.py                     every problem (15 minutes)
     python scripts/benchmark_mesh.py --cases 6.1 L-shape --levels 2
 
-Factors are errors of the given mesh over those of the method at equal nodes. Relocation has no move limits.
-Peers: second-order elements on the given mesh, a plain h-adaptive loop of scikit-fem
-(``best_mesh/adaptive.py``), and Mmg with the recovered metric, whose nodes are not relocated. Elastic bodies
-but the wedge, and the membrane, are refined by the package where the interpolation error is, without a time.
-Errors are those of the assessed energy on the domain of the true curves, against the exact one or that of a
-locally refined mesh; of free boundary, Signorini and jNO's L-shape half the square of the error in the energy
-norm.
-Attainable is the interpolation error of as many triangles of the best shapes.
-Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/table.md and
-DIR/best_mesh.png.
+Factors are errors of the given mesh over those of the method at equal nodes; docs/results.md says what the
+methods are and how errors are measured. Rows are kept in DIR/rows.jsonl: run again, it measures only what is
+missing. Writes DIR/table.md and DIR/best_mesh.png.
 """
 
 from __future__ import annotations

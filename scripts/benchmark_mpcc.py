@@ -5,15 +5,11 @@ r"""The MPCC solver beside a plain Scholtes loop, MPECSS and pympcc: a collectio
 A collection is a Python file with ``names()`` and ``get(name)``; ``get`` returns a dict with ``x f g G H lbx
 ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
 NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own; with
---together all are solved in this one, one after the other, which is fairer to the time of small problems:
-a forked process copies each page of memory that it touches, most of them Python's. What a solver ends
-with is measured by the problem's expressions, not taken from the solver: solved is a point whose constraint
-violation and products G H are at most 1e-6, lowest one whose objective is also within 1e-4, relative, of the
-best known value or, where none is known, of the least that any solver here found, proved one that linear
-programs show to be S- or B-stationary, whatever the solver calls it. Time is processor time of
-build and solve. Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and
-membrane-pressure (not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has
-no row of.
+--together all are solved in this one, which is fairer to the time of small problems: a forked process copies
+the memory that it touches. docs/results.md says what is counted; *proved* are points that linear programs
+show to be S- or B-stationary, whatever their solver calls them. Time is processor time of build and solve.
+Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure
+(not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
 
 MPECSS and pympcc are compared if they are installed: ``pip install mpecss pympcc``. cyipopt, which pympcc
 needs, is built against the Ipopt in CasADi's wheel, and so is the very Ipopt that ours uses::

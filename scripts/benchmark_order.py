@@ -4,13 +4,9 @@
     python scripts/benchmark_order.py --cases 6.1 wedge --levels 2
     python scripts/benchmark_order.py --tables           of what was measured, nothing more
 
-For displacements of orders 1 and 2 with as many unknown nodes (vertices, and at order 2 middles of edges):
-the uniform mesh, an h-adaptive loop, relocation by ``auto`` with the connectivity of that mesh, and on a new
-mesh. Uniform meshes and the loop are scikit-fem's own where ``best_mesh/adaptive.py`` has the problem; else
-the package solves and refines, and the loop has no time.
-Errors are those of the assessed energy, of the L-shape and Signorini's problem half the square of the error
-in the energy norm. Energies that are not known are extrapolated from two meshes made for order 2, with errors
-like one over the square of the number of nodes.
+Meshes of both orders have as many unknown nodes (vertices, and at order 2 middles of edges). Uniform and
+h-adaptive meshes are scikit-fem's own where ``best_mesh/adaptive.py`` has the problem; else the package solves
+and refines, and the loop has no time. docs/order_and_relocation.md says how errors are measured.
 Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/table.md and
 DIR/order.png.
 """

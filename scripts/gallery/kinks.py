@@ -1,14 +1,7 @@
 """Biactive nodes: at the best shape contact is about to change, and the objective has a kink.
 
-*A seal.* An elastic block, 2 wide and 1 high, E = 1000, nu = 0.3, plane strain, stands on a rigid plane under
-a uniform pressure of 10. Nodes of its lower edge, 0.5 < x < 1.5, may move up, which cuts material away. A gap
-there leaks, and the outer objective is the leak less the material saved, the integral of 1.2 gap - height. As
-long as a node carries pressure, cutting it higher saves material and opens no gap; then the gap opens, and
-costs more than is saved. The best edge is cut until all its nodes just touch without pressure.
-
-*A slab.* Example 6.3 with Coulomb friction, F = 1. Its nodes move within the boxes of the example, for the
-mean deflection of its top. At the end of ``nested`` the slip of one contact node is zero and its friction is
-at its bound F p: moved one way along the foundation it sticks, the other way it slides.
+A seal whose edge is cut until its nodes just touch, and a slab with a node that is about to slide, as
+docs/biactive.md shows them.
 
     python scripts/gallery/kinks.py seal --n 8 --picture biactive.png
     python scripts/gallery/kinks.py slab --n 6 --picture biactive_slab.png

@@ -1,18 +1,9 @@
 """What the labels of stationarity tell apart: five programs, one corner, four labels.
 
-All are programs in x and y (and z) with the pair 0 <= x _|_ y >= 0, looked at where x = y = 0. There both
-members vanish, and what counts are the signs of their multipliers:
-
-    S          (x + 1)^2 + (y + 1)^2       both negative: the minimum
-    M, minimum x + y - z, z <= 4x, 4y      one of them zero; no multipliers of S exist, and still the minimum
-    M, trap    x^2 + (y - 1)^2             one of them zero, yet it descends along the y-axis
-    C, trap    300 (x - y)^2 - (x + y)     both positive, yet it descends along both axes
-    W, trap    (x + 1)^2 + (y - 1)^2       of different signs, and it descends along the y-axis
-
-So only S proves a minimum to first order; below S it takes the linear program over both branches that decides
-B-stationarity. The second program is Example 3 of Scheel and Scholtes, Math. Oper. Res. 25 (2000). In the
-C-trap the relaxations x y <= t have a minimum at x = y = sqrt(t): a plain loop of them ends in the
-trap, and would be called converged.
+All are programs in x and y (and z) with the pair 0 <= x _|_ y >= 0, looked at where x = y = 0, see
+docs/biactive.md. "M, minimum" is Example 3 of Scheel and Scholtes, Math. Oper. Res. 25 (2000). In the C-trap
+the relaxations x y <= t have a minimum at x = y = sqrt(t): a plain loop of them ends in the trap, and would
+be called converged.
 
     python scripts/gallery/mpcc_traps.py
 """

@@ -1,20 +1,7 @@
 """Relocation under Coulomb friction for the error, where a body sticks, slips and is off the plane.
 
-A block, 2 wide and 1 high, E = 1000, nu = 0.3, plane strain, lies on a rigid plane with the coefficient of
-friction F = 0.4. On y = 0 its pressure p, slip s and gap w are chosen, (z)+ = max(z, 0):
-
-    p = 20 (1 - x/1.5)+^2,    s = 0.02 (x - 0.8)+^3,    w = 0.05 (x - 1.5)+^3,
-    friction = F p k(x),  k = 1 - (1 - x/0.8)+^2:  below F p for x < 0.8, where s = 0, and F p beyond it,
-
-so that the block sticks for x < 0.8, slips for 0.8 < x < 1.5 and is off the plane beyond. The displacement
-
-    u_x = s + a y,  u_y = w + b y,    mu (a + w') = F p k,    lambda s' + (lambda + 2 mu) b = -p
-
-has these stresses on y = 0, and is in equilibrium with the body force -div sigma(u) and the tractions
-sigma n on the right and on the top; it is given on the left. With Coulomb friction there is no energy that
-nodes could lower. They are relocated for the error itself, within 0.45 of the shortest edges:
-
-    minimise   integral of |grad (u_h - u)|^2.
+docs/relocation_friction.md has the problem, whose exact solution is made by :func:`manufactured`: pressure p,
+slip s, gap w and friction are chosen on the plane, and loads follow from the displacement.
 
     python scripts/gallery/stick_slip.py --n 6 --picture stick_slip.png
 """
