@@ -5,8 +5,8 @@
     python scripts/benchmark_order.py --tables           of what was measured, nothing more
 
 Meshes of both orders have as many unknown nodes (vertices, and at order 2 middles of edges). Uniform and
-h-adaptive meshes are scikit-fem's own where ``best_mesh/adaptive.py`` has the problem; else the package solves
-and refines, and the loop has no time. docs/order_and_relocation.md says how errors are measured.
+h-adaptive meshes are scikit-fem's own where ``best_mesh/adaptive.py`` has the problem; else the package
+refines, and the loop has no time. docs/order_and_relocation.md says how errors are measured.
 Rows are kept in DIR/rows.jsonl: run again, it measures only what is missing. Writes DIR/table.md and
 DIR/order.png.
 """
