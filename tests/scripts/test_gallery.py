@@ -89,12 +89,6 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink() -> Non
     assert best.record()["b_stationary"]
     nodes = best.record()["biactive_nodes"]
     assert len(nodes) == 3
-    early = [stage for stage in best.record()["stages"] if stage["phase"] == "relaxed"]
-    assert len(early) >= 2
-    for stage in early:  # the relaxation acts: without it the pairs would open further
-        assert stage["product"] >= stage["t"] / 2
-        assert stage["multiplier"] > 1e-3
-        assert stage["biactive"] == 3
     for node in nodes:
         # either way costs, at different rates; a gradient would give rates that differ in their signs alone
         kink = kinks.across(best, "seal", node, kinks.STEP, 3)

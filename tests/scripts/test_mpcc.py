@@ -4,7 +4,6 @@ import json
 import os
 import signal
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,28 +72,6 @@ def test_a_solver_that_dies_is_a_row():
         assert isinstance(found, Failed)
         assert found.why == words
     assert isolated(lambda: 7, 20.0) == 7
-
-
-def test_unknown_families_and_files_are_refused(tmp_path, capsys):
-    for arguments, words in (
-        ([], "no problems"),
-        (["--families", "nothing"], "unknown family 'nothing'"),
-        ([str(tmp_path / "absent.py")], "is not a Python file"),
-    ):
-        with pytest.raises(SystemExit):
-            benchmark.main([*arguments, "--out", str(tmp_path / "out")])
-        assert words in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def test_bilevel_problems_are_a_collection():
-    path = Path(benchmark.__file__).parent / "mpcc_library/bilevel_problems.py"
-    found = {problem.name: problem for problem in benchmark.read_collection(path)}
-    assert len(found) > 50
-    one = found["yezza-1996-4.1"]
-    assert one.target == 0.5
-    assert one.x0.size == one.mpcc.n_x == 4
-    assert benchmark.measured(one, np.array([3.0, 1.0, 0.0, 0.0])) == pytest.approx((0.5, 0))
 
 
 def test_large_families_end_exact_and_are_drawn(tmp_path):
