@@ -33,7 +33,7 @@ from best_mesh.methods import (
     by_scikit_fem,
     measure,
 )
-from best_mesh.tables import cases, error_at, finished, of, side_by_side, times, written
+from best_mesh.tables import at, cases, finished, of, side_by_side, times, written
 from rows import Row, Store, command_line
 
 MANY = 300
@@ -69,7 +69,7 @@ def factors(rows: Sequence[Row]) -> pd.DataFrame:
         for given in of(rows, name, UNIFORM).itertuples():
             line = {"problem": name, "nodes": given.nodes}
             for method, curve in (("P2", of(rows, name, UNIFORM, 2)), (ADAPTIVE, of(rows, name, ADAPTIVE))):
-                line[method] = given.error / error_at(curve, given.nodes)
+                line[method] = given.error / at(curve.nodes, curve.error, given.nodes)
             for method, frame in own.items():
                 mesh = frame[frame["size"] == given.size]
                 line[method] = (given.error / mesh.error * given.nodes / mesh.nodes).min()

@@ -26,7 +26,7 @@ from best_mesh import adaptive as plain
 from best_mesh import methods
 from best_mesh.cases import CASES, MORE, Case, extrapolated
 from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
-from best_mesh.tables import cases, draw, error_at, finished, of, times, written
+from best_mesh.tables import at, cases, draw, finished, of, times, written
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rows import Row, Store, command_line
@@ -122,7 +122,7 @@ def at_equal_unknowns(rows: Sequence[Row], case: str, order: int) -> pd.DataFram
     for method in METHODS:
         own = of(rows, case, method, order)
         if method in (UNIFORM, ADAPTIVE):
-            result[method] = [error_at(own, count) for count in nodes]
+            result[method] = [at(own.nodes, own.error, count) for count in nodes]
         else:
             same = own.reindex(range(len(nodes)))
             result[method] = (same.error * (same.nodes / nodes) ** order).to_numpy()

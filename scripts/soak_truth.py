@@ -69,10 +69,8 @@ def solved(data: Data, formulation: str, **options: Any) -> Any:
 def claimed_factor(record: Row) -> float | None:
     """The factor by which the record says at least that the error fell; None if it claims nothing."""
     reduction = record.get("error_reduction") or {}
-    factor = next(
-        (reduction[key] for key in ("factor_lower", "factor") if reduction.get(key) is not None), None
-    )
-    return float(factor[0] if isinstance(factor, (list, tuple)) else factor) if factor is not None else None
+    factors = [reduction[key] for key in ("factor_lower", "factor") if reduction.get(key) is not None]
+    return float(np.min(factors[0])) if factors else None
 
 
 def certificate(solution: Any) -> Row:

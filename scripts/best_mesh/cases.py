@@ -32,11 +32,10 @@ REFERENCE_NODES = 20_000
 
 @dataclass(frozen=True)
 class Reference:
-    """A problem on a locally refined mesh, the energy that such meshes tend to, and how far that is."""
+    """A problem on a locally refined mesh, and the energy that such meshes tend to."""
 
     problem: ContactProblem
     limit: float
-    doubt: float
 
     def least(self, triangles: int) -> float:
         """The least interpolation error of a number of triangles."""
@@ -66,7 +65,7 @@ def reference(problem: ContactProblem, nodes: int) -> Reference:
     counts = [int(mesh.mesh.p.shape[1]) for mesh in meshes]
     half = next(k for k in reversed(range(len(counts))) if counts[k] <= counts[-1] / 2 or k == 0)
     energies = ((counts[k], admissible(meshes[k]).energy) for k in (half, -1))
-    return Reference(meshes[-1], *extrapolated(*energies))
+    return Reference(meshes[-1], extrapolated(*energies)[0])
 
 
 def extrapolated(coarse: tuple[int, float], fine: tuple[int, float], rate: int = 1) -> tuple[float, float]:

@@ -42,22 +42,11 @@ def cases(rows: Sequence[Row]) -> list[str]:
 
 
 def at(x: Sequence[float], y: Sequence[float], value: float) -> float:
-    """The y that belongs to a value of x, log-log between neighbours; NaN beyond the ends; x rises."""
-    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    """The y that belongs to a value of x, log-log between neighbours; NaN beyond the ends."""
+    x, y = (np.asarray(values, dtype=float)[np.argsort(x)] for values in (x, y))
     if len(x) < 2 or not x[0] * (1 - NEAR) <= value <= x[-1] * (1 + NEAR):
         return float("nan")
     return float(np.exp(np.interp(np.log(value), np.log(x), np.log(y))))
-
-
-def error_at(frame: pd.DataFrame, nodes: float) -> float:
-    """Error of meshes with a number of nodes."""
-    return at(frame.nodes, frame.error, nodes)
-
-
-def seconds_at(frame: pd.DataFrame, error: float) -> float:
-    """Processor time of meshes with an error."""
-    falling = frame[np.isfinite(frame.seconds.astype(float))][::-1]
-    return at(falling.error, falling.seconds, error)
 
 
 def draw(axis: Axes, frame: pd.DataFrame, x: str, method: str, **look: object) -> None:
@@ -106,7 +95,7 @@ def times(
             for mesh in of(rows, case, method, order).query("nodes >= @many").itertuples():
                 line = {"problem": case, "method": method, "nodes": mesh.nodes, "s": mesh.seconds}
                 for peer, own in curves.items():
-                    line[f"over {peer}"] = figure(mesh.seconds / seconds_at(own, mesh.error))
+                    line[f"over {peer}"] = figure(mesh.seconds / at(own.error, own.seconds, mesh.error))
                     if len(own) > 1 and mesh.error < own.error.iloc[-1]:
                         (_, before), (_, last) = own[-2:].iterrows()
                         rate = np.log(before.error / last.error) / np.log(last.nodes / before.nodes)
