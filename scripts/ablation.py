@@ -163,9 +163,8 @@ def table(rows: Sequence[Row]) -> str:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve what is missing and print the table."""
     parser = command_line(__doc__, out="results/ablation")
-    parser.add_argument("--table", action="store_true", help="of the rows that are there, without solving")
     options = parser.parse_args(arguments)
-    store, cases = Store(options.out / "rows.jsonl"), {} if options.table else problems()
+    store, cases = Store(options.out / "rows.jsonl"), problems()
     for rule in (PLAIN, *RULES):
         for name, (kind, problem, objective) in cases.items():
             for formulation in rule.formulations if kind in rule.kinds else ():

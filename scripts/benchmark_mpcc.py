@@ -6,8 +6,7 @@ A collection is a Python file with ``names()`` and ``get(name)``; ``get`` return
 ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known value). AMPL .nl files and
 NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own; with
 --together all are solved in this one, which is fairer to the time of small problems: a forked process copies
-the memory that it touches. docs/results.md says what is counted; *proved* are points that linear programs
-show to be S- or B-stationary, whatever their solver calls them. Time is processor time of build and solve.
+the memory that it touches. docs/results.md says what is counted. Time is processor time of build and solve.
 Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure
 (not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
 
@@ -39,12 +38,12 @@ from mpcc_library.families import FAMILIES
 from mpcc_library.large import LARGE
 from mpcc_library.solvers import NEEDS, SOLVERS
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc import MPCC, Options, Problem, classify, read
+from rmesh_nlp.mpcc import MPCC, Problem, read
 from rmesh_nlp.mpcc.reading import READERS
 from rows import Row, Store, command_line, markdown, timed
 
 SOLVED, LOWEST = 1e-6, 1e-4
-SHOWN = ("solved", "lowest", "proved")
+SHOWN = ("solved", "lowest")
 COLOURS = ("#0072B2", "#D55E00", "#009E73")  # told apart by the colour-blind: Okabe and Ito (2008)
 
 
@@ -96,9 +95,7 @@ def solved(problem: Problem, solver: str, limit: float, together: bool = False) 
     def work() -> Row:
         end, seconds = timed(SOLVERS[solver], problem)
         f, violation = measured(problem, end.x)
-        tolerances = Options(feasibility=SOLVED, complementarity=SOLVED, corner=math.sqrt(SOLVED))
-        found = classify(problem.mpcc, end.x, p=problem.p0, options=tolerances)
-        ending = {"status": end.status, "f": f, "violation": violation, "proved": bool(found.b_stationary)}
+        ending = {"status": end.status, "f": f, "violation": violation}
         return ending | {"iterations": end.iterations, "seconds": seconds}
 
     row = work() if together else isolated(work, limit)
@@ -108,11 +105,9 @@ def solved(problem: Problem, solver: str, limit: float, together: bool = False) 
 
 def judged(rows: Sequence[Row]) -> pd.DataFrame:
     """Rows with ``solved`` and ``lowest``, see above; what did not come to an end is neither."""
-    columns = ["group", "problem", "solver", "pairs", "target", "f", "violation"]
-    columns += ["proved", "iterations", "seconds"]
+    columns = ["group", "problem", "solver", "pairs", "target", "f", "violation", "iterations", "seconds"]
     frame = pd.DataFrame(rows, columns=columns)
     frame["solved"] = frame.violation <= SOLVED
-    frame["proved"] = frame.solved & frame.proved.eq(True)  # nothing of what did not end
     least = frame.f.where(frame.solved).groupby(frame.problem).transform("min")
     best = frame.target.astype(float).fillna(least)
     frame["lowest"] = frame.solved & (frame.f - best <= LOWEST * np.maximum(1.0, best.abs()))

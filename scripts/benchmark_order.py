@@ -2,7 +2,6 @@
 
     python scripts/benchmark_order.py                    every problem (an hour)
     python scripts/benchmark_order.py --cases 6.1 wedge --levels 2
-    python scripts/benchmark_order.py --tables           of what was measured, nothing more
 
 Meshes of both orders have as many unknown nodes (vertices, and at order 2 middles of edges). Uniform and
 h-adaptive meshes are scikit-fem's own where ``best_mesh/adaptive.py`` has the problem; else the package
@@ -179,13 +178,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = command_line(__doc__, out="results/order")
     parser.add_argument("--cases", nargs="+", choices=list(SIZES), default=list(SIZES))
     parser.add_argument("--levels", type=int, help="meshes of each problem, the coarsest ones; default: all")
-    parser.add_argument("--tables", action="store_true", help="of what was measured")
     options = parser.parse_args(arguments)
     store = Store(options.out / "rows.jsonl")
-    if not options.tables:
-        methods.warm_up()
-        for name in options.cases:
-            measured(store, {**CASES, **MORE}[name], options.levels)
+    methods.warm_up()
+    for name in options.cases:
+        measured(store, {**CASES, **MORE}[name], options.levels)
     compared = times(store.rows, 2, (RELOCATED, REMESHED), (UNIFORM, ADAPTIVE), MANY)
     tables = factors(store.rows), orders(store.rows), compared
     written(options.out, tables, picture(store.rows), "order.png")

@@ -132,7 +132,7 @@ def test_benchmark_of_orders_measures_both_and_writes_its_tables(tmp_path: Path)
     table, kept = (tmp_path / "table.md").read_text(), (tmp_path / "rows.jsonl").read_text()
     assert "| L-shape r^(2/3) |   225 |" in table
     assert '"order": 1, "method": "remeshed, relocated"' in kept
-    assert benchmark_order.main(["--tables", "--out", str(tmp_path)]) == 0
+    assert benchmark_order.main(arguments) == 0
     assert (tmp_path / "table.md").read_text() == table
     assert (tmp_path / "rows.jsonl").read_text() == kept
 
