@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 import rmesh_nlp as rm
 from best_mesh.cases import next_mesh
-from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns, warm_up
+from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Task, measure, unknowns, warm_up
 from best_mesh.tables import cases, finished, side_by_side, written
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.problem import ContactProblem
@@ -57,8 +57,8 @@ def adapted(problem: ContactProblem, most: int) -> Iterator[Row]:
         spent += seconds
 
 
-def tasks(given: ContactProblem, levels: int) -> Iterator[tuple[int, str, int, Method]]:
-    """Order, method, level and how to measure it."""
+def tasks(given: ContactProblem, levels: int) -> Iterator[Task]:
+    """Meshes as they are, relocated and new, and those of local refinement."""
     for order in (1, 2):
         problem = replace(given, order=order)
         for level in range(levels):

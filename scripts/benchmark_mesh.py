@@ -29,9 +29,8 @@ from best_mesh.methods import (
     RELOCATED,
     REMESHED,
     UNIFORM,
-    Method,
+    Task,
     by_scikit_fem,
-    measure,
 )
 from best_mesh.tables import at, cases, finished, of, side_by_side, times, written
 from rows import Row, Store, command_line
@@ -40,8 +39,9 @@ MANY = 300
 """Nodes from which on times are compared."""
 
 
-def tasks(case: Case, sizes: Sequence[int]) -> Iterator[tuple[int, str, int, Method]]:
-    """Order, method, size and how to measure it."""
+def tasks(case: Case, levels: int | None) -> Iterator[Task]:
+    """Meshes of a number of sizes, the coarsest ones, beside what they are compared with."""
+    sizes = case.sizes[:levels]
     most, coarse = methods.unknowns(case.problem(max(sizes))), case.sizes[0]
     if case.equations is None:
         yield 1, ADAPTIVE, most, partial(methods.refined, case, coarse, 1, most)
@@ -99,9 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     methods.warm_up()
     store = Store(options.out / "rows.jsonl")
-    for case in (CASES[name] for name in options.cases):
-        for task in tasks(case, case.sizes[: options.levels]):
-            measure(store, case.name, *task)
+    for name in options.cases:
+        methods.measured(store, CASES[name], partial(tasks, levels=options.levels))
     compared = times(store.rows, 1, (LOOP, RELOCATED, REMESHED), (ADAPTIVE,), MANY)
     written(options.out, (factors(store.rows), compared), picture(store.rows), "best_mesh.png")
     return 0 if all(np.isfinite(row.get("error", np.nan)) for row in store.rows) else 1

@@ -13,7 +13,6 @@ DIR/order.png.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 
@@ -23,11 +22,9 @@ from matplotlib.figure import Figure
 
 from best_mesh import adaptive as plain
 from best_mesh import methods
-from best_mesh.cases import CASES, MORE, Case, extrapolated
-from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Method, measure, unknowns
+from best_mesh.cases import CASES, MORE, Case
+from best_mesh.methods import ADAPTIVE, RELOCATED, REMESHED, UNIFORM, Task, limit, measured, unknowns
 from best_mesh.tables import at, cases, draw, finished, of, times, written
-from rmesh_nlp.models.remeshing import Solved, metric_start
-from rmesh_nlp.problem import ContactProblem
 from rows import Row, Store, command_line
 
 SIZES = {
@@ -51,20 +48,16 @@ SHOWN = {"L-shape r^(2/3)": r"L-shape, $r^{2/3}$", "6.1": "Example 6.1", "wedge"
 """Cases of the figure, and what they are called there."""
 
 METHODS = (UNIFORM, ADAPTIVE, RELOCATED, REMESHED)
-REFERENCE = "reference"
 
 MOST = {UNIFORM: 80_000, ADAPTIVE: 30_000}
 """Nodes up to which meshes of scikit-fem go."""
-
-FINE = (1500, 3000)
-"""Vertices of the meshes that an energy is extrapolated from."""
 
 MANY = 1000
 """Nodes from which on times are compared."""
 
 
-def tasks(case: Case, levels: int | None) -> Iterator[tuple[int, str, int, Method]]:
-    """Order, method, size and how to measure it."""
+def tasks(case: Case, levels: int | None) -> Iterator[Task]:
+    """Meshes of both orders, the last ones of all sizes but one."""
     sizes = SIZES[case.name]
     for order in (2, 1):
         own = sizes[2 - order : len(sizes) + 1 - order][:levels]
@@ -80,35 +73,6 @@ def tasks(case: Case, levels: int | None) -> Iterator[tuple[int, str, int, Metho
         for size in own:
             for method in (RELOCATED, REMESHED):
                 yield order, method, size, partial(methods.relocated, case, size, order, method == REMESHED)
-
-
-def energies(problem: ContactProblem) -> Iterator[Row]:
-    """Energies of the contact solutions of two meshes made for order 2.
-
-    Not the assessed ones: over a curved obstacle in the interior, stand-offs are the larger error there.
-    """
-    solved = Solved.of(replace(problem, order=2, exact=None, reference=None))
-    for vertices in FINE:
-        solved = metric_start(solved, vertices).solved
-        yield {"nodes": unknowns(solved.problem), "error": solved.state.energy, "status": "energy"}
-
-
-def limit(rows: Sequence[Row], case: str) -> tuple[float, float]:
-    """The energy that those of two meshes tend to like one over the square of the nodes, and its doubt."""
-    meshes = of(rows, case, REFERENCE, 2)
-    if len(meshes) < 2:
-        return float("nan"), float("nan")
-    return extrapolated(*zip(meshes.nodes, meshes.error, strict=True), rate=2)
-
-
-def measured(store: Store, case: Case, levels: int | None) -> None:
-    """Measure what is missing of a case, its energy first."""
-    sizes = SIZES[case.name]
-    if case.slope is None and np.isnan(case.known):
-        measure(store, case.name, 2, REFERENCE, 0, partial(energies, case.problem(sizes[0])))
-        case = replace(case, known=limit(store.rows, case.name)[0])
-    for task in tasks(case, levels):
-        measure(store, case.name, *task)
 
 
 def at_equal_unknowns(rows: Sequence[Row], case: str, order: int) -> pd.DataFrame:
@@ -182,7 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     store = Store(options.out / "rows.jsonl")
     methods.warm_up()
     for name in options.cases:
-        measured(store, {**CASES, **MORE}[name], options.levels)
+        measured(store, {**CASES, **MORE}[name], partial(tasks, levels=options.levels))
     compared = times(store.rows, 2, (RELOCATED, REMESHED), (UNIFORM, ADAPTIVE), MANY)
     tables = factors(store.rows), orders(store.rows), compared
     written(options.out, tables, picture(store.rows), "order.png")

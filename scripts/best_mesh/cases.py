@@ -27,20 +27,7 @@ from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 
 RULE = 6
-REFERENCE_NODES = 20_000
-
-
-@dataclass(frozen=True)
-class Reference:
-    """A problem on a locally refined mesh, and the energy that such meshes tend to."""
-
-    problem: ContactProblem
-    limit: float
-
-    def least(self, triangles: int) -> float:
-        """The least interpolation error of a number of triangles."""
-        regions = Solved.of(self.problem).regions
-        return LeastErrors.of(np.asarray(self.problem.mesh.p), regions, triangles).any_mesh
+FINE_NODES = 20_000
 
 
 def next_mesh(problem: ContactProblem) -> ContactProblem:
@@ -53,36 +40,11 @@ def next_mesh(problem: ContactProblem) -> ContactProblem:
     return locally_refined(problem, order[: 1 + int(np.searchsorted(share, share[-1] / 2))])
 
 
-def reference(problem: ContactProblem, nodes: int) -> Reference:
-    """Refine locally; new nodes of curves are on them.
-
-    The assessed energy is extrapolated from the last mesh and the one that had half as many nodes, with the
-    rate of optimal meshes, one over the number of nodes.
-    """
-    meshes = [replace(problem, exact=None, reference=None)]
-    while meshes[-1].mesh.p.shape[1] < nodes:
-        meshes.append(next_mesh(meshes[-1]))
-    counts = [int(mesh.mesh.p.shape[1]) for mesh in meshes]
-    half = next(k for k in reversed(range(len(counts))) if counts[k] <= counts[-1] / 2 or k == 0)
-    energies = ((counts[k], admissible(meshes[k]).energy) for k in (half, -1))
-    return Reference(meshes[-1], extrapolated(*energies)[0])
-
-
-def extrapolated(coarse: tuple[int, float], fine: tuple[int, float], rate: int = 1) -> tuple[float, float]:
-    """The energy that two meshes tend to, by their nodes and energies, and how far it is from the second.
-
-    Errors fall like the number of nodes to the power of ``-rate``.
-    """
-    (before, higher), (last, least) = coarse, fine
-    rest = (higher - least) / ((last / before) ** rate - 1)
-    return least - rest, abs(rest)
-
-
 @dataclass(frozen=True)
 class Case:
     """A problem at several sizes, without move limits, and perhaps its ``equations`` for scikit-fem.
 
-    ``known`` is the exact energy; else it is that of a locally refined mesh, extrapolated.
+    ``known`` is the energy that errors are measured against.
     """
 
     name: str
@@ -98,14 +60,17 @@ class Case:
         return replace(given, motion=motion, quadrature=RULE, order=order)
 
     @cached_property
-    def reference(self) -> Reference:
-        """A solution on a fine mesh."""
-        return reference(self.problem(self.sizes[0]), REFERENCE_NODES)
+    def fine(self) -> ContactProblem:
+        """Refined locally to some 20,000 nodes; new nodes of curves are on them."""
+        problem = replace(self.problem(self.sizes[0]), exact=None, reference=None)
+        while problem.mesh.p.shape[1] < FINE_NODES:
+            problem = next_mesh(problem)
+        return problem
 
-    @property
-    def exact(self) -> float:
-        """The energy that errors are measured against."""
-        return self.reference.limit if np.isnan(self.known) else self.known
+    def least(self, triangles: int) -> float:
+        """The least interpolation error of a number of triangles, by the solution on the fine mesh."""
+        regions = Solved.of(self.fine).regions
+        return LeastErrors.of(np.asarray(self.fine.mesh.p), regions, triangles).any_mesh
 
     @property
     def slope(self) -> OnPoints | None:
@@ -115,7 +80,7 @@ class Case:
     def error(self, problem: ContactProblem) -> float:
         """Error of a mesh: of its assessed energy, or half its square in the energy norm."""
         if self.slope is None:
-            return admissible(problem).energy - self.exact
+            return admissible(problem).energy - self.known
         model = ContactSolver(problem)
         space, coefficients = model.discretisation.space, model.displacement.values(model.given.u)
         basis = Basis(MeshTri(problem.mesh.p, problem.mesh.t), plain.ELEMENTS[problem.order])
@@ -124,7 +89,7 @@ class Case:
     def error_of(self, end: plain.Solved) -> float:
         """The same of a solution by scikit-fem."""
         if self.slope is None:
-            return end.energy - self.exact
+            return end.energy - self.known
         return plain.half_square(end.basis, end.u, self.slope)
 
 
