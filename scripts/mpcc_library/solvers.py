@@ -90,18 +90,11 @@ def pympcc(problem: Problem) -> End:
         "lagrangian_hessian": lagrangian,
         "lagrangian_hessian_sparsity": tuple(np.array(part) for part in hessian.sparsity().get_triplet()),
     }
-    names = (
-        ("comp_G", "comp_G"),
-        ("comp_H", "comp_H"),
-        ("ineq_constraints", "ineq"),
-        ("eq_constraints", "eq"),
-    )
-    for (values, name), column in zip(names, (G, H, c, h), strict=True):
+    for name, column in {"comp_G": G, "comp_H": H, "ineq": c, "eq": h}.items():
         if column.shape[0] or name.startswith("comp"):
-            derivatives |= {
-                values: dense(column, flat=True),
-                f"{name}_jacobian": dense(ca.jacobian(column, x)),
-            }
+            values = name if name.startswith("comp") else f"{name}_constraints"
+            derivatives[values] = dense(column, flat=True)
+            derivatives[f"{name}_jacobian"] = dense(ca.jacobian(column, x))
     stated = peer.MPCCProblem(
         n=x.shape[0], n_comp=G.shape[0], n_ineq=c.shape[0], n_eq=h.shape[0],
         x0=np.array(problem.x0, dtype=float), objective=lambda at: float(value(at)[0]),
