@@ -143,12 +143,7 @@ def by_size(rows: Sequence[Row]) -> pd.DataFrame:
 
 def size_table(rows: Sequence[Row]) -> str:
     """Time against pairs, a line for each size and a column for each solver, in Markdown."""
-    times = by_size(rows)
-    return markdown(
-        times.apply(lambda column: column.map("{:.1f}".format, "ignore"))
-        .rename(columns="{} [s]".format)
-        .reset_index()
-    )
+    return markdown(by_size(rows).rename(columns="{} [s]".format).reset_index())
 
 
 def figure(rows: Sequence[Row], path: Path) -> None:

@@ -86,7 +86,7 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
         rows.append({**key, "pairs": 16, "f": f, "violation": violation, "seconds": 1.0})
     benchmark.figure(rows, tmp_path / "size.png")
     assert (tmp_path / "size.png").stat().st_size > 0
-    assert "| membrane          |    16 |                1.0 |" in benchmark.size_table(rows)
+    assert "| membrane          |    16 |                  1 |" in benchmark.size_table(rows)
     benchmark.figure([], tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
 
