@@ -128,7 +128,8 @@ def _check(variable: DesignVariable | Shape) -> None:
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
         raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
     if np.shape(bounds) != (2,) or not (is_finite(bounds) and bounds[0] < bounds[1]):
-        raise ValueError(f"the bounds of {name!r} must be finite and increase, got {np.array(bounds).tolist()}")
+        said = np.array(bounds).tolist()
+        raise ValueError(f"the bounds of {name!r} must be finite and increase, got {said}")
     object.__setattr__(variable, "bounds", tuple(bounds))
     if not bounds[0] <= start <= bounds[1]:
         raise ValueError(f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}")
