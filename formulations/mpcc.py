@@ -19,7 +19,7 @@ from formulations.finish import is_above, is_stationary
 from formulations.units import pull
 from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import unknown
-from rmesh_nlp.evaluation import Array, magnitude
+from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.models.kkt_model import COMMON, TIGHT, Bilevel, bilevel, in_units_of
@@ -186,7 +186,7 @@ def _options(outer: Outer, scaling: float) -> dict[str, Any]:
         return {**last, "ipopt_relaxed": warm, "ipopt_exact": warm}
     if outer.is_near:
         return last
-    centred = CENTRED if outer.objective.is_energy and outer.has_limits else {}
+    centred = CENTRED if outer.objective.is_energy and is_finite(outer.discretisation.mesh_map.upper) else {}
     # a relaxed solution is only on the way: to 1e-8, as by default, it takes 1.3 times the iterations in all;
     # after the first an adaptive barrier takes 0.8 of the iterations for energies, 0.4 to 0.8 for errors
     first, later = {**common, "tol": 1e-4, **centred}, {"mu_strategy": "adaptive", "tol": 1e-8}

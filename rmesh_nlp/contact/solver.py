@@ -17,7 +17,7 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction, gaps
 from rmesh_nlp.fem.energy import loads, strain
-from rmesh_nlp.fem.fields import ElementGroup, Field
+from rmesh_nlp.fem.fields import ElementGroup, Field, Fields
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
@@ -94,7 +94,7 @@ class ContactSolver:
         self.problem = problem = parts.problem
         self.displacement, self.n_u = parts.displacement, parts.n_u
         self.contact_nodes = parts.space.contact_nodes
-        on = parts.at_positions(parts.vertices.positions)
+        on = Fields(parts.space, parts.vertices.positions, parts.displacement, parts.slip)
         self._elastic = _AtZero(parts, [*strain(on), *gaps(on)], self.n_u, quadratic=True)
         self._loads = _AtZero(parts, loads(on, problem.rule), self.n_u)
         self._friction = _AtZero(parts, friction(on), parts.n_s)

@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 
-from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.contact_terms import gap_field, slip_field
 from rmesh_nlp.fem.energy import displacement_field
@@ -85,11 +84,6 @@ class Discretisation:
         """The vertex positions as parameters of what is solved at positions that are given."""
         return VertexParameters(self.problem)
 
-    def check_unknowns(self) -> None:
-        """Raise a ProblemError if there is nothing to solve for; such a problem may still be refined."""
-        if self.n_u == 0:
-            raise ProblemError("dirichlet", "every displacement is given: leave some node free")
-
     def rigid_motions(self, nodes: Array) -> Array | None:
         """(n_u, motions) the rigid motions at vertex positions (2, vertices) that only contact prevents."""
         if not self.floats:
@@ -105,10 +99,6 @@ class Discretisation:
     def validity(self) -> Validity:
         """Rows of the elements that the move limits alone do not keep valid."""
         return validity(self.problem, self.mesh_map)
-
-    def at_positions(self, positions: Field) -> Fields:
-        """Displacement and slip as functions of u and of s, on these positions."""
-        return Fields(self.space, positions, self.displacement, self.slip)
 
     def fields(self, length: float = 1.0) -> Fields:
         """All fields as functions of ``x = (q, u, lambda, s, mu-, mu+)``, the unknowns of the KKT conditions.

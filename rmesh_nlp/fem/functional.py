@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -74,10 +75,11 @@ class Functional:
 
     def evaluate(self) -> Callable[[Array], float]:
         """A function of the unknowns ``x``: the value."""
-        first, sums = _total(self.groups), self.sum_values()
+        first, sums = _total(self.groups), self.sum_values
         combine = Evaluator(self.function)
         return lambda x: first(x) + (float(combine(sums(x))[0][0]) if self.sums else 0.0)
 
+    @cached_property
     def sum_values(self) -> Callable[[Array], Array]:
         """A function of the unknowns ``x``: the sums (m,)."""
         totals = [_total(groups) for groups in self.sums]

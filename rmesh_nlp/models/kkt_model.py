@@ -14,7 +14,6 @@ mesh adds them as unknowns sigma. Then
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -157,11 +156,7 @@ class Bilevel:
     def point(self, point: ContactPoint) -> Array:
         """The unknowns ``x`` of a contact solution."""
         x = kkt_unknowns(point, self.parts.friction_rows) / _units(self.length, self.force, self.sizes)
-        return np.append(x, self._sum_values(x) / self.sums)
-
-    @cached_property
-    def _sum_values(self) -> Callable[[Array], Array]:
-        return self.summed.sum_values()
+        return np.append(x, self.summed.sum_values(x) / self.sums)
 
 
 def _units(length: float, force: float, sizes: tuple[int, ...]) -> Array:

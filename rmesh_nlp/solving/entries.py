@@ -10,6 +10,7 @@ from __future__ import annotations
 import platform
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
+from functools import cache
 from importlib.metadata import version
 from typing import Any
 
@@ -354,6 +355,7 @@ def written(solution: Solution) -> dict[str, object]:
     }
 
 
+@cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the packages that decide the figures."""
     packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")

@@ -12,7 +12,8 @@ import numpy as np
 from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import Array, is_finite
+from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.constraints import is_constrained
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -64,7 +65,8 @@ class Outer:
     ) -> Outer:
         """The outer problem on the mesh of a problem."""
         discretisation = discretise(problem)
-        discretisation.check_unknowns()
+        if discretisation.n_u == 0:  # such a problem may still be refined
+            raise ProblemError("dirichlet", "every displacement is given: leave some node free")
         return cls(ContactSolver(discretisation), parse_objective(objective), tolerance)
 
     def minimising(self, objective: Objective, gain: float | None = None) -> Outer:
@@ -167,11 +169,6 @@ class Outer:
     def n(self) -> int:
         """Number of outer variables."""
         return self.discretisation.n_q
-
-    @property
-    def has_limits(self) -> bool:
-        """Whether all outer variables have limits."""
-        return bool(is_finite(self.discretisation.mesh_map.upper))
 
     def clipped(self, q: Array) -> Array:
         """The nearest outer variables within their limits."""

@@ -171,6 +171,8 @@ def measured(outer: Outer, q: Array) -> State:
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
     audited, passing = _audited(at, position, solved, continuous), penetrations(space, nodes, displacement)
+    # the load by an accurate rule, where it is on the same mesh
+    load = continuous.system.load if continuous.problem is at.problem else None
     natural = 0.0 if at.objective.collapses else at.objective.size  # an energy has that of its strain
     return State(
         problem=at.problem,
@@ -198,7 +200,7 @@ def measured(outer: Outer, q: Array) -> State:
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
         warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),
-        doubts=_doubts(at, continuous) if is_given else (),
+        doubts=tuple(warning.message for warning in setup_warnings(at.contact, load)) if is_given else (),
     )
 
 
@@ -208,12 +210,6 @@ def _ambiguous(point: ContactPoint) -> Iterator[str]:
             f"Coulomb friction is strong: a change of its bounds grows {ratio:.2g} times in a fixed-point "
             "step, and it is not known whether this solution is the only one"
         )
-
-
-def _doubts(outer: Outer, continuous: Admissible) -> tuple[str, ...]:
-    # the load by an accurate rule, where it is on the same mesh
-    load = continuous.system.load if continuous.problem is outer.problem else None
-    return tuple(warning.message for warning in setup_warnings(outer.contact, load))
 
 
 def _unsolvable(outer: Outer, q: Array, before: Array, ratio: float) -> State:

@@ -15,7 +15,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.assembly import element_values
 from rmesh_nlp.fem.distortion import distortion_group
-from rmesh_nlp.fem.fields import constant_field
+from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.models.descent import KEPT, longest_valid, node_widths
@@ -34,7 +34,8 @@ from support.reduced import free_membrane, with_distortion
 def test_distortions_of_a_stretched_mesh_by_hand() -> None:
     problem = free_membrane()
     a, b = 2.0, 0.25  # along x and y: |A|^2 = a^2 + b^2, det A = a b
-    stretched = discretise(problem).at_positions(constant_field(problem.mesh.p * np.array([[a], [b]])))
+    parts, positions = discretise(problem), constant_field(problem.mesh.p * np.array([[a], [b]]))
+    stretched = Fields(parts.space, positions, parts.displacement, parts.slip)
     shape, size = (a**2 + b**2) / (2 * a * b) - 1, (a * b + 1 / (a * b) - 2) / 2
     elastic = (a**2 + b**2 + a**-2 + b**-2) / 4 - 1
     for name, value in {"quality": shape, "shape-size": shape + size, "elastic": elastic}.items():
