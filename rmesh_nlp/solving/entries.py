@@ -66,6 +66,17 @@ def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
     return {name: of._asdict() for name, of in certificate.bounds.items()} or None
 
 
+@cache
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that decide the figures."""
+    packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
+    if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
+        packages = (*packages, "scikit-sparse")
+    if is_available():
+        packages = (*packages, "mmgpy")
+    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
+
+
 # fmt: off
 def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
     """Results of the contact on one of the meshes."""
@@ -123,7 +134,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("chosen", Text, "Why it chose that.", "chosen"),
         Entry("safe", Text, "What followed an exploited end, see [the assessment](assessment.md).",
               "safe"),
-        Entry("versions", Any, "Of Python and of the packages that decide the figures.", lambda s: versions(),
+        Entry("versions", Any, "Of Python and of the packages that decide the figures.", lambda _: versions(),
               EVERY),
     ),
     "How it ended": (
@@ -353,14 +364,3 @@ def written(solution: Solution) -> dict[str, object]:
         for name, value in values.items()
         if value is not None or ENTRIES[name].presence is not KNOWN
     }
-
-
-@cache
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that decide the figures."""
-    packages: tuple[str, ...] = ("rmesh-nlp", "casadi", "numpy", "scipy", "scikit-fem")
-    if HAS_CHOLMOD:  # factors by CHOLMOD differ by rounding
-        packages = (*packages, "scikit-sparse")
-    if is_available():
-        packages = (*packages, "mmgpy")
-    return {"python": platform.python_version(), **{name: version(name) for name in packages}}
