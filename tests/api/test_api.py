@@ -204,17 +204,3 @@ def test_nothing_heavy_is_loaded_before_it_is_used(code: str, heavy: set[str]) -
     code += f"; import sys; print({heavy} & {{*sys.modules}})"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "set()"
-
-
-@pytest.mark.slow
-def test_a_type_checker_knows_every_name(tmp_path: Path) -> None:
-    """Mypy sees the types themselves, not Any."""
-    names = [name for name in rm.__all__ if name not in ("__version__", "mpcc", "quantities", "shapes")]
-    lines = ["import rmesh_nlp as rm", *(f"reveal_type(rm.{name})" for name in names)]
-    script = tmp_path / "script.py"
-    script.write_text("\n".join(lines))
-    command = [sys.executable, "-m", "mypy", "--follow-imports", "silent", str(script)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=STUB.parent.parent)
-    revealed = [line for line in done.stdout.splitlines() if "Revealed type" in line]
-    assert len(revealed) == len(names), done.stdout
-    assert not [line for line in revealed if 'is "Any"' in line]

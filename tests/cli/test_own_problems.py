@@ -64,19 +64,6 @@ def rows() -> list[dict[str, Any]]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("block")
-def test_own_problems_are_compared_with_refinements(rmesh) -> None:
-    said = rmesh("compare block.toml --formulations fixed,joint --out c")
-    assert said.code in (0, 1)
-    assert [row["formulation"] for row in rows()] == ["fixed", "joint", "fixed", "fixed"]
-    assert [row["nodes"] for row in rows()] == [28, 28, 91, 325]
-    given, _, finer, finest = (row["energy"] for row in rows())
-    assert given > finer > finest
-    assert "## Relocation against uniform refinement\n\n### block" in said.out
-    assert "block: one uniform refinement (91 nodes) gains" in said.out
-
-
-@pytest.mark.slow
 def test_check_says_what_it_doubts(rmesh, block: Path) -> None:
     assert "is its sign right?" not in rmesh("check block.toml").out
     block.write_text(BLOCK.replace("[0, -10]", "[0, 10]").replace('left = "symmetry"', "left = [0, 0]"))

@@ -13,7 +13,6 @@ import pytest
 
 from rmesh_nlp.cli.solving import does_not_apply
 from rmesh_nlp.io.records import REQUIRED, to_json
-from rmesh_nlp.io.results import read_results
 from support.planted import plant, raising
 from support.reporting import fixed_61
 
@@ -119,20 +118,6 @@ def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left(rmes
         assert not left.parent.exists()
 
 
-@pytest.mark.slow
-def test_an_objective_that_joint_refuses_is_a_dash_and_no_failure(rmesh) -> None:
-    typed = "compare 6.1 --n 4 --quadrature 6 --formulations joint,nested --out both -q --no-figures"
-    assert rmesh(f"{typed} --objective energy --objective error-l2").code == 0
-    rows = [result.record for result in read_results(Path("both"))]
-    assert [does_not_apply(row) for row in rows] == [False, False, True, False]
-    assert (rows[2]["status"], rows[2]["success"], rows[2]["energy"]) == ("refused", False, None)
-    assert "error-l2" in rows[2]["message"]
-    table = Path("both/table.md").read_text()
-    assert rows[2]["message"] in table
-    assert "| nested, error-l2 |" in table
-    assert all(row["I1"] + row["I2"] > 0 for row in rows if row["success"])
-
-
 def test_rows_of_several_orders_and_rules_are_exported(rmesh) -> None:
     pytest.importorskip("pyarrow")
     given = fixed_61(key="a", order=1), fixed_61(key="b", order=2, quadrature=8)
@@ -145,5 +130,7 @@ def test_rows_of_several_orders_and_rules_are_exported(rmesh) -> None:
 
 def test_refusing_the_only_objective_is_no_success(rmesh) -> None:
     assert not does_not_apply({"status": "refused", "objective": "energy"})
+    assert not does_not_apply({"status": "converged", "objective": "error-l2"})
+    assert does_not_apply({"status": "refused", "objective": "error-l2"})
     assert rmesh("compare 6.1 --n 4 --formulations joint -q --no-figures --objective error-l2").code == 1
     assert rmesh("figures results")[::2] == (0, "no figures of results: no solve has a solution\n")

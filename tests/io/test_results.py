@@ -147,13 +147,6 @@ def test_rows_of_one_key_become_one_and_nothing_is_written_without_need(tmp_path
     assert results.repaired() == results.read() == [rows[0], rows[1], good]
 
 
-def test_folder_without_records_is_named(tmp_path):
-    with pytest.raises(BadInputError, match=r"holds neither records\.jsonl nor record\.json"):
-        read_results(tmp_path)
-    with pytest.raises(BadInputError, match="is not a folder"):
-        read_results(tmp_path / "nowhere")
-
-
 @pytest.mark.parametrize("content", ["", "\n", '{"example": "6.1", "form'])
 def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, content):
     (tmp_path / "records.jsonl").write_text(content)

@@ -2,6 +2,7 @@
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import casadi as ca
@@ -13,7 +14,7 @@ from rmesh_nlp.mpcc import ampl, read, solve
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
 from rmesh_nlp.optimize.status import Status
-from support.asl import environment, install, read_sol
+from support.asl import read_sol
 from support.nl_files import NL, SOLUTION, binary
 
 ACTIVE = NL.replace("1 5\nb", "1 2.5\nb")
@@ -39,14 +40,19 @@ def called(stub, *options):
     return read_sol(stub.with_suffix(".sol"))
 
 
-def test_executable_is_called_as_jump_calls_it(stub, tmp_path):
-    """AmplNLWriter.jl runs ``solver model.nl -AMPL key=value`` and takes an exit code but 0 for an error."""
-    path = stub()
-    command = [install(tmp_path), f"{path}.nl", "-AMPL", "time_limit_s=60"]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment(), check=False)
+def test_executable_is_called_as_jump_calls_it(tmp_path):
+    """AmplNLWriter.jl runs ``solver model.nl -AMPL key=value`` and takes an exit code but 0 for an error.
+
+    AMPL's ``solve`` writes binary files.
+    """
+    path = tmp_path / "n=3" / "model.nl"
+    path.parent.mkdir()
+    path.write_bytes(binary(NL))
+    command = [sys.executable, "-c", "from rmesh_nlp.cli.entry import mpcc; mpcc()", path, "-AMPL"]
+    done = subprocess.run([*command, "time_limit_s=60"], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "relaxed" in done.stdout
-    sol = read_sol(tmp_path / "model.sol")
+    sol = read_sol(path.with_suffix(".sol"))
     assert (sol.code, sol.x) == (0, pytest.approx(SOLUTION[0], abs=1e-6))
     assert "objective -3" in sol.message
     assert "stationarity S" in sol.message
@@ -99,6 +105,9 @@ def test_model_in_the_layout_of_jump(stub):
     sol = called(stub(JUMP))
     assert (sol.code, sol.x) == (0, pytest.approx([3, 0], abs=1e-6))
     assert sol.suffixes["ipopt_zL_out"][1] == pytest.approx(-2, abs=1e-5)  # y >= 0 is y = 0 on this branch
+    sol = called(stub(JUMP.replace("b\n2 0", "b\n1 -1")))  # x <= -1 where it must not be negative
+    assert sol.code == 200
+    assert "Locally infeasible" in sol.message
 
 
 @pytest.mark.parametrize("text", [ACTIVE, MAXIMUM])
@@ -130,21 +139,6 @@ def test_code_is_in_the_hundred_of_its_kind(status):
     kinds = {"converged": 0, "acceptable": 1, "infeasible": 2, "unbounded": 3}
     limits = dict.fromkeys(("iteration_limit", "time_limit", "interrupted"), 4)
     assert solve_code(status) // 100 == (kinds | limits).get(status.value, 5)
-
-
-def test_infeasible_model(stub):
-    """x <= -1 where it must not be negative."""
-    sol = called(stub(JUMP.replace("b\n2 0", "b\n1 -1")))
-    assert sol.code == 200
-    assert "Locally infeasible" in sol.message
-
-
-def test_binary_model_in_a_folder_with_an_equals_sign(tmp_path):
-    """AMPL's ``solve`` writes binary files."""
-    folder = tmp_path / "n=3"
-    folder.mkdir()
-    (folder / "model.nl").write_bytes(binary(NL))
-    assert called(folder / "model").x == pytest.approx(SOLUTION[0], abs=1e-6)
 
 
 def test_options_come_from_the_environment_and_then_from_the_command(stub, monkeypatch):
@@ -217,11 +211,9 @@ def test_flags_of_asl(stub, capsys):
 
 
 def test_only_an_nl_file_has_a_solution_file(stub, tmp_path):
-    problem = read(stub().with_suffix(".nl"))
-    result = solve(problem.mpcc, problem.x0)
-    problem = type(problem)("made", problem.mpcc, problem.x0)
+    given = read(stub().with_suffix(".nl"))
     with pytest.raises(ValueError, match="made was not read from an"):
-        write_sol(tmp_path / "made.sol", problem, result)
+        write_sol(tmp_path / "made.sol", type(given)("made", given.mpcc, given.x0), None)
 
 
 def test_a_full_disk_leaves_no_part_of_a_solution_file(stub, capsys, monkeypatch):

@@ -111,42 +111,25 @@ def end_of(mpcc, start):
     return run, phase_one(run, run.lifted.start(np.array(start, dtype=float), np.zeros(0)))
 
 
-def test_feasible_point_outside_the_region_is_found():
-    run, end = end_of(MPCC(XY, x, x + 2 * y, x, y, lbg=10), [0.2, 0.0])
-    z, status = end
+@pytest.mark.parametrize(
+    ("mpcc", "start", "known"),
+    [
+        *((SUM, start, {0: 0.0, 1: 1.0, 2: 1.0}) for start in ((0.5, 0.5, 0.5), (1, 0, 0), (0, 0, 0))),
+        # outside the first trust region
+        (MPCC(XY, x, x + 2 * y, x, y, lbg=10), (0.2, 0), {}),
+        # cos(4 x) = 1/2 with x in [0.1, 3]: the first steps go too far
+        (MPCC(XY, -x, ca.cos(4 * x) + y, x, y, lbg=0.5, ubg=0.5, lbx=[0.1, 0], ubx=3), (0.11, 0), {}),
+        # log(x - 1) = -2 from x = 10: the first step ends at x = 0, where it is not defined
+        (MPCC(XY, x, ca.log(x - 1), x, y, lbg=-2, ubg=-2), (10, 0), {0: 1 + np.exp(-2)}),
+        # of two branches the one with the lower objective
+        (MPCC(XY, x + 3 * y, x + y, x, y, lbg=1), (0.4, 0.5), {1: 0.0}),
+    ],
+)
+def test_feasible_point_is_found_over_all_branches(mpcc, start, known):
+    run, (z, status) = end_of(mpcc, start)
     assert status is Status.CONVERGED
     assert run.exact(z)
-    assert np.max(z) >= 5 - 1e-7
-
-
-@pytest.mark.parametrize("start", [(0.5, 0.5, 0.5), (1, 0, 0), (0, 0, 0)])
-def test_branch_is_found_over_all_combinations(start):
-    run, (z, status) = end_of(SUM, start)
-    assert status is Status.CONVERGED
-    assert z[:3] == pytest.approx([0, 1, 1], abs=1e-7)
-    assert run.exact(z)
-
-
-def test_region_shrinks_where_the_linearisation_is_poor():
-    """cos(4 x) = 1/2 with x in [0.1, 3]: the first steps go too far."""
-    curved = MPCC(XY, -x, ca.cos(4 * x) + y, x, y, lbg=0.5, ubg=0.5, lbx=[0.1, 0], ubx=3)
-    _, (z, status) = end_of(curved, [0.11, 0])
-    assert status is Status.CONVERGED
-    assert np.cos(4 * z[0]) + z[1] == pytest.approx(0.5, abs=1e-7)
-
-
-def test_region_shrinks_where_functions_are_not_defined():
-    """log(x - 1) = -2 from x = 10: the first step ends at x = 0."""
-    _, (z, status) = end_of(MPCC(XY, x, ca.log(x - 1), x, y, lbg=-2, ubg=-2), [10, 0])
-    assert status is Status.CONVERGED
-    assert z[0] == pytest.approx(1 + np.exp(-2), abs=1e-7)
-
-
-def test_of_feasible_branches_the_one_with_the_lower_objective_is_taken():
-    mpcc = MPCC(XY, x + 3 * y, x + y, x, y, lbg=1)
-    z = end_of(mpcc, [0.4, 0.5])[1][0]
-    assert z[0] >= 1 - 1e-7
-    assert z[1] == 0
+    assert z[[*known]] == pytest.approx([*known.values()], abs=1e-7)
 
 
 @pytest.mark.parametrize(

@@ -49,16 +49,11 @@ def test_malformed_problem_is_refused(changes, words):
         corner(**changes)
 
 
-@pytest.mark.parametrize(
-    ("x0", "words"),
-    [([0.0], "x0 has length 1"), ([0.0, np.nan], r"x0\[1\] .y. is nan"), ([0.0, INF], r"x0\[1\] .y. is inf")],
-)
-def test_bad_start_is_refused(x0, words):
-    with pytest.raises(ValueError, match=words):
-        solve(corner(), x0)
-
-
-def test_bad_parameters_and_options_are_refused():
+def test_bad_starts_parameters_and_options_are_refused():
+    starts = {"x0 has length 1": [0.0], r"x0\[1\] .y. is nan": [0.0, np.nan], "is inf": [0.0, INF]}
+    for words, x0 in starts.items():
+        with pytest.raises(ValueError, match=words):
+            solve(corner(), x0)
     with pytest.raises(ValueError, match="p has length 0, expected 1"):
         solve(corner(f=x * stray, p=stray), [0, 0])
     with pytest.raises(ValueError, match="unknown relaxation 'none': choose from scholtes"):
@@ -68,6 +63,8 @@ def test_bad_parameters_and_options_are_refused():
         ("t0", 0.0, r"t0 must be positive and finite, got 0\.0"),
         ("t_final", 2.0, r"t_final = 2\.0 lies above t0 = 1\.0"),
         *((name, 0, f"{name} must be ") for name in ("time_limit_s", "max_iterations", "max_pivots")),
+        *((name, -1, f"{name} must be .* got -1") for name in ("seed", "moves")),
+        *(("starts", value, f"starts must be .* got {value}") for value in (0, 2.5)),
     ):
         with pytest.raises(ValueError, match=words):
             Options(**{name: value})

@@ -225,34 +225,13 @@ def test_a_malformed_nosbench_file_is_refused_with_its_field(tmp_path, change, w
         read(path)
 
 
-def test_json_that_is_nested_without_end_is_refused(tmp_path):
+def test_what_is_no_problem_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="expected a path or a Pyomo model, got dict"):
+        read({})
     path = tmp_path / "deep.json"
     path.write_text("[" * 100_000)
     with pytest.raises(ValueError, match=r"deep.json: not a JSON file"):
         read(path)
-
-
-@pytest.mark.slow
-def test_a_pyomo_model():
-    pe = pytest.importorskip("pyomo.environ")
-    mpec = pytest.importorskip("pyomo.mpec")
-    m = pe.ConcreteModel(name="pyomo")
-    m.x, m.y, m.z = pe.Var(initialize=0.5), pe.Var(bounds=(0, None), initialize=0.2), pe.Var()
-    m.cost = pe.Objective(expr=(m.x - 1) ** 2 + pe.exp(m.y) - 2 * m.z)
-    m.sum = pe.Constraint(expr=m.x + m.z <= 5)
-    m.orthant = mpec.Complementarity(expr=mpec.complements(m.y >= 0, m.x + m.y - 1 >= 0))
-    m.mixed = mpec.Complementarity(expr=mpec.complements(m.x**2 + m.z - 3, pe.inequality(-1, m.z, 2)))
-    problem = read(m)
-    assert problem.name == "pyomo"
-    result = solve(problem.mpcc, problem.x0)
-    assert result.success
-    assert result.f == pytest.approx(SOLUTION[1], abs=1e-7)
-    assert m.orthant.active  # the model is left as it was
-
-
-def test_what_is_no_file_is_named():
-    with pytest.raises(ValueError, match="expected a path or a Pyomo model, got dict"):
-        read({})
 
 
 def test_command_solves_files(nl, capsys):

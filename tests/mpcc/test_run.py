@@ -7,26 +7,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, Duals, MPCCSolver, solve
+from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc.result import Step, in_words
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
 
 
-def obstacle(n=40):
-    """``u'' = 1 - force``, ``0 <= force _|_ u + 0.05 >= 0`` on n nodes, steered by a load factor near 1."""
-    h = 1 / (n + 1)
-    v = ca.SX.sym("v", 2 * n + 1)
-    u, force, load = v[:n], v[n : 2 * n], v[2 * n]
-    padded = ca.vertcat(0, u, 0)
-    balance = (2 * padded[1:-1] - padded[:-2] - padded[2:]) / h**2 + load - force
-    f = h * ca.sumsqr(u + 0.02) + 0.01 * (load - 1) ** 2
-    return MPCC(v, f, balance, force, u + 0.05, lbg=0, ubg=0)
-
-
-@pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
-def test_iterates_are_shown_as_they_happen(mpcc):
-    iterates = []
+def test_iterates_are_shown_as_they_happen():
+    mpcc, iterates = two_minima(), []
     result = solve(mpcc, 0.1, on_iteration=iterates.append)
     steps = result.history
     assert result.success
@@ -97,8 +85,8 @@ def test_label_in_words(pairs, stationarity, b, words):
     assert in_words(stationarity, b, pairs) == words
 
 
-@pytest.mark.parametrize("mpcc", [two_minima(), pytest.param(obstacle(), marks=pytest.mark.slow)])
-def test_iteration_limit_holds_and_gives_the_best_point(mpcc):
+def test_iteration_limit_holds_and_gives_the_best_point():
+    mpcc = two_minima()
     total = solve(mpcc, 0.1).counts["ipopt_iterations"]
     for limit in (1, total // 2, total - 1):
         result = solve(mpcc, 0.1, max_iterations=limit)
@@ -139,14 +127,6 @@ def test_time_limit_holds_within_an_nlp():
     assert np.all(np.isfinite(result.x))
 
 
-@pytest.fixture
-def _ctrl_c_raises():
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    yield
-    signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.usefixtures("_ctrl_c_raises")
 def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
     seen = []
 
@@ -159,19 +139,3 @@ def test_ctrl_c_in_the_middle_of_a_solve_is_not_a_failed_result():
         solve(two_minima(), 0.5, on_iteration=press)
     assert seen == [0, 1, 2]  # at once
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-@pytest.mark.slow
-def test_neighbouring_problem_is_solved_from_the_multipliers_of_the_first():
-    """The obstacle a little lower: a few iterations, where the homotopy takes dozens of iterations."""
-    mpcc, depth = obstacle(), ca.SX.sym("depth")
-    solver = MPCCSolver(MPCC(mpcc.x, mpcc.f, mpcc.g, mpcc.G, mpcc.H - 0.05 + depth, lbg=0, ubg=0, p=depth))
-    known = solver(0.1, p=0.05)
-    given = Duals(known.lam_x, known.lam_g, known.lam_G, known.lam_H)
-    cold, warm = solver(known.x, p=0.0502), solver(known.x, p=0.0502, start=given)
-    assert warm.success
-    assert warm.f == pytest.approx(cold.f, rel=1e-7)
-    assert 5 * warm.counts["ipopt_iterations"] < cold.counts["ipopt_iterations"]
-    far = solver(known.x, p=0.2, start=known)  # another contact set
-    assert far.success
-    assert far.f == pytest.approx(solver(known.x, p=0.2).f, rel=1e-7)

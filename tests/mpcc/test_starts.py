@@ -79,13 +79,6 @@ def test_limits_hold_for_all_starts_together():
     assert (late.status, late.history, late.ends) == (Status.TIME_LIMIT, (), ())
 
 
-@pytest.mark.parametrize("options", [{"starts": 0}, {"starts": 2.5}, {"seed": -1}, {"moves": -1}])
-def test_bad_numbers_of_starts_are_named(options):
-    ((name, value),) = options.items()
-    with pytest.raises(ValueError, match=f"{name} must be .* got {value}"):
-        solve(ARMS, [1.5, 0], **options)
-
-
 def test_rescue_from_a_moved_start_where_the_given_one_leads_nowhere():
     """log(x) is not defined between the bounds next to the given start: Ipopt gives up at once."""
     mpcc = MPCC(XY, (x - 2) ** 2 + y, ca.log(x - 0.5), x, y, lbg=-5, lbx=0, ubx=9)

@@ -11,7 +11,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
-from rmesh_nlp.study.comparison import formulation_options, plan_comparison, run
+from rmesh_nlp.study.comparison import plan_comparison, run
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.runner import failure, perform
 from support.planted import plant, raising
@@ -75,28 +75,15 @@ def test_keys_are_file_names_and_settings_reach_the_example():
     (one,) = plan_comparison(["6.1"], ["nested"], n=4, options=options)
     assert one.identity["key"] == one.key == "6.1-4-nested-error-l2_+_0.01_quality-seed3"
     assert replace(one, options={}).key == "6.1-4-nested"
+    plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:enough=0.01:seed=3"], n=4)
+    assert [one.options for one in plan] == [{}, {"start": "joint"}, {"enough": 0.01, "seed": 3}]
+    assert len({one.key for one in plan}) == 3
     (one,) = plan_comparison(["6.1"], ["fixed"], n=5, order=2, delta=0.02, quadrature=6)
     assert (one.built.size, one.built.order, one.built.rule) == ("5", 2, 6)
     assert one.identity == {
         **{"key": "6.1-5-order2-fixed", "example": "6.1", "formulation": "fixed"},
         **{"n": "5", "order": 2, "delta": [0.02, 0.02], "quadrature": 6},
     }
-
-
-@pytest.mark.parametrize(
-    ("names", "settings", "said"),
-    [
-        (["own.toml"], {"quadrature": 4}, "for the examples: write it into the files"),
-        (["own.toml", "other.toml"], {}, "two problem files are both called 'block'"),
-        (["6.1"], {"n": -1}, "-1"),
-        (["6.1"], {"options": {"objective": ["energy", "nonsense"]}}, "nonsense"),
-        (["6.1"], {"options": {"relaxation": "scholtes"}}, "'scholtes' is not an option of fixed"),
-    ],
-)
-def test_settings_that_do_not_fit_are_named(file, names, settings, said):
-    Path("other.toml").write_text(VALID)
-    with pytest.raises(BadInputError, match=said):
-        plan_comparison(names, ["fixed"], **settings)
 
 
 def test_errors_need_a_solution_that_is_known(file):
@@ -107,20 +94,6 @@ def test_errors_need_a_solution_that_is_known(file):
     Path(file).write_text('name = "6.2"\n' + VALID.replace('name = "block"\n', ""))
     with pytest.raises(BadInputError, match=r"error-l2: needs an exact .* solution, and '6\.2' has none"):
         plan_comparison([file], ["nested"], options=options)
-
-
-def test_a_formulation_may_have_options_of_its_own():
-    plan = plan_comparison(["6.1"], ["mpcc", "mpcc:start=joint", "nested:enough=0.01:seed=3"], n=4)
-    assert [one.options for one in plan] == [{}, {"start": "joint"}, {"enough": 0.01, "seed": 3}]
-    assert len({one.key for one in plan}) == 3
-
-
-def test_wrong_options_are_named():
-    wrong = {"mpcc:start": "NAME=VALUE", "mpcc:speed=9": "speed = 9 is not an option of mpcc, did"}
-    wrong |= {"mpcc:t0=x": "t0 must be .* got 'x'", "joint:limits.seconds=-1": "seconds must be .*, got -1"}
-    for text, said in wrong.items():
-        with pytest.raises(BadInputError, match=said):
-            formulation_options(text)
 
 
 def planned(name, n=(4, 2)):

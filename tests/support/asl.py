@@ -1,28 +1,9 @@
-"""The solver's executable, and what JuMP's AmplNLWriter reads of a ``.sol`` file."""
+"""What JuMP's AmplNLWriter reads of a ``.sol`` file."""
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import dataclass, field
 from pathlib import Path
-
-EXECUTABLE = "rmesh-mpcc"
-"""As the console script is called, which a test run from the sources does not have."""
-
-
-def install(folder: Path) -> Path:
-    """Write the executable into a folder."""
-    path = folder / EXECUTABLE
-    entry = "from rmesh_nlp.cli.entry import mpcc; mpcc()"
-    path.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "{entry}" "$@"\n')
-    path.chmod(0o755)
-    return path
-
-
-def environment() -> dict[str, str]:
-    """The environment of a process that finds the package where this one has found it."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
 
 
 @dataclass
