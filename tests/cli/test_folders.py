@@ -52,8 +52,11 @@ def test_a_solve_leaves_nothing_of_an_earlier_one(rmesh, monkeypatch) -> None:
     Path("my.toml").write_text(SCALAR)
     monkeypatch.setattr(reporting, "pictures", lambda *_: [("mesh", Figure(figsize=(1, 1)))])
     assert rmesh("solve my.toml -f fixed --out one").code == 0
+    killed = Path("one/figures/.rmesh-writing-x")
     for command in ("table one", "figures one"):
+        killed.mkdir()
         assert rmesh(command).code == 0
+        assert not killed.exists()
     assert Path("one/figures/mesh.png").exists()
     Manifest(Path("one")).claim("report.html")
     for name in ("report.html", "mine.msh"):

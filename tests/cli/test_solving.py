@@ -102,22 +102,6 @@ def test_compare_writes_everything_and_table_and_figures_remake_it(rmesh) -> Non
     assert (said.code, "unknown format 'jpeg'" in said.err) == (2, True)
 
 
-@pytest.mark.slow
-def test_commands_of_results_take_a_single_solve_and_what_a_killed_one_left(rmesh) -> None:
-    assert rmesh("solve 6.1 -f fixed --n 3 --out one").code == 0
-    left = Path("one/figures/.rmesh-writing-x/half.png")
-    for command, made in (
-        ("table", "table.md"),
-        ("figures", "figures/6.1-3-grid.png"),
-        ("report", "report.html"),
-    ):
-        left.parent.mkdir(parents=True)
-        left.write_text("x")
-        assert rmesh(f"{command} one").code == 0
-        assert Path("one", made).exists()
-        assert not left.parent.exists()
-
-
 def test_rows_of_several_orders_and_rules_are_exported(rmesh) -> None:
     pytest.importorskip("pyarrow")
     given = fixed_61(key="a", order=1), fixed_61(key="b", order=2, quadrature=8)

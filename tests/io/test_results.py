@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.folder import Manifest
+from rmesh_nlp.io.folder import Manifest, append_whole
 from rmesh_nlp.io.records import (
     REQUIRED,
     DamagedRecordsWarning,
@@ -113,6 +113,11 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
     assert np.all(np.isnan([value for name, value in second.items() if name != "t"]))
     write_history(result.history, [{**rows[0], "design.E": 2.5}])
     assert result.steps().to_dict("records") == [dict.fromkeys(HISTORY, 1.5) | {"design.E": 2.5}]
+    head = ",".join(HISTORY).encode()
+    for content in (head + b"\n0,abc,,,,,\n", b"a,b\n1,2\n", b"", b"\xff\xfe"):
+        result.history.write_bytes(content)
+        with pytest.raises(BadInputError, match=r"history\.csv is no history"):
+            result.steps()
 
 
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
@@ -155,16 +160,6 @@ def test_folder_whose_first_solve_has_not_ended_is_an_empty_run(tmp_path, conten
         assert read_results(tmp_path) == []
 
 
-def test_history_that_is_none_is_named(tmp_path):
-    result = Results(tmp_path).result(fixed_61(key="one"))
-    result.history.parent.mkdir()
-    head = ",".join(HISTORY).encode()
-    for content in (head + b"\n0,abc,,,,,\n", b"a,b\n1,2\n", b"", b"\xff\xfe"):
-        result.history.write_bytes(content)
-        with pytest.raises(BadInputError, match=r"one\.csv is no history"):
-            result.steps()
-
-
 def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     """A full disk takes some bytes without an error and refuses the next."""
     results = Results(tmp_path)
@@ -178,9 +173,12 @@ def test_short_write_is_an_error_and_leaves_the_file_as_it_was(tmp_path, monkeyp
         return taken[0]
 
     monkeypatch.setattr(os, "write", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match=r"No space left.*records"):
         results.append(joint_61())
+    with pytest.raises(OSError, match=r"No space left.*new"):
+        append_whole(tmp_path / "new", "x")
     monkeypatch.undo()
+    assert not (tmp_path / "new").exists()
     assert taken == [100]
     assert (tmp_path / "records.jsonl").read_bytes() == before
     results.append(joint_61())
@@ -194,7 +192,10 @@ def test_json_is_strict_and_plain():
     assert json.loads(to_json(fixed_61(), indent=2)) == fixed_61()
 
 
-def test_every_required_entry_is_asked_for():
+def test_every_required_entry_is_asked_for_and_every_kind_of_delta_is_read():
+    deltas = None, [0.1, 0.2], {"relative": 0.3}
+    for record in (failed_61(), *(fixed_61(delta=delta) for delta in deltas)):
+        assert read_record(to_json(record), "here") == record
     for name in REQUIRED:
         record = fixed_61()
         del record[name]
@@ -216,12 +217,6 @@ def test_entry_of_the_wrong_kind_is_named_in_one_line(name, value):
     with pytest.raises(BadInputError, match=rf"^here is not a record: '{name}' [^\n]*$") as caught:
         read_record(to_json(fixed_61(**{name: value})), "here")
     assert len(str(caught.value)) < 300
-
-
-def test_every_kind_of_delta_is_read_and_a_failed_solve_without_figures():
-    deltas = None, [0.1, 0.2], {"relative": 0.3}
-    for record in (failed_61(), *(fixed_61(delta=delta) for delta in deltas)):
-        assert read_record(to_json(record), "here") == record
 
 
 HOSTILE = {

@@ -128,32 +128,6 @@ def test_multipliers_may_enter_the_upper_level():
     assert result.f == pytest.approx(-4)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_end_is_the_answer_of_the_lower_level(seed):
-    """Random strictly convex quadratic programs with bounds of all kinds: Ipopt finds the same y there.
-
-    Where a constraint is weakly active, Ipopt stops at the square root of its tolerance of 1e-9.
-    """
-    random, n = np.random.default_rng([27, seed]), 6
-    x, y, half = ca.SX.sym("x", 3), ca.SX.sym("y", n), random.normal(size=(n, n))
-    coupling, A, B = (random.normal(size=shape) for shape in ((n, 3), (4, n), (4, 3)))
-    f = ca.bilin(ca.DM(half @ half.T + np.eye(n)), y, y) / 2 - ca.dot(ca.DM(coupling) @ x, y)
-    lower = {
-        "f": f, "g": ca.DM(A) @ y + ca.DM(B) @ x, "lbg": [-1, -INF, -0.5, 0], "ubg": [INF, 1, 0.5, 0],
-        "lbx": [-0.3] * 4 + [-INF] * 2, "ubx": [INF, INF, 0.2, 0.2, 0.2, INF],
-    }  # fmt: skip
-    goal = random.normal(size=n)
-    mpcc = bilevel({"x": x, "f": ca.sumsqr(y - goal) + 0.1 * ca.sumsqr(x)}, lower, variables=y)
-    result = solve(mpcc, 0.1)
-    assert result.success
-    at, answer = result.x[:3], result.x[3 : 3 + n]
-    again = mpcc.lower_level.solve(at)
-    assert again.converged
-    assert again.x == pytest.approx(answer, abs=2e-4)
-    assert result.lower_level.f == pytest.approx(again.f, abs=1e-6)
-    assert result.lower_level.verdict == "global minimum"
-
-
 def test_start_for_the_upper_level_alone_is_completed():
     mpcc = projection()
     assert mpcc.n_own == 1

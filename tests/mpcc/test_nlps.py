@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, solve
-from rmesh_nlp.mpcc.lifting import automatic_derivatives, lift, warm_start
+from rmesh_nlp.mpcc.lifting import lift, warm_start
 from rmesh_nlp.mpcc.nlps import relaxed_nlp
 from rmesh_nlp.mpcc.result import excess, residuals
 from support.derivatives import assert_derivatives_are_casadis
-from support.scripted_run import ON_G, ON_H, START, XY, XYW, run_of, two_minima, w, x, y
+from support.scripted_run import ON_G, XY, XYW, run_of, w, x, y
 
 p = ca.SX.sym("p")
 NONE, INF = np.zeros(0), np.inf
@@ -72,17 +72,6 @@ def test_known_multipliers_are_put_on_rows_bounds_and_members():
     assert list(warm_start(twice, 1.0, known)[0]) == [3, 0, 0]
 
 
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-def test_constant_derivatives_are_numbers(kind):
-    Q, v = np.random.default_rng(0).normal(size=(12, 12)), kind.sym("v", 12)
-    f = ca.bilin(ca.DM(Q), v, v) + v[0]
-    derivatives = automatic_derivatives(v, kind(0, 1), f, ca.mtimes(ca.DM(Q[:5]), v) - 1)
-    upper = derivatives.hess_lag(np.ones(12), np.zeros((0, 1)), 2.0, np.ones(5))
-    np.testing.assert_allclose(np.array(upper), np.triu(2 * (Q + Q.T)), rtol=1e-12)
-    np.testing.assert_allclose(np.array(derivatives.jac_g(np.ones(12), np.zeros((0, 1)))[1]), Q[:5])
-    assert derivatives.hess_lag.n_instructions() < 500
-
-
 A, B, T = np.array([0.3, 2.0]), np.array([0.5, 0.1]), 0.04
 S = 0.2  # sqrt(T)
 PHI = 2 * S / (1 - 2 / np.pi)  # Steffensen and Ulbrich's s
@@ -113,23 +102,8 @@ def test_rows_are_those_of_the_formula(name, expected):
     rows, penalty = at(name)
     assert rows == pytest.approx(expected, rel=1e-12)
     assert penalty == 0
-
-
-def test_kanzow_schwartz_below_the_corner_and_the_penalty_by_hand():
     assert at("kanzow-schwartz", [0.1, 0.0], [0.0, 0.0])[0][:1] == pytest.approx([-(0.1**2 + 0.2**2) / 2])
     assert at("l1-penalty") == (pytest.approx([]), pytest.approx((0.15 + 0.2) / S))
-    with pytest.raises(ValueError, match="unknown relaxation 'none': choose from scholtes, lin-fukushima"):
-        solve(two_minima(), 0.5, relaxation="none")
-
-
-@pytest.mark.parametrize("name", RELAXATIONS)
-def test_solution_of_max_x_on_the_diagonal_is_the_corner(name):
-    """-x + x y / sqrt(t) on x = y has its minimum at sqrt(t) / 2."""
-    run = run_of(MPCC(XY, -x, x - y, x, y, lbg=0, ubg=0), relaxation=name)
-    for t in (1.0, 1e-2, 1e-4):
-        result = run.relaxed(np.array([0.1, 0.1]) * np.sqrt(t), t)
-        expected = np.sqrt(t) * (0.5 if name == "l1-penalty" else 1.0)
-        assert result.x == pytest.approx([expected] * 2, rel=1e-4)
 
 
 def nonlinear(kind):
@@ -145,10 +119,6 @@ def test_derivatives_of_every_compiled_nlp_are_casadis(kind, name):
     lifted = lift(nonlinear(kind))
     nlp = lifted.nlp if name is None else relaxed_nlp(lifted, name)[0]
     assert_derivatives_are_casadis(nlp, seed=3)
-
-
-def compiled(mpcc=None, **options):
-    return run_of(mpcc or two_minima(), **options)
 
 
 THREE = MPCC(XY, x, x + y, ca.vertcat(x, y), ca.vertcat(y, x), lbx=-1, ubx=4, lbg=0, ubg=1)
@@ -192,36 +162,22 @@ def test_complementarity_is_the_smaller_member_and_product_the_product():
     ],
 )
 def test_excess_is_in_units_of_the_tolerance_and_of_the_terms_of_a_row(point, units):
-    own = compiled(MPCC(XYW, x, 10 * w, x, y, ubg=20, lbx=[-INF, -INF, -3]))
+    own = run_of(MPCC(XYW, x, 10 * w, x, y, ubg=20, lbx=[-INF, -INF, -3]))
     assert own.excess(np.array(point)) == pytest.approx(units, rel=1e-3, abs=1e-6)
-    sized = compiled(MPCC(XYW, x, None, 1e6 * (x - w), y))  # zero only up to rounding of its terms
+    sized = run_of(MPCC(XYW, x, None, 1e6 * (x - w), y))  # zero only up to rounding of its terms
     at_3 = sized.lifted.start(np.array([3.0 + 1e-6, 1.0, 3.0]), np.zeros(0))
     assert sized.excess(at_3) == pytest.approx(100 / 3, rel=0.01)
-    assert compiled(MPCC(XYW, ca.log(x - 1), None, x, y)).excess(np.array([0.0, 1.0, 0.0])) == INF
-
-
-def test_looser_tolerances_belong_to_their_residual():
-    loose = compiled(MPCC(XY, x, x, x, y, ubg=1), feasibility=1e-2, complementarity=1e-4)
+    assert run_of(MPCC(XYW, ca.log(x - 1), None, x, y)).excess(np.array([0.0, 1.0, 0.0])) == INF
+    loose = run_of(MPCC(XY, x, x, x, y, ubg=1), feasibility=1e-2, complementarity=1e-4)
     assert loose.excess(np.array([1.02, 0.0])) == pytest.approx(2 / 1.02)
     assert loose.excess(np.array([1.0, 3e-4])) == pytest.approx(3)
-
-
-def test_branch_fixes_one_member_of_each_pair():
-    own = compiled()
-    on_first = own.branch(START, ON_G)
-    on_second = own.branch(START, ON_H)
-    assert (on_first.x, on_first.f) == (pytest.approx([0, 1], abs=1e-7), pytest.approx(4))
-    assert (on_second.x, on_second.f) == (pytest.approx([2, 0], abs=1e-7), pytest.approx(1))
-    down = compiled(MPCC(XY, (x - 2) ** 2 + (y + 1) ** 2, None, x, y))
-    assert down.branch(np.ones(2), ON_G).x == pytest.approx([0, 0], abs=1e-6)
-    assert down.branch(np.ones(2), ON_G, free_signs=True).x == pytest.approx([0, -1], abs=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1.0, 2.0])
 def test_more_equations_than_free_unknowns_are_solved_all_the_same(scale):
     """One equation three times on one free unknown, from the relaxed multipliers too."""
     g = ca.vertcat(y - 1, 2 * y - 2, 3 * y - 3)
-    own = compiled(MPCC(XY, scale * (x + y), g, x, y, lbg=0, ubg=0))
+    own = run_of(MPCC(XY, scale * (x + y), g, x, y, lbg=0, ubg=0))
     result = own.branch(np.array([0.0, 0.5]), ON_G, warm=(np.zeros(2), np.zeros(3)))
     assert result.x == pytest.approx([0, 1], abs=1e-7)
     assert (result.x.size, result.lam_x.size, result.f) == (2, 2, pytest.approx(scale))

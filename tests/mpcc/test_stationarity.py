@@ -39,13 +39,10 @@ def assert_admissible(lifted, lin, found, name):
 @pytest.mark.parametrize(
     ("c", "d", "label", "b_stationary"),
     [
-        (1, 1, "S", True),
         (1, 0, "S", True),
         (-1, 0, "M", False),  # d_x = 1 descends
-        (0, -1, "M", False),
         (-1, -1, "C", False),
         (1, -1, "W", False),
-        (-2, 3, "W", False),
         (-1000, 2e-6, "M", False),  # zero is relative to the largest slope
         (-1000, 2e-2, "W", False),
         (-4e-6, 1, "W", False),  # and its tolerance is 1e-6
@@ -69,12 +66,9 @@ CLOSED = [  # objective, rows (<= 0, >= 0 or = 0 by sign), point, label, B
     ("no multipliers: a free unknown with slope", x + y + w, None, None, [0, 0, 0], "none", False),
     ("a row of the wrong side", x + y - w, (w - x - y - 1,), (-1, np.inf), [0, 0, 0], "none", False),
     ("the same row from the other side", x + y - w, (w - x - y - 1,), (-np.inf, -1), [0, 0, 0], "S", True),
-    ("an equation may push either way", x + y - w, (w - 0.5 * x,), (0, 0), [0, 0, 0], "S", True),
     ("only x is zero: its sign is free", -5 * x + (y - 1) ** 2 + w**2, None, None, [0, 1, 0], "S", True),
     ("only y is zero", (x - 1) ** 2 - 5 * y + w**2, None, None, [1, 0, 0], "S", True),
     ("but the slope along the free member counts", y - 5 * x + w**2, None, None, [0, 1, 0], "none", False),
-    ("LICQ fails: a redundant row", x + y + w**2, (x + y, 2 * x + y), (0, np.inf), [0, 0, 0], "S", True),
-    ("a row takes over nu_y", x - y + w**2, (y,), (-np.inf, 0), [0, 0, 0], "S", True),
     ("no constraint qualification", -w + x + y, (w**2,), (-np.inf, 0), [0, 0, 0], "none", False),
 ]
 
