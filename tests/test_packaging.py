@@ -60,20 +60,14 @@ def test_no_imports_go_in_a_circle() -> None:
     assert together == []
 
 
-def test_the_formulations_are_entry_points() -> None:
+def test_an_installation_has_one_version_the_command_and_the_formulations() -> None:
+    assert importlib.metadata.version("rmesh-nlp") == rmesh_nlp.__version__
+    assert f"version: {rmesh_nlp.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    (entry_point,) = importlib.metadata.entry_points(group="console_scripts", name="rmesh")
+    assert entry_point.load() is entry.main
     for name in ("fixed", "nested", "joint", "mpcc", "cascade", "auto"):
         assert available()[name].value.startswith(f"formulations.{name}:")
         assert find(name)().name == name
-
-
-def test_there_is_one_version() -> None:
-    assert importlib.metadata.version("rmesh-nlp") == rmesh_nlp.__version__
-    assert f"version: {rmesh_nlp.__version__}\n" in (ROOT / "CITATION.cff").read_text()
-
-
-def test_the_command_is_installed() -> None:
-    (entry_point,) = importlib.metadata.entry_points(group="console_scripts", name="rmesh")
-    assert entry_point.load() is entry.main
 
 
 PAGES = ("README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md")))

@@ -42,8 +42,11 @@ def corner(**changes):
         ({"p": x}, "distinct symbols"),
         ({"f": ca.MX.sym("m")}, "f must be a column of SX"),
         ({"g": ca.SX.zeros(2, 2)}, r"g must be a column, its shape is \(2, 2\)"),
+        # H is missing
+        ({"derivatives": automatic_derivatives(XY, ca.SX(0, 1), x + y, ca.vertcat(x - y, x))},
+         r"shape \(2, 2\), vertcat\(g, G, H\) needs \(3, 2\)"),
     ],
-)
+)  # fmt: skip
 def test_malformed_problem_is_refused(changes, words):
     with pytest.raises(ValueError, match=words):
         corner(**changes)
@@ -121,13 +124,6 @@ def test_bounds_that_make_no_pair_are_refused():
     ):
         with pytest.raises(ValueError, match=words):
             MPCC.mixed(XY, x, None, x, y, **bounds)
-
-
-def test_derivatives_of_another_oracle_are_refused():
-    column = ca.vertcat(x - y, x)  # H is missing
-    wrong = automatic_derivatives(XY, ca.SX(0, 1), x + y, column)
-    with pytest.raises(ValueError, match=r"shape \(2, 2\), vertcat\(g, G, H\) needs \(3, 2\)"):
-        corner(derivatives=wrong)
 
 
 @pytest.mark.parametrize("kind", [ca.SX, ca.MX])

@@ -40,6 +40,10 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
         f"converged: f = 1, violation {result.constraint_violation:.1e}, complementarity "
         f"{result.complementarity:.1e}, stationarity S (no biactive pair: a KKT point)"
     )
+    assert in_words("S", True, 1) == "S (1 biactive pair, B-stationary)"
+    assert in_words("W", False, 2) == "W (2 biactive pairs, not B-stationary)"
+    assert in_words("", None, 2) == "no label (2 biactive pairs, B not computed)"
+    assert in_words("W", True, 0) == "W (0 biactive pairs, B-stationary)"
     solve(two_minima(), 0.5, progress=True)
     assert "relaxed" in capsys.readouterr().out
     measured = {"objective": 1.0, "constraint_violation": 0.0, "complementarity": 0.0, "product": 0.0}
@@ -69,20 +73,6 @@ def test_step_measures_pairs_near_the_corner_and_multipliers_of_the_relaxation()
         run.solve("relaxed", t, Ending(run.lifted.nlp), np.array(z))
         assert (run.steps[-1].biactive, run.steps[-1].multiplier) == (near, 0.7 if t else 0.0)
     assert (run.iterations, run.steps[0].product) == (12, pytest.approx(0.15))
-
-
-@pytest.mark.parametrize(
-    ("pairs", "stationarity", "b", "words"),
-    [
-        (1, "S", True, "S (1 biactive pair, B-stationary)"),
-        (2, "W", False, "W (2 biactive pairs, not B-stationary)"),
-        (2, "", None, "no label (2 biactive pairs, B not computed)"),
-        (0, "S", True, "S (no biactive pair: a KKT point)"),
-        (0, "W", True, "W (0 biactive pairs, B-stationary)"),
-    ],
-)
-def test_label_in_words(pairs, stationarity, b, words):
-    assert in_words(stationarity, b, pairs) == words
 
 
 def test_iteration_limit_holds_and_gives_the_best_point():

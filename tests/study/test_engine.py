@@ -18,7 +18,7 @@ from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
 from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
-from rmesh_nlp.study.rows import RowsFile, keys_of, set_failures_aside
+from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.study_file import read_study
 from support.planted import install
@@ -119,19 +119,6 @@ def test_rows_of_workers_that_were_killed_are_kept_and_joined(tmp_path):
     # a task that the scheduler repeats finds its row
     assert worker.task(PLAN[0].plain(), str(tmp_path)) == {"key": PLAN[0].key, "found": True}
     assert [PLAN[2].key] == SOLVED
-
-
-def test_keys_are_those_of_whole_lines_that_are_still_there(tmp_path):
-    rows = RowsFile(tmp_path)
-    with rows.working():
-        rows.append({"key": "a", "success": False})
-        rows.append({"key": "b", "success": True})
-        for text, known in (('{"key": ', {"a", "b"}), ('"c"}\n', {"a", "b", "c"})):
-            with rows.path.open("a") as file:
-                file.write(text)
-            assert keys_of(tmp_path) == known
-        set_failures_aside(tmp_path, ["a"])
-        assert keys_of(tmp_path) == {"b", "c"}
 
 
 @pytest.mark.parametrize(
