@@ -248,8 +248,8 @@ def test_without_cuts_a_local_minimum_of_the_lower_level_is_found_out():
 
 def test_cut_holds_only_where_its_point_is_feasible():
     """y >= x: at x = -2 the lower level has the minima y = x and 1; above it y = 1 alone, where F = 4."""
-    upper, lower, y, problem = levels("vogel-2012")
-    end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=3)
+    upper, lower, y, _ = levels("vogel-2012")
+    end = solve_bilevel(upper, lower, [-1.5, -2.0, 0.0], variables=y, starts=1)
     assert (end.success, end.cuts >= 1) == (True, True)
     assert (end.x[0], end.y[0], end.f) == pytest.approx((-2, -2, 1), abs=1e-3)
 

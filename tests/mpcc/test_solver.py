@@ -9,26 +9,15 @@ from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.stationarity import Stationarity
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import START, XY, XYW, ScriptedRun, ended, linearised, two_minima, w, x, y
+from support.scripted_run import START, XY, XYW, ScriptedRun, ended, two_minima, w, x, y
 
 KINDS = [ca.SX, ca.MX]
 S = Status
 HERE = np.array([2.0, 0.0])
-LABELLED = Stationarity("W")
-LIN = linearised(two_minima(), HERE)[1]
 ARMS = MPCC(XY, (x - 1) ** 2 + (y - 1) ** 2, None, x, y)
 TRAP = MPCC(XY, (x + 1) ** 2 + (y - 1) ** 2, None, x, y)
 EQUATION = {"lbg": 0, "ubg": 0}
-
-
-def end_of(f, status=Status.CONVERGED, label=LABELLED):
-    return Path(finish=Finish(HERE, f, status, label, LIN))
-
-
-INEXACT = Path(finish=Finish(HERE, -9.0, Status.INACCURATE))
-UNBOUNDED = Path(finish=Finish(HERE, -1e20, Status.UNBOUNDED))
 
 
 def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
@@ -36,38 +25,6 @@ def chosen(*paths, limit=None, infeasible=False, nearest=None, **names):
     run = ScriptedRun(**{"exact": lambda z: True} | names)
     run.nearest, run.limit, run.is_infeasible = nearest, limit, infeasible
     return outcome.end_of(run, paths, START)
-
-
-@pytest.mark.parametrize(
-    ("better", "worse"),
-    [
-        (end_of(-1.1), end_of(-1.0)),
-        (end_of(1.0), UNBOUNDED),  # a minimum is an answer, that there is none further down is not
-        (end_of(1.0), end_of(0.0, S.STALLED)),
-        (UNBOUNDED, end_of(0.0, S.STALLED)),
-        (end_of(5.0, S.STALLED), INEXACT),
-        (end_of(0.0, S.STALLED), end_of(1.0, S.STALLED)),
-    ],
-)
-def test_better_end_is_chosen_in_either_order(better, worse):
-    for paths in ([better, worse], [worse, better], [Path(), worse, Path(), better]):
-        found = chosen(*paths)
-        assert found.status is better.finish.status
-        assert found.f == better.finish.f or better is UNBOUNDED
-
-
-@pytest.mark.parametrize(
-    ("path", "limit", "said"),
-    [
-        (end_of(1.0), S.TIME_LIMIT, S.CONVERGED),  # stationary: keeps its status
-        (end_of(1.0, S.ACCEPTABLE), None, S.ACCEPTABLE),
-        (end_of(1.0, S.STALLED), None, S.STALLED),  # exact: its own status, or that of a limit
-        (end_of(1.0, S.STALLED), S.TIME_LIMIT, S.TIME_LIMIT),
-    ],
-)
-def test_exact_end_is_returned_with_its_label(path, limit, said):
-    found = chosen(path, limit=limit)
-    assert (found.status, found.f, found.stationarity) == (said, 1.0, LABELLED)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -70,22 +70,12 @@ class Answer:
     """Of the pairs, to first order."""
 
 
-@dataclass(frozen=True)
-class BranchCall:
-    """A branch that was asked for."""
-
-    z: np.ndarray
-    zero: np.ndarray
-    options: dict[str, Any] = field(default_factory=dict)
-
-
 class ScriptedRun(Run):
-    """A run on `two_minima`, or another program, whose relaxations and branches are answered by functions."""
+    """A run on `two_minima`, or another program, whose relaxations are answered by a function."""
 
     def __init__(
         self,
         relaxations: Callable[[Call], Answer] | None = None,
-        branches: Callable[[BranchCall], NLPResult] | None = None,
         exact: Callable[[np.ndarray], bool] | None = None,
         mpcc: MPCC | None = None,
         weight: float = 1.0,
@@ -93,9 +83,8 @@ class ScriptedRun(Run):
     ) -> None:
         super().__init__(CompiledNLPs(mpcc or two_minima(), Options(**options)), np.zeros(0), weight)
         self.answered_cost = 1.0
-        self.relaxations, self.branches, self.is_exact = relaxations, branches, exact
+        self.relaxations, self.is_exact = relaxations, exact
         self.calls: list[Call] = []
-        self.branch_calls: list[BranchCall] = []
 
     @property
     def ts(self) -> list[float]:
@@ -115,12 +104,6 @@ class ScriptedRun(Run):
 
     def cost(self, result: NLPResult, t: float) -> float:
         return self.answered_cost
-
-    def branch(self, z, zero, **options):  # type: ignore[no-untyped-def]
-        if self.branches is None:
-            return super().branch(z, zero, **options)
-        self.branch_calls.append(BranchCall(z, zero, options))
-        return self.branches(self.branch_calls[-1])
 
     def exact(self, z: np.ndarray) -> bool:
         return super().exact(z) if self.is_exact is None else self.is_exact(z)
