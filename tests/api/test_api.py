@@ -169,9 +169,6 @@ def test_every_public_name_is_there() -> None:
     assert {"importlib", "Any"}.isdisjoint(dir(rm))
     assert rm.mpcc.solve is rm.solve_mpcc  # the package of the solver keeps its name
     assert {"fixed", "joint", "mpcc", "nested"} <= set(rm.formulations())
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="has no attribute 'slove'"):
         rm.slove  # noqa: B018
 

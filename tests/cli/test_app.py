@@ -21,9 +21,6 @@ def test_help_has_examples(rmesh, command: str) -> None:
     said = rmesh(f"{command} --help")
     assert said.code == 0
     assert f"  rmesh {command} " in said.out
-
-
-def test_version_is_the_package_s(rmesh) -> None:
     assert rmesh("--version")[:2] == (0, f"rmesh {__version__}\n")
 
 

@@ -171,18 +171,6 @@ def test_check_says_what_to_do_about_missing_names(rmesh, block: Path) -> None:
     assert "the mesh names none: name groups in gmsh" in said.err
 
 
-@pytest.mark.slow
-def test_without_move_limits_a_file_asks_for_weights_and_a_new_mesh(rmesh, block: Path) -> None:
-    text = BLOCK + "[motion]\ndelta = 'none'\n[solve]\nformulation = 'joint'\n"
-    block.write_text(f"{text}regularisation = [0.1, 0.02]\nremesh = true\n")
-    assert rmesh("solve block.toml --out one --no-figures -q").code == 0
-    found = record()
-    assert (found["regularisation"], found["delta"]) == ([0.1, 0.02], None)
-    assert found["remeshed_nodes"]
-    assert found["gain_audited"] > 0
-    assert not Path("one/figures").exists()  # as asked
-
-
 def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Path) -> None:
     """On 12 nodes the second derivatives are others than on the refinement."""
     block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 3\nny = 2"))

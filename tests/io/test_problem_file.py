@@ -210,22 +210,13 @@ def test_numbers_at_their_bounds_are_accepted(write):
         load_problem(write(f"{text}[solve]\nregularisation = [1, 0]\nremesh = true"))
 
 
-def test_missing_file_and_unreadable_meshes(write, tmp_path):
+def test_missing_file_and_unreadable_mesh(write, tmp_path):
     with pytest.raises(ProblemFileError, match="cannot be read: No such file"):
         load_problem(tmp_path / "no.toml")
     path = write('mesh = { file = "body.msh" }\ndirichlet = { left = 0 }\n' + LAW)
-    for content, message in [
-        ("$MeshFormat\nnonsense\n", "cannot be read as a mesh"),
-        (
-            "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n1 0 0 0\n2 0 1 0\n$EndNodes\n"
-            "$Elements\n1\n1 1 2 1 1 1 2\n$EndElements\n",
-            "has no triangles: gmsh saves only",
-        ),
-    ]:
-        (tmp_path / "body.msh").write_text(content)
-        (line,) = refused(path)
-        assert line.startswith("mesh.file = 'body.msh': ")
-        assert message in line
+    (tmp_path / "body.msh").write_text("$MeshFormat\nnonsense\n")
+    (line,) = refused(path)
+    assert line.startswith("mesh.file = 'body.msh': body.msh: cannot be read as a mesh")
 
 
 @pytest.mark.parametrize(

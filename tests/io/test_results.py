@@ -123,16 +123,16 @@ def test_history_comes_back_and_unknown_values_are_nan(tmp_path):
 def test_damaged_line_is_moved_away_before_the_next_row(tmp_path):
     results, path = Results(tmp_path), tmp_path / RECORDS
     results.append(fixed_61(key="a"))
-    whole = path.read_bytes()
+    whole, half = path.read_bytes(), '{"half' + "x" * 99
     results.mend()
     assert not (tmp_path / "records-damaged.txt").exists()
     for mend in (results.mend, results.mend, lambda: results.append(joint_61())):
-        path.write_bytes(path.read_bytes() + b'{"half')
-        with pytest.warns(DamagedRecordsWarning, match="is moved to"):
+        path.write_bytes(path.read_bytes() + half.encode())
+        with pytest.warns(DamagedRecordsWarning, match=r'is moved to .*"halfx{34}[^x]'):  # its start
             mend()
         assert path.read_bytes().startswith(whole)
     assert results.read() == [fixed_61(key="a"), joint_61()]
-    assert (tmp_path / "records-damaged.txt").read_text() == '{"half\n' * 3
+    assert (tmp_path / "records-damaged.txt").read_text() == f"{half}\n" * 3
     assert "records-damaged.txt" in results.manifest.names()
 
 
@@ -271,14 +271,3 @@ def test_end_of_the_whole_lines_is_found(tmp_path, content, kept, damaged):
     assert damaged_last_line(path) == (kept, damaged)
     path.unlink()
     assert damaged_last_line(path) == (0, b"")
-
-
-def test_start_of_a_damaged_line_is_shown(tmp_path):
-    path = tmp_path / "records.jsonl"
-    path.write_text(to_json(fixed_61()) + '\n{"example": "' + "x" * 100)
-    with pytest.warns(DamagedRecordsWarning) as caught:
-        assert len(read_lines(path)) == 1
-    message = str(caught[0].message)
-    assert '{"example": "' + "x" * 27 in message
-    assert "x" * 28 not in message
-    assert caught[0].filename == __file__  # where it was read

@@ -91,12 +91,9 @@ def test_last_t_is_the_next_where_pairs_cost_nothing_and_the_end_is_as_low(cost,
     assert [call.warm is not None for call in run.calls] == [call.is_leap for call in run.calls]
 
 
-def test_path_without_a_point_has_no_end():
+def test_without_a_point_a_path_has_no_end_else_a_step_starts_at_the_one_before():
     run, path = followed(lambda _: Answer((np.nan, 1), S.FAILED))
     assert (run.ts, path.failure, path.finish) == ([1.0], S.FAILED, None)
-
-
-def test_each_step_starts_at_the_one_before():
     run, _ = followed(restless, warm_duals=True)
     assert [list(call.z) for call in run.calls[:4]] == [[0.5, 0.5], [1.0, 0.5], [0.5, 1.0], [1.0, 0.5]]
     assert [call.warm is not None for call in run.calls] == [False] + [True] * 8

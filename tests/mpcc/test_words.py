@@ -58,12 +58,6 @@ def test_large_problems_say_that_curvature_was_not_tested():
     assert (result.success, result.curvature) == (True, "not tested")
 
 
-def test_infeasible_is_never_said_after_an_iteration_limit():
-    mpcc = MPCC(z[:2], z[0], ca.exp(z[0]) + z[1], z[0], z[1], lbg=2)
-    result = solve(mpcc, [3.0, 1.0], moves=0, ipopt_relaxed={"max_iter": 1}, ipopt_exact={"max_iter": 1})
-    assert result.success or result.status is not Status.INFEASIBLE
-
-
 def test_a_search_that_ran_out_of_nodes_does_not_fall_to_the_weaker_label(monkeypatch):
     """Dense rows leave a family of multipliers, over which a search takes more than one linear program."""
     n = 6

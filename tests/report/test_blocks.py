@@ -11,7 +11,6 @@ from rmesh_nlp.report.blocks import (
     block_key,
     blocks,
     delta_text,
-    in_common_units,
     label,
     names_of_solves,
 )
@@ -33,15 +32,6 @@ def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
     older = fixed_61()
     del older["quadrature"]
     assert block_key(older) == block_key(fixed_61())
-
-
-def test_unit_of_cost_is_the_median_of_those_measured() -> None:
-    rows = tuple(fixed_61(contact_time_s=time) for time in (0.5, None, 0.1, 0.3, 0.0))
-    assert Block(rows).unit == 0.3
-    assert Block(rows[1:2]).unit is None
-    common = in_common_units([joint_61(wall_time_s=3.0, contact_time_s=None), *rows])
-    assert [row["contact_time_s"] for row in common] == [None, 0.3, None, 0.3, 0.3, 0.0]
-    assert body(COST, Block(tuple(common)))[0][-1] == "-"
 
 
 @pytest.mark.parametrize(

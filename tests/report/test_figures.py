@@ -29,7 +29,6 @@ from rmesh_nlp.report.drawing import (
     Contact,
     contact_figure,
     displacement_figure,
-    magnification,
     window,
 )
 from rmesh_nlp.report.figures import block_figures, error_figure
@@ -287,17 +286,6 @@ def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, i
     assert (one.name, block.near) == ("bottom", [] if is_far else [one])
     assert one.distance == pytest.approx(below)
     np.testing.assert_allclose(block.state.gap[one.nodes], below)
-
-
-def test_displacements_are_magnified_as_far_as_the_gap_allows() -> None:
-    u, even = np.full((2, 3), 1e-4), np.tile([[0.0], [-0.1]], 4)
-    uneven = np.array([[0.0] * 4, [-0.1, -0.1, -0.1, -0.098]])
-    assert magnification([body(u)]) == magnification([body(u, even)]) == 500.0
-    assert magnification([body(u, even, uneven)]) == 2.0  # further, 1.5e-3 of gap were seen
-    assert magnification([body(u, even), body(u, uneven)]) == 2.0
-    assert magnification([body(0 * u, even)]) == magnification([body(1e4 * u, even)]) == 1.0
-    (near,) = body(u, even).near
-    np.testing.assert_allclose(near.displaced(5.0)[:, 0], 5 * even)
 
 
 def test_a_window_holds_the_body_its_motion_and_what_is_near_of_the_foundation() -> None:
