@@ -51,9 +51,6 @@ def test_numbers_of_settings(number: Number, taken: list, refused: list, message
         with pytest.raises(BadInputError, match=f"it must be {message}, got ") as caught:
             number.check("it", value)
         assert str(caught.value).endswith(repr(value))
-
-
-def test_none_stands_for_a_default() -> None:
     check_positive(a=None, b=1)
 
 
@@ -122,6 +119,8 @@ def test_values_are_those_of_numpy() -> None:
         ("x == 0.1 + 0.2 or y != 0.5", (x == 0.3) | (y != 0.5)),
     ]:
         np.testing.assert_allclose(on_points(Expression(text), points), expected, rtol=1e-14, atol=1e-15)
+    points = np.array([[0.5, -1.0], [0, 0]])
+    assert np.all(np.isfinite(on_points(Expression("where(x > 0, 1/(x + 1), 1)"), points)))
 
 
 @pytest.mark.parametrize(
@@ -137,8 +136,3 @@ def test_values_are_those_of_numpy() -> None:
 def test_part_that_is_finite_nowhere_is_named(text: str, part: str) -> None:
     with pytest.raises(ValueError, match=rf"'{re.escape(part)}' is not a finite number"):
         Expression(text)
-
-
-def test_branch_with_a_pole_elsewhere_is_allowed() -> None:
-    points = np.array([[0.5, -1.0], [0, 0]])
-    assert np.all(np.isfinite(on_points(Expression("where(x > 0, 1/(x + 1), 1)"), points)))

@@ -50,9 +50,6 @@ def test_an_argument_may_be_left_out() -> None:
         product, cosine = kernel([np.ones((2, 3)), None])
         assert not product.any()
         np.testing.assert_array_equal(cosine, np.ones((1, 3)))
-
-
-def test_what_numpy_cannot_do_is_mapped() -> None:
     x = ca.SX.sym("x")
     kernel = columnwise(ca.Function("f", [x], [ca.erf(x)]), NUMPY_FROM)
     assert isinstance(kernel, Mapped)

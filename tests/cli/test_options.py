@@ -91,15 +91,12 @@ def test_options_of_the_command_line_override_those_of_a_file(
         assert rmesh("solve my.toml -f fixed").code == 2  # it takes no seed
 
 
-def test_a_name_with_dots_is_a_setting_of_settings() -> None:
+def test_a_name_with_dots_is_a_setting_of_settings_and_what_is_none_is_refused() -> None:
     given = ["t0=1e-8", "relaxation = scholtes", "blocks=[8, 4]", "twice=true"]
     found = {"t0": 1e-8, "relaxation": "scholtes", "blocks": [8, 4], "twice": True}
     assert from_texts(given) == found
     given = ["newton.forcing=0.2", "newton.step.searches=5", "tight=1"]
     assert from_texts(given) == {"newton": {"forcing": 0.2, "step": {"searches": 5}}, "tight": 1}
-
-
-def test_what_is_no_setting_is_refused() -> None:
     said = dict.fromkeys(("tol", "=1", ".x=1", "newton.=1", "a..b=1"), "must be NAME=VALUE")
     said["tol.x=1"] = r"--set tol\.x=1: tol has a value already, 0\.5"
     for text, words in said.items():

@@ -82,7 +82,7 @@ def test_exact_energy_of_61_by_integration() -> None:
     assert total == pytest.approx(EXACT_ENERGY_61, abs=1e-9)
 
 
-def test_bad_sizes_and_grids_that_cannot_carry_the_load_or_the_bottom_row_are_refused() -> None:
+def test_bad_sizes_grids_that_do_not_fit_and_folded_meshes_are_refused() -> None:
     for n in (1, 0, -3, 2.5, (8, 8, 8), "8x"):
         with pytest.raises(ValueError, match=re.escape(repr(n))):
             EXAMPLES["6.1"](n)
@@ -90,9 +90,6 @@ def test_bad_sizes_and_grids_that_cannot_carry_the_load_or_the_bottom_row_are_re
     for n, message in (((11, 6), "got 11"), ((40, 20), "beyond the next one of 20 rows")):
         with pytest.raises(ValueError, match=message):
             EXAMPLES["6.2"](n)
-
-
-def test_a_folded_mesh_is_refused() -> None:
     problem = EXAMPLES["6.3"]((4, 2))
     p = problem.mesh.p.copy()
     (middle,) = np.flatnonzero((p[0] == 1) & (p[1] == 0.5))

@@ -82,14 +82,6 @@ def test_file_means_what_python_means(write):
     assert (ours.motion, ours.obstacles[0].gap) == (theirs.motion, "node")
 
 
-def test_order_is_that_of_the_file_unless_another_is_asked_for(write):
-    path = write(SCALAR)
-    assert [load_problem(path, order).order for order in (None, 1, 2)] == [1, 1, 2]
-    path = write(f"order = 2\n{SCALAR}")
-    assert [load_problem(path, order).order for order in (None, 1, 2)] == [2, 1, 2]
-    assert ("displacements", "quadratic on each triangle") in load_problem(path).summary()
-
-
 def test_rules_of_motion_reach_the_problem(write):
     rules = """\
 dirichlet = { left = 0 }
@@ -142,12 +134,17 @@ def test_symmetry_units_and_point_loads(write):
     assert (problem.mesh.p[:, load.node].tolist(), load.force) == ([2.0, 1.0], (3.0, -7.0))
 
 
-def test_scalar_problem_with_an_obstacle_in_the_interior(write):
+def test_scalar_problem_with_an_obstacle_in_the_interior_and_an_order(write):
     problem = load_problem(write(SCALAR.replace("left = 0", 'left = "2*sin(pi/6) - 1 + 0*y"')))
     assert problem.motion == Motion(None, min_angle=5)
     assert problem.obstacle.boundary is Place.INTERIOR
     assert problem.obstacle.distances(problem.mesh.p) == pytest.approx(0.1)
     assert problem.supports[0].value == (pytest.approx(0.0, abs=1e-15),)  # a constant is a number
+    path = write(SCALAR)
+    assert [load_problem(path, order).order for order in (None, 1, 2)] == [1, 1, 2]
+    path = write(f"order = 2\n{SCALAR}")
+    assert [load_problem(path, order).order for order in (None, 1, 2)] == [2, 1, 2]
+    assert ("displacements", "quadratic on each triangle") in load_problem(path).summary()
 
 
 @pytest.mark.parametrize(

@@ -76,11 +76,14 @@ def test_phase_one_and_then_moved_starts_are_tried_once():
     assert solve(two_minima(), [0.5, 0.6]).counts["rescues"] == 0
 
 
-def test_a_minimum_of_the_violation_ends_the_search():
+def test_a_minimum_of_the_violation_ends_the_search_and_a_kink_is_none():
     empty = MPCC(XY, x + y, x**2 + y**2, x, y, ubg=-1)
     result = solve(empty, 1.0, moves=2)
     assert (result.status, relaxed_ts(result)) == (S.INFEASIBLE, [1.0])
     assert result.counts["rescues"] == 1
+    result = solve(MPCC(XY, ca.fabs(x - 1) + y, None, x, y), [0.3, 0.3])
+    assert result.status is not S.INFEASIBLE
+    assert (result.constraint_violation, result.f) == (pytest.approx(0, abs=1e-8), pytest.approx(0, abs=1e-6))
 
 
 def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
@@ -143,6 +146,12 @@ def test_every_relaxation_solves_the_bilevel_problem(kind, form, relaxation):
 LCP = y - 2 * x + 1
 
 
+def sized(size):
+    """With a row of that size, active at the solution."""
+    f, g = 1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2), ca.vertcat(size * (x + w), x - w)
+    return MPCC(XYW, f, g, x, y, lbg=[-size, 0], ubg=[size, 0])
+
+
 @pytest.mark.parametrize(
     ("mpcc", "start", "x_end"),
     [
@@ -157,22 +166,7 @@ LCP = y - 2 * x + 1
         (MPCC(XY, (x + 1) ** 2 + (y + 1) ** 2, None, x, y), [5, -3], [0, 0]),
         # neither the size of the objective nor that of an active row matters
         *((MPCC(XY, size * ((x - 1) ** 2 + (y - 2) ** 2), None, x, y), 0.3, [0, 2]) for size in (1e-12, 1e8)),
-        *(
-            (
-                MPCC(
-                    XYW,
-                    1e-6 * ((x - 2) ** 2 + (w - 2) ** 2 + (y + 1) ** 2),
-                    ca.vertcat(size * (x + w), x - w),
-                    x,
-                    y,
-                    lbg=[-size, 0],
-                    ubg=[size, 0],
-                ),
-                0.3,
-                [0.5, 0, 0.5],
-            )
-            for size in (1.0, 1e6)
-        ),
+        *((sized(size), 0.3, [0.5, 0, 0.5]) for size in (1.0, 1e6)),
         (MPCC(x, (x - 1) ** 2, None, None, None), [0], [1]),
         (MPCC(x, (x - 1) ** 2, x, None, None, ubg=0.5), [0], [0.5]),
         (MPCC(ca.SX(0, 1), 0, None, ca.SX(0), ca.SX(1)), [], []),
@@ -228,12 +222,6 @@ def test_equations_that_follow_from_each_other_do_not_hide_that_a_point_is_not_s
     result = solve(MPCC(v, f, ca.vertcat(row, 2 * row), None, None, lbx=-5, ubx=5, **EQUATION), start)
     assert result.success
     assert result.f == pytest.approx(4.467838, rel=1e-5)
-
-
-def test_kink_of_the_objective_is_not_infeasibility():
-    result = solve(MPCC(XY, ca.fabs(x - 1) + y, None, x, y), [0.3, 0.3])
-    assert result.status is not S.INFEASIBLE
-    assert (result.constraint_violation, result.f) == (pytest.approx(0, abs=1e-8), pytest.approx(0, abs=1e-6))
 
 
 def test_the_exact_finish_alone_descends_over_the_branches_without_any_relaxation():

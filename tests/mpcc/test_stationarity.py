@@ -179,6 +179,12 @@ def scheel_like(n):
     return MPCC(ca.vertcat(X, Y, Z), ca.sum1(X + Y - Z), ca.vertcat(Z - 3 * X, Z - 3 * Y), X, Y, ubg=0.0)
 
 
+def weighted(size):
+    f = size * ((x - 2) ** 2 + (y - 1) ** 2 + (w + 1) ** 2 + 3 * w)
+    bounds = {"lbx": [-9, -9, -0.5], "ubx": 9, "lbg": -9, "ubg": [1, 9]}
+    return MPCC(XYW, f, ca.vertcat(x + w, w - x), x, 2 * y, **bounds)
+
+
 @pytest.mark.parametrize(
     ("mpcc", "label"),
     [
@@ -188,23 +194,8 @@ def scheel_like(n):
         (MPCC(y, (y - 1) ** 2, None, y, y), "M"),  # y _|_ y forces y = 0 with the sign that S forbids
         (scheel_like(2), "M"),
         # each with an active row, bound and pair; the weight of the objective is not seen
-        *(
-            (
-                MPCC(
-                    XYW,
-                    size * ((x - 2) ** 2 + (y - 1) ** 2 + (w + 1) ** 2 + 3 * w),
-                    ca.vertcat(x + w, w - x),
-                    x,
-                    2 * y,
-                    ubg=[1, 9],
-                    lbg=-9,
-                    lbx=[-9, -9, -0.5],
-                    ubx=9,
-                ),
-                "S",
-            )
-            for size in (1.0, 1e-4)
-        ),
+        (weighted(1.0), "S"),
+        (weighted(1e-4), "S"),
     ],
 )
 def test_multipliers_given_back_prove_the_label(mpcc, label):

@@ -43,16 +43,13 @@ def test_members_of_a_biactive_pair_may_rise_unless_they_have_multipliers(f, dir
     assert direction is None or critical == pytest.approx(np.array(direction), abs=1e-12)
 
 
-def test_curvature_that_only_an_infeasible_direction_has_is_none():
+def test_curvature_that_only_an_infeasible_direction_has_is_none_and_large_problems_have_no_test():
     """Along z0 and -z1 at once f would fall, but they are the members of one pair."""
     result = solve(MPCC(z[:2], SADDLE, None, z[0], -z[1]), 0.0)
     assert result.f == pytest.approx(0, abs=1e-8)
     assert result.success
     bowls = (z[0] ** 2 + z[1] ** 2) / 10 - z[0] * z[1]  # convex on each branch, not along z0 = z1
     assert solve(MPCC(z[:2], bowls, None, z[0], z[1]), 0.0).curvature == "not negative"
-
-
-def test_large_problems_say_that_curvature_was_not_tested():
     v = ca.SX.sym("v", 204)
     result = solve(MPCC(v, ca.sumsqr(v - 1), None, v[:2], v[2:4]), 0.5)
     assert (result.success, result.curvature) == (True, "not tested")
@@ -125,11 +122,8 @@ def test_message_of_a_failed_solve_names_the_unknown():
     never = solve(MPCC(x, gap, gap**2 + 1, gap, force, ubg=0), 0.5)
     assert never.status is Status.INFEASIBLE
     assert "is in g[0]" in never.message
-
-
-def test_a_derivative_that_is_not_finite_is_no_crash():
-    """The square root has an infinite slope and no curvature at its minimum."""
-    result = solve(MPCC(X, ca.sqrt(force) + gap**2 + speed**2, None, gap, force), 0.0)
+    # the square root has an infinite slope and no curvature at its minimum
+    result = solve(MPCC(x, ca.sqrt(force) + gap**2 + speed**2, None, gap, force), 0.0)
     assert result.curvature == "not tested"
 
 

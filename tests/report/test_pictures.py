@@ -133,15 +133,12 @@ def test_objective_and_each_variable_have_a_panel_with_their_bounds() -> None:
     assert not alone.legends
 
 
-def test_many_variables_share_a_panel_as_parts_of_their_bounds() -> None:
+def test_many_variables_share_a_panel_and_solves_of_different_length_a_logarithmic_axis() -> None:
     names = tuple(f"v{k}" for k in range(FEW + 1))
     figure = design_figure({"": history(names=names)}, dict.fromkeys(names, (1.0, 2.0)), "area", Page())
     assert figure is not None
     assert len(figure.axes) == 2
     np.testing.assert_allclose(figure.axes[1].lines[-3].get_ydata(), [0, 0.1, 0.2, 0.3])
-
-
-def test_solves_of_very_different_length_have_a_logarithmic_axis() -> None:
     for count, scale in ((60, "symlog"), (30, "linear")):
         figure = design_figure({"a": history(4), "b": history(count, objective=1.0)}, BOUNDS, "area", Page())
         assert figure is not None

@@ -196,11 +196,15 @@ def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
     assert f"\n\n{RANGES}" in details
 
 
-def test_latex_literally() -> None:
+def test_latex_literally_and_all_tables_as_files(tmp_path: Path) -> None:
     text = latex(ROWS)
     assert LATEX_MAIN in text
     assert r"joint & $3.1\cdot 10^{-9}$ & $4.7\cdot 10^{-13}$" in text
     assert r"\begin{tabular}[b]{@{}r@{}}$J$ given,\\ {own rule}\end{tabular}" in text
+    write_tables(ROWS, tmp_path)
+    assert (tmp_path / "table.md").read_text() == markdown(ROWS)
+    assert (tmp_path / "table.tex").read_text() == latex(ROWS)
+    assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
 def test_latex_is_well_formed_and_tables_have_eight_columns_and_fit_a_page() -> None:
@@ -355,26 +359,16 @@ def test_markup_escapes() -> None:
     assert table == "| a    |   b |\n|:-----|----:|\n| x\\|y |   1 |\n"
 
 
-def test_names_are_no_formulas_in_a_csv() -> None:
+def test_names_are_no_formulas_in_a_csv_and_no_html_in_markdown() -> None:
     name = "=cmd|'/c calc'!A1"
     (row,) = csv.DictReader(io.StringIO(as_csv([joint_62(example=name, message=name, **{name: 1.0})])))
     assert (row["example"], row["message"], row[f"'{name}"]) == (f"'{name}", f"'{name}", "1.0")
     assert float(row["energy"]) < 0  # a number stays one
-
-
-def test_names_are_no_html_in_markdown() -> None:
     name = "<img src=x onerror=alert(1)>"
     for changes in ({"formulation": name}, {"variant": name, "family": name}):
         text = markdown([joint_62(example=name, **changes)])
         assert text.count("&lt;img src=x") >= 2
         assert "<" not in text
-
-
-def test_files(tmp_path: Path) -> None:
-    write_tables(ROWS, tmp_path)
-    assert (tmp_path / "table.md").read_text() == markdown(ROWS)
-    assert (tmp_path / "table.tex").read_text() == latex(ROWS)
-    assert len((tmp_path / "table.csv").read_text().splitlines()) == 3
 
 
 EARLY = joint_62(status="iteration_limit")
