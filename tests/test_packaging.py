@@ -84,16 +84,15 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def test_the_links_of_the_pages_lead_somewhere() -> None:
+def test_links_of_the_pages_lead_somewhere_and_each_page_is_once_in_the_menu(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     for page in (*PAGES, "CHANGELOG.md", "CONTRIBUTING.md"):
         for target, anchor in re.findall(r"\]\(([^)#\s]*)#?([^)\s]*)", prose(ROOT / page)):
             if "://" not in target:
                 file = (ROOT / page).parent / target if target else ROOT / page
                 assert file.exists(), f"{page}: {target}"
                 assert not anchor or anchor in anchors(file), f"{page}: {target}#{anchor}"
-
-
-def test_every_page_is_once_in_the_menu_of_the_site(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", list(sys.path))
     below = runpy.run_path(str(ROOT / "docs/conf.py"))["BELOW"]
     pages = [Path(page).stem for page in PAGES if page not in ("README.md", "docs/index.md")]

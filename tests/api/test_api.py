@@ -72,15 +72,14 @@ def test_records_of_a_folder_are_read(tmp_path: Path) -> None:
     assert rm.read_records(tmp_path) == [fixed_61()]
 
 
-def test_every_picture_is_drawn_on_axes_of_ones_own(comparison: rm.Comparison) -> None:
+def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_meshes(
+    comparison: rm.Comparison,
+) -> None:
     for what in ("mesh", "displacement", "stress", "pressure"):
         axes = Figure().add_subplot()
         assert comparison["joint"].plot(what, axes) is axes
         assert axes.has_data()
         assert what in axes.get_title()
-
-
-def test_pictures_have_the_pressure_the_stress_of_each_element_and_both_meshes(comparison) -> None:
     solution = comparison["joint"]
     (line,) = solution.plot("pressure").lines
     where = solution.problem.contact_nodes

@@ -82,7 +82,7 @@ def test_file_means_what_python_means(write):
     assert (ours.motion, ours.obstacles[0].gap) == (theirs.motion, "node")
 
 
-def test_rules_of_motion_reach_the_problem(write):
+def test_rules_of_motion_reach_the_problem_also_at_their_bounds(write):
     rules = """\
 dirichlet = { left = 0 }
 contact = { boundary = "bottom", gap = "edge", offset = 0.2 }
@@ -99,6 +99,10 @@ min_angle = 7
     assert problem.motion == Motion(
         0.1, pinned=("top",), slides=(3,), free=("right",), tied=((4, 7),), min_angle=7
     )
+    motion = "[motion]\nmin_angle = 0\nmin_area_fraction = 0.99\n"
+    for rule in (1, 50):
+        text = f"quadrature = {rule}\n{SMALL}{LAW}dirichlet = {{ left = 0 }}\n{motion}"
+        load_problem(write(f"{text}[solve]\nregularisation = [1, 0]\nremesh = true"))
 
 
 LEFT_FIXED = VALID.replace('right = ["free", 0.0]\n', "")
@@ -198,13 +202,6 @@ def test_of_many_errors_the_first_are_said_and_how_many_more_there_are(write):
     assert lines[0] == "table0 = {}: unknown key: choose from " + ", ".join(ProblemTable.model_fields)
     assert len(lines) == 11
     assert lines[-1] == "and 2990 more errors"
-
-
-def test_numbers_at_their_bounds_are_accepted(write):
-    motion = "[motion]\nmin_angle = 0\nmin_area_fraction = 0.99\n"
-    for rule in (1, 50):
-        text = f"quadrature = {rule}\n{SMALL}{LAW}dirichlet = {{ left = 0 }}\n{motion}"
-        load_problem(write(f"{text}[solve]\nregularisation = [1, 0]\nremesh = true"))
 
 
 def test_missing_file_and_unreadable_mesh(write, tmp_path):

@@ -33,6 +33,8 @@ def test_only_members_that_are_no_unknowns_get_slacks():
     assert z[lifted.pairs].tolist() == [[1, 10], [20, 4]]
     assert lifted.smaller(z).tolist() == [[True, False], [False, True]]
     assert lifted.smaller(np.ones(5)).tolist() == [[True, True], [False, False]]  # of equals the first
+    assert list(lifted.start(np.array([1.0, 2.0, 4.0]), NONE)) == [1, 2, 4, 6, 4]
+    assert list(lifted.start(np.array([1.0, -2.0, 0.0]), NONE)) == [1, -2, 0, 0, 0]  # as far as signs allow
 
 
 def test_member_keeps_its_place_only_if_it_is_the_unknown_and_may_be_zero():
@@ -44,12 +46,6 @@ def test_member_keeps_its_place_only_if_it_is_the_unknown_and_may_be_zero():
         lifted = lift(MPCC(XYW, x, None, x, w, lbx=[lower, 0, 0], ubx=[upper, 9, 9]))
         assert (lifted.pairs[0, 0] == 0) == keeps
         assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
-
-
-def test_start_extends_by_slacks_that_meet_their_rows_as_far_as_signs_allow():
-    lifted = lift(MPCC(XYW, x, x, ca.vertcat(2 * y, w - 1), ca.vertcat(x * p, 1 / w), p=p))
-    assert list(lifted.start(np.array([1.0, 2.0, 4.0]), np.array([5.0]))) == [1, 2, 4, 4, 3, 5, 0.25]
-    assert list(lifted.start(np.array([1.0, -2.0, 0.0]), np.array([5.0]))) == [1, -2, 0, 0, 0, 5, 0]
 
 
 def test_weight_looks_beside_a_start_where_the_slope_vanishes():

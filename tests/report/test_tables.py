@@ -177,15 +177,6 @@ def test_many_design_variables_have_a_row_each() -> None:
     assert "| v6   | -9 to 9 |     0 |    6 |" in details
 
 
-def test_coulomb_friction_with_another_objective_has_no_energies() -> None:
-    row = joint_62(formulation="nested", objective="shear(top)", coulomb_residual=1e-3)
-    text = markdown([{**row, "objective_initial": -2.0, "objective_value": -3.0}], short=True)
-    assert "J relocated" not in text
-    assert "| nested      |      -2.000000e+00 |    -3.000000e+00 |       50 |" in text
-    assert "bounds" not in text
-    assert "J relocated" in markdown([joint_62(formulation="fixed", coulomb_residual=1e-3)], short=True)
-
-
 def test_details_of_a_study_are_the_medians_with_their_ranges() -> None:
     rows = [joint_62(family="f", variant="a", iterations=count) for count in (4, 6, 11)]
     details = markdown(rows).partition(DETAILS)[2]
@@ -335,6 +326,12 @@ def test_errors_and_other_objectives_have_tables_of_their_own() -> None:
     assert "| mpcc, error-l2 |       2.929000e-03 |     9.080000e-04 |        2 |" in text
     assert "I1" not in markdown(ROWS)
     assert "objective at end" not in markdown(ROWS, short=True)
+    row = joint_62(formulation="nested", objective="shear(top)", coulomb_residual=1e-3)
+    text = markdown([{**row, "objective_initial": -2.0, "objective_value": -3.0}], short=True)
+    assert "J relocated" not in text
+    assert "| nested      |      -2.000000e+00 |    -3.000000e+00 |       50 |" in text
+    assert "bounds" not in text
+    assert "J relocated" in markdown([joint_62(formulation="fixed", coulomb_residual=1e-3)], short=True)
 
 
 def test_csv_has_every_scalar_field_the_values_of_the_paper_designs_and_constraints() -> None:

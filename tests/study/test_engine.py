@@ -152,10 +152,13 @@ def test_a_solve_whose_worker_was_lost_for_good_is_a_row(tmp_path, monkeypatch):
     assert rows_of(tmp_path) == [lost]
 
 
-def test_who_resumes_waits_for_workers_that_outlived_their_client(tmp_path, monkeypatch):
+def test_workers_that_outlived_their_client_and_a_missing_extra_are_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(engine, "PATIENCE_S", 0.01)
     with RowsFile(tmp_path).working(), pytest.raises(BadInputError, match="held by a worker"):
         list(engine.run([solve_of("fixed")], tmp_path))
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(BadInputError, match=r"^--scheduler needs dask.distributed: pip install"):
+        list(engine.run([solve_of("fixed")], tmp_path, scheduler="tcp://127.0.0.1:1"))
 
 
 @on_posix
@@ -163,12 +166,6 @@ def test_without_processes_a_study_ends_in_one_line(tmp_path, monkeypatch, capsy
     monkeypatch.setattr(sys, "executable", "false")
     assert cli.run(["study", study_file(tmp_path), "--out", str(tmp_path / "out"), "--jobs", "2"]) == 2
     assert capsys.readouterr().err.endswith("no process for solves could be started: it ended with code 1\n")
-
-
-def test_without_the_extra_a_scheduler_is_one_line(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(BadInputError, match=r"^--scheduler needs dask.distributed: pip install"):
-        list(engine.run([solve_of("fixed")], tmp_path, scheduler="tcp://127.0.0.1:1"))
 
 
 @pytest.mark.slow
