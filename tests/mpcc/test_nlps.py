@@ -48,14 +48,6 @@ def test_member_keeps_its_place_only_if_it_is_the_unknown_and_may_be_zero():
         assert lifted.nlp.lbx[0] == (max(lower, 0) if keeps else lower)
 
 
-def test_weight_looks_beside_a_start_where_the_slope_vanishes():
-    lifted = lift(MPCC(XYW, 1e-3 * ca.sumsqr(XYW), None, x, w))
-    weight = lifted.weight(np.zeros(3), NONE)
-    assert 1e3 <= weight < 1e5  # a slope of at most 1e-3 within 0.5 of the start
-    bad = lift(MPCC(XYW, 1e-2 * ca.sqrt(x), None, x, w))
-    assert np.isfinite(bad.weight(np.full(3, -1.0), NONE))
-
-
 def test_known_multipliers_are_put_on_rows_bounds_and_members():
     """Pair (x, 2 y): that of x joins its bound, that of 2 y its slack and its row; NaN counts as zero."""
     lifted = lift(MPCC(XYW, x, w, x, 2 * y))
