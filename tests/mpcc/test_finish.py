@@ -5,8 +5,11 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.mpcc.finish import finish, is_below, proved
-from support.scripted_run import XY, ended, run_of, x, y
+from rmesh_nlp.mpcc.finish import Finish, finish, is_below, pivot, proved
+from rmesh_nlp.mpcc.lpec import Direction
+from rmesh_nlp.mpcc.stationarity import Stationarity
+from rmesh_nlp.optimize.status import Status
+from support.scripted_run import ON_H, XY, ended, run_of, x, y
 
 
 def test_wrong_branch_is_left_by_the_descent():
@@ -14,8 +17,16 @@ def test_wrong_branch_is_left_by_the_descent():
     run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y))
     end = finish(run, np.array([0.0, 0.5]), search=False)
     assert (end.solved, end.pivots) == (True, 1)
-    assert [is_below(f, 4.0) for f in (4.0 - 1e-9, 4.0 - 1e-8)] == [False, True]  # by more than rounding
     assert end.z == pytest.approx([1, 0], abs=1e-8)
+    assert [is_below(f, 4.0) for f in (4.0 - 1e-9, 4.0 - 1e-8)] == [False, True]  # by more than rounding
+    descends = Stationarity("C", None, None, Direction(-1.0, np.zeros(2), ON_H))
+    last = Finish(np.zeros(2), 4.0, Status.STALLED, descends, pivots=run.options.max_pivots)
+    assert pivot(run, last).status is Status.ITERATION_LIMIT
+
+
+def test_branch_along_which_the_objective_falls_without_end_has_no_label():
+    end = finish(run_of(MPCC(XY, -x, None, x, y)), np.array([1.0, 0.0]), search=False)
+    assert (end.status, end.solved, end.stationarity.label) == (Status.UNBOUNDED, False, "")
 
 
 def test_place_without_a_feasible_point_is_left():

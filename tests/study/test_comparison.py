@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.io.folder import folder_lock
 from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
@@ -157,6 +158,8 @@ def test_two_solves_of_one_key_or_what_is_in_the_way_are_found_before_anything_i
     for solves, said in (([plan[0], plan[0]], r"6\.2-4x2-fixed"), (plan, "solutions is a file")):
         with pytest.raises(BadInputError, match=said):
             list(run(solves, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
+    with folder_lock(tmp_path), pytest.raises(BadInputError, match="written by another"):
+        next(run(plan, Results(tmp_path)))
 
 
 def test_a_failure_an_interrupted_solve_and_one_without_its_files_are_solved_again(plan, ran):
