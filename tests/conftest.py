@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import gc
 import signal
-import sys
 
 import pytest
 from hypothesis import settings
@@ -24,15 +22,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-ONCE = {"rmesh_nlp.cli.app": "get_command", "rmesh_nlp.solving.entries": "version"}
-"""Commands that are made of their annotations, versions of packages: for each line and each record anew."""
-
-
 def pytest_collection_finish() -> None:
     """What was imported and collected lives as long as the run: the garbage collector may skip it."""
-    for module, name in ONCE.items():
-        if (loaded := sys.modules.get(module)) is not None:
-            setattr(loaded, name, functools.cache(getattr(loaded, name)))
     gc.collect()
     gc.freeze()
 

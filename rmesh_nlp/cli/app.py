@@ -14,13 +14,13 @@ from rmesh_nlp.errors import BadInputError, InterruptedSolveError, one_line
 
 # typer brings its own click, or uses the installed one: its exceptions are found either way
 ClickException: Any = typer.BadParameter.__mro__[2]
+COMMAND: Any = get_command(app)
 
 
 def run(arguments: list[str]) -> int:
     """Run the command line and return its exit code; what is wrong is said in one line on stderr."""
     try:
-        command: Any = get_command(app)
-        code = int(command.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
+        code = int(COMMAND.main(args=arguments, prog_name="rmesh", standalone_mode=False) or 0)
         if code == Exit.INTERRUPTED:  # Ctrl-C, of which some versions of typer say nothing
             raise KeyboardInterrupt
         return code

@@ -39,7 +39,7 @@ class Presses:
         except KeyboardInterrupt: raise ImportError('initialization failed')
 sys.meta_path.insert(0, Presses())
 """
-COMMANDS = "from rmesh_nlp.cli import app; app.get_command = press"
+COMMANDS = "import typer.main; typer.main.get_command = press"
 ENDS = "import atexit; atexit.register(press)"
 
 
