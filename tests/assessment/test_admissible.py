@@ -12,7 +12,6 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.measures import equilibrium_residual
-from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
@@ -72,19 +71,6 @@ def test_what_jumps_along_a_line_leaves_no_doubt() -> None:
     step = lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)  # noqa: E731
     load = replace(block(jump), law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
     assert admissible(load).doubt < 1e-12
-
-
-def test_beside_a_narrow_bump_nodes_come_closer_than_its_height() -> None:
-    """The gap is closed at the bump, between two nodes; raising both by its height costs energy."""
-    here = Continuous(block(PEAK))
-    assert here.solve().state.energy < solve(here.system(here.first_standoff())).energy - 5e-4
-
-
-def test_ripples_of_a_foundation_keep_nodes_off_by_their_height() -> None:
-    ripples = Obstacle.graph("bottom", lambda x, y: -0.02 + 1e-6 * np.sin(24 * np.pi * x))
-    found = admissible(block(ripples))
-    assert 1e-7 < np.max(standoff(found)) < 1e-5
-    assert deepest(found) < 1e-10
 
 
 def test_gaps_of_order_2_hold_between_the_nodes_and_no_more() -> None:
@@ -299,30 +285,6 @@ def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: C
     cells = edge(height)
     found = cells.off(np.zeros(4))
     assert off - 1e-12 <= found[0] <= off + 1e-4
-
-
-@pytest.mark.parametrize(
-    ("height", "off"),
-    [
-        (lambda s: 0.4 * s * (1 - s) + 0.1 * s, 0.0),
-        (lambda s: s * (1 - s) * (1 - 2 * s), 3**0.5 / 18),  # a cubic: over the parabola, which is zero
-        (lambda s: 0.05 * (1 - np.cos(2 * np.pi * s)), 0.0),  # below it everywhere
-    ],
-)
-def test_nodes_of_order_2_keep_off_by_the_height_over_the_parabola(height: Callable, off: float) -> None:
-    cells, fine = edge(height, order=2), np.linspace(0, 1, 20_001)
-    parabola = np.polynomial.Polynomial.fit([0, 0.5, 1], height(np.array([0, 0.5, 1])), 2)
-    exact = max(float(np.max(height(fine) - parabola(fine))), 0.0)
-    assert exact == pytest.approx(off, abs=1e-8)
-    found = max(cells.off(np.zeros(9))[0], 0.0)
-    assert exact - 1e-12 <= found <= exact + 2e-4
-    # with these coefficients of the gap the foundation is met at the crest, and nowhere passed
-    u = np.zeros((2, 9))
-    u[1, cells.nodes[:, 0]] = found - cells.at_nodes[:, 0]
-    assert -1e-12 <= np.min(cells.gaps(u)) <= 1e-4
-    assert cells.missing(u)[0] < 1e-12
-    u[1] -= 0.05
-    assert cells.missing(u)[0] == pytest.approx(0.05, abs=2e-4)
 
 
 def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:

@@ -28,34 +28,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points, where
-from rmesh_nlp.problem.switches import switches
 from support.curved import HOLE, plate
-
-
-def test_rules_are_refined_until_a_narrow_bump_is_integrated() -> None:
-    problem = ContactProblem(rectangle(2, 2), Laplace(1.0), ("left",))
-    body = Body(problem, problem.mesh.p)
-
-    def bump(_: Array, barycentric: Array, where: Array) -> Array:
-        far = (where[0] - 0.3) ** 2 + (where[1] - 0.4) ** 2
-        return np.exp(-far / 0.02**2)[None] * np.ones_like(barycentric[:1])
-
-    total, doubt, _ = over_triangles(body, np.arange(8), bump)
-    assert total.sum() == pytest.approx(np.pi * 0.02**2, rel=1e-8)
-    assert doubt.sum() < 1e-8
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_work_of_polynomial_loads_is_exact(order: int) -> None:
-    """Of sources of degrees 0 to 3 on u = x^order over the unit square."""
-    for degree in range(4):
-        source = Laplace(lambda x, y, k=degree: x**k + 0 * y)
-        problem = ContactProblem(rectangle(1, 1), source, ("left",), order=order)
-        space = DisplacementSpace(problem)
-        load, doubt = load_vector(Body(problem, problem.mesh.p), space)
-        u = space.coefficients(space.points(problem.mesh.p)[:1] ** order)
-        assert load @ u[0] == pytest.approx(1 / (degree + order + 1), rel=1e-13)
-        assert not np.any(doubt)
 
 
 def test_cells_are_cut_until_rules_agree_and_the_rest_is_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -199,14 +172,3 @@ def test_edges_are_split_at_jumps_and_kinks(coefficient: Coefficient, exact: flo
     assert total.value.sum() == pytest.approx(exact, rel=1e-12)
     assert total.is_certain is is_certain
     assert total.doubt.sum() < 1e-12
-
-
-def test_what_is_smooth_or_a_number_has_no_switches_and_what_is_unknown_is_said() -> None:
-    assert switches(3.0) is None
-    assert switches(lambda x, y: ca.sin(x) / (2 + y)) is None
-    unknown = switches(lambda x, y: ca.fmod(x, 0.3))
-    assert unknown is not None
-    assert not unknown.are_all
-    found = switches(lambda x, y: where(ca.logic_or(x > 1, x * y > 2), 1.0, ca.fabs(y)))
-    assert found is not None
-    assert sorted(degree or 0 for degree in found.degrees) == [1, 1, 2]

@@ -33,12 +33,11 @@ def bounds_of(problem: ContactProblem) -> tuple[float, float]:
 
 
 @BOTH
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(sign: float, order: int) -> None:
-    """-2 w'' = 3 from 0.1 to the obstacle at 0.3, whose force is 3 / 2 - 2 (0.3 - 0.1)."""
-    held, obstacle = (Dirichlet("left", (0.1 * sign,)),), Obstacle("right", (-sign,), 0.3)
+def test_force_of_a_membrane_that_is_pulled_onto_its_obstacle(order: int) -> None:
+    """2 w'' = 3 from -0.1 to the obstacle at -0.3, whose force is 3 / 2 - 2 (0.3 - 0.1)."""
+    held, obstacle = (Dirichlet("left", (-0.1,)),), Obstacle("right", (1.0,), 0.3)
     mesh = distorted(rectangle(3, 3), 0.2, 1)
-    lower, upper = bounds_of(ContactProblem(mesh, Laplace(3.0 * sign, 2.0), held, obstacle, order=order))
+    lower, upper = bounds_of(ContactProblem(mesh, Laplace(-3.0, 2.0), held, obstacle, order=order))
     assert lower < 1.1 < upper
     assert upper - lower < {1: 1.0, 2: 1e-3}[order]
 

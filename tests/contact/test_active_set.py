@@ -1,19 +1,28 @@
 """The active set solves the convex quadratic program: its laws hold, from any start."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
+from skfem.models.elasticity import linear_elasticity
 
+from rmesh_nlp.contact import factorisation
 from rmesh_nlp.contact.active_set import at_rest, first_set, solve
+from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
+from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.system import ActiveSet, ContactSystem
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving.entries import versions
 from support.contact_geometry import block_between_two_foundations, block_sliding_on_a_circle
 from support.problems import sloped_block
 
@@ -53,7 +62,7 @@ SYSTEMS = {
 }
 
 
-@pytest.fixture(params=SYSTEMS)
+@pytest.fixture(scope="module", params=SYSTEMS)
 def system(request: pytest.FixtureRequest) -> ContactSystem:
     return SYSTEMS[request.param]()
 
@@ -111,3 +120,112 @@ def test_contact_on_all_unknowns_is_not_condensed() -> None:
     problem = refined(random_problem(3, kind="membrane"))
     system = ContactSolver(problem).system(np.asarray(problem.mesh.p))
     assert first_set(system).key() == at_rest(system).key() != solve(system).active.key()
+
+
+def spring(gap: float, normal: float, slip: float, tangential: float, **changes: Any) -> tuple[Any, Any]:
+    """One node that has moved by 2, under a force of 8, the units, with a friction bound of 4."""
+    system = ContactSystem(
+        stiffness=sp.csc_array(10.0 * np.eye(4)),
+        load=np.array([8.0, 0.0, 0.0, 0.0]),
+        constant=0.0,
+        normals=sp.csr_array(np.array([[0.0, 1.0, 0.0, 0.0]])),
+        tangents=sp.csr_array(np.array([[0.0, 0.0, 1.0, 0.0]])),
+        offset=np.array([gap + 1.0]),
+        slip_bound=np.array([4.0]),
+        **changes,
+    )
+    state = Equilibrium(
+        u=np.array([2.0, -1.0, slip, 0.0]),
+        energy=0.0,
+        normal_force=np.array([normal]),
+        tangential_force=np.array([tangential]),
+        active=ActiveSet(np.array([True]), np.zeros(1, dtype=np.int8)),
+        status=Status.CONVERGED,
+        iterations=1,
+    )
+    return system, state
+
+
+WEAK = [
+    (0.0, 0.0, 1.0, 4.0),  # touches without a force
+    (1e-6, 4e-6, 1.0, 4.0),  # half a millionth of the units
+    (-1e-6, -4e-6, 1.0, 4.0),
+    (0.0, 5.0, 0.0, 4.0),  # rests at the bound of friction
+    (0.0, 5.0, 1e-6, -4.0 + 4e-6),
+    (0.0, 5.0, -1e-6, 4.0 - 4e-6),
+]
+STRICT = [
+    *((gap, 0.0, 1.0, 4.0) for gap in (4e-6, -4e-6, 1.0)),  # open
+    *((0.0, force, 1.0, 4.0) for force in (16e-6, -16e-6)),  # pressed
+    *((0.0, 5.0, slip, 4.0) for slip in (4e-6, -4e-6)),  # slides
+    *((0.0, 5.0, 0.0, friction) for friction in (4.0 - 16e-6, 0.0)),  # sticks
+    (1.0, 0.0, 1.0, 0.0),
+]
+
+
+@pytest.mark.parametrize("values", [*WEAK, *STRICT])
+def test_strict_complementarity_fails_where_two_things_vanish_at_once(values: Any) -> None:
+    assert bool(weakly_active(*spring(*values))[0]) == (values in WEAK)
+
+
+def test_friction_counts_only_where_it_may_act_and_a_body_at_rest_where_it_touches() -> None:
+    at_the_bound = (0.0, 5.0, 0.0, 4.0)
+    for acts in (True, False):
+        assert weakly_active(*spring(*at_the_bound, frictional=np.array([acts])))[0] == acts
+    # half of a contact force of 5 stands beside the bound of 4
+    assert weakly_active(*spring(0.0, 5.0, 0.0, 6.5, coulomb=np.array([0.5])))[0]
+    system, state = spring(*at_the_bound)
+    assert not weakly_active(replace(system, slip_bound=np.zeros(0)), state)[0]
+    # without any displacement the gap itself tells: no length is there to divide by
+    rest = replace(spring(0.0, 0.0, 1.0, 4.0)[1], u=np.zeros(4))
+    for gap, weak in ((0.0, True), (1e-9, False)):
+        alone = replace(system, offset=np.full(1, gap), slip_bound=np.zeros(0))
+        assert weakly_active(alone, rest)[0] == weak
+
+
+def test_elastic_system_is_that_of_scikit_fem() -> None:
+    problem = replace(sloped_block(), quadrature=4)
+    solver = ContactSolver(problem)
+    system = solver.system(problem.mesh.p)
+    element = ElementVector(ElementTriP1())
+    basis = Basis(problem.mesh, element, intorder=4)
+    K = asm(linear_elasticity(problem.law.lame_lambda, problem.law.lame_mu), basis)
+    top = FacetBasis(problem.mesh, element, facets=problem.mesh.boundaries["top"], intorder=4)
+    F = asm(LinearForm(lambda v, w: -20 * w.x[0] * v[1]), basis)
+    F += asm(LinearForm(lambda v, w: -20 * v[0] - 30 * w.x[0] * v[1]), top)
+    index, dofs = solver.displacement.index, np.zeros(solver.n_u, dtype=int)
+    dofs[index[index >= 0]] = basis.nodal_dofs[index >= 0]
+    scale = np.abs(K).max()
+    np.testing.assert_allclose(system.stiffness.toarray(), K[dofs][:, dofs].toarray(), atol=1e-12 * scale)
+    np.testing.assert_allclose(system.load, F[dofs], atol=1e-11)
+
+
+def test_gaps_of_order_2_have_the_coefficients_of_the_distance() -> None:
+    """Those of ``x^2 / 10`` on an edge from a to b are that at its ends and ``a b / 10`` in its middle."""
+    foundation = Obstacle.graph("bottom", lambda x, y: -(x**2) / 10)
+    problem = ContactProblem(rectangle(4, 2, x=(0, 2)), PlaneStrain(1.0, 1.0), "top", foundation, order=2)
+    solver = ContactSolver(problem)
+    nodes, vertices = solver.contact_nodes, problem.mesh.p.shape[1]
+    middles = nodes >= vertices
+    ends = np.stack([nodes, nodes])
+    ends[:, middles] = problem.mesh.facets[:, nodes[middles] - vertices]
+    assert np.sum(middles) == 4
+    expected = np.prod(problem.mesh.p[0, ends], axis=0) / 10
+    np.testing.assert_allclose(solver.system(problem.mesh.p).offset, expected, atol=1e-15)
+
+
+@pytest.fixture(
+    params=[False, pytest.param(True, marks=pytest.mark.skipif(not HAS_CHOLMOD, reason="no CHOLMOD"))]
+)
+def by_cholmod(request, monkeypatch) -> bool:
+    monkeypatch.setattr(factorisation, "HAS_CHOLMOD", request.param)
+    return request.param
+
+
+def test_an_indefinite_matrix_is_solved_too(by_cholmod) -> None:
+    K = sp.csc_array(np.diag([2.0, -1.0, 3.0]))
+    np.testing.assert_allclose(factorised(K)(np.ones(3)), [0.5, -1.0, 1 / 3])
+
+
+def test_the_record_says_what_factorised() -> None:
+    assert ("scikit-sparse" in versions()) == HAS_CHOLMOD

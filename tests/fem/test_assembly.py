@@ -1,5 +1,7 @@
 """Fields, sums over elements, values at points, and derivatives of assembled programs."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import factorial
@@ -9,23 +11,27 @@ import casadi as ca
 import numpy as np
 import pytest
 
+import rmesh_nlp as rm
+from rmesh_nlp.assessment.energy import load_vector
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.cells import Straight
-from rmesh_nlp.fem.energy import load_energy, strain_energy
 from rmesh_nlp.fem.fields import (
     NONE,
     ElementGroup,
     Field,
-    unknown_field,
 )
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.energy_nlp import Relocation, relocation
-from rmesh_nlp.problem import ContactProblem, Laplace, PlaneStrain
+from rmesh_nlp.models.second_derivatives import curvature_of
+from rmesh_nlp.problem import ContactProblem, Laplace
+from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.problem.quadrature import triangle_rule
-from rmesh_nlp.vectorised import NUMPY_FROM
+from rmesh_nlp.solving.outer import Outer
 from support.contact_geometry import block_along_a_circle
 from support.derivatives import assert_derivatives_are_casadis
 from support.problems import sloped_block, tied_neighbours
+from support.taylor import difference_order, taylor_order
 
 
 def expressions(groups: Sequence[ElementGroup], x: ca.MX, n_rows: int) -> tuple[ca.MX, ca.MX]:
@@ -55,12 +61,6 @@ def wave(x, y):
     return ca.sin(2 * x + y) + ca.if_else(x < y, x * y, y**3)
 
 
-LAWS = {
-    "varying": Laplace(wave, conductivity=2.5),
-    "two components": PlaneStrain(1.3, 0.7, (wave, lambda x, y: ca.exp(x - y))),
-}
-
-
 @pytest.mark.parametrize(
     "make",
     [
@@ -69,7 +69,7 @@ LAWS = {
         lambda: sloped_block(n=(4, 2)),
         lambda: block_along_a_circle(2),
         tied_neighbours,
-        lambda: replace(EXAMPLES["6.1"](2, 0.1), law=LAWS["varying"], order=2),
+        lambda: replace(EXAMPLES["6.1"](2, 0.1), law=Laplace(wave, conductivity=2.5), order=2),
     ],
 )
 def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
@@ -82,17 +82,6 @@ def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], C
     value, rows = ca.Function("values", [rel.x], [rel.nlp.f, rel.nlp.g])(x)
     assert float(value) == pytest.approx(float(derivatives.grad_f(x, [])[0]), rel=1e-12)
     np.testing.assert_allclose(rows.full(), derivatives.jac_g(x, [])[0].full(), rtol=1e-12, atol=1e-12)
-
-
-def test_an_extended_program_keeps_the_assembled_derivatives() -> None:
-    rel, y = relocation(EXAMPLES["6.3"]((4, 2))), ca.MX.sym("y", 2)
-    f, g = ca.sumsqr(y - rel.x[:2]), ca.sin(y[0]) * rel.x[5]
-    wider = rel.nlp.extended(x=y, f=f, g=g, lbx=[0, 0], ubx=[1, 1], lbg=[0], ubg=[1])
-    first, rows = of_energy_nlp(rel)
-    program = SimpleNamespace(
-        x=wider.x, p=wider.p, f=first + f, g=ca.vertcat(rows, g), derivatives=wider.derivatives
-    )
-    assert_derivatives_are_casadis(program, within=(-0.5, 0.5), tolerance=1e-10)
 
 
 def test_nothing_is_unrolled_over_the_mesh() -> None:
@@ -124,32 +113,50 @@ def test_problems_that_differ_in_their_load_alone_share_no_derivatives() -> None
     assert np.max(np.abs(gradients[0] - gradients[1])) > 1e-3
 
 
-def drawn_triangles(n: int) -> np.ndarray:
-    """Corners of upright triangles (6, n) that are not too thin."""
-    rng = np.random.default_rng(3)
-    a, length, angle = rng.uniform(-1, 1, (2, n)), rng.uniform(0.2, 2, (2, n)), rng.uniform(0.2, 2.8, n)
-    turn = rng.uniform(0, 2 * np.pi, n)
-    b = a + length[0] * np.stack([np.cos(turn), np.sin(turn)])
-    c = a + length[1] * np.stack([np.cos(turn + angle), np.sin(turn + angle)])
-    return np.concatenate([a, b, c])
+JUMPS = (
+    lambda x, y: where(x > 1.51787, -5.62, -1.3534646),
+    lambda x, y: where(ca.logic_and(x > 0.3, x < 0.35), -7.0, ca.fabs(x - 0.9)),
+)
+SOURCES = (
+    lambda x, y: where(x + 0.7 * y > 1.1, -3.5, 2.0 * y),
+    lambda x, y: ca.fmax(y - 0.6 * x, 0.0),
+)
 
 
-def test_many_triangles_are_summed_as_few_are() -> None:
-    law, n = LAWS["two components"], 2 * NUMPY_FROM + 5  # more than one chunk of points
-    X, u = drawn_triangles(n), np.random.default_rng(0).standard_normal((6, n))
-    cell = Straight(3, 2, 1)
-    functions = (strain_energy(law, cell), None), load_energy(law, cell, 8)
+def pulled(order: int) -> rm.ContactProblem:
+    return rm.ContactProblem(
+        rm.shapes.rectangle(3, 2, x=(0, 2)),
+        rm.PlaneStrain.from_young(1000.0, 0.3, SOURCES),
+        ("left",),
+        rm.Obstacle.line("bottom", (0.0, -0.01), (0.0, 1.0)),
+        rm.Motion(None),
+        (rm.Traction("top", JUMPS),),
+        order=order,
+    )
 
-    def gradient(X: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """By positions and by displacements (12, count), which no two elements share."""
-        fields = unknown_field(X.shape), unknown_field(X.shape, X.size)
-        rows = np.zeros((0, X.shape[1]), dtype=np.int64)
-        groups = [ElementGroup(function, fields, rows, points) for function, points in functions]
-        assembled = Assembled(groups, ca.MX.sym("x", 2 * X.size), ca.MX(0, 1), 0)
-        x = np.concatenate([X.ravel(order="F"), u.ravel(order="F")])
-        return assembled.first(x, None)[1].reshape(2, -1, 6)
 
-    together = gradient(X, u)
-    for k in range(0, n, 7):
-        alone = gradient(X[:, [k]], u[:, [k]])[:, 0]
-        np.testing.assert_allclose(together[:, k], alone, rtol=0, atol=1e-11 * np.max(np.abs(alone)))
+@pytest.mark.parametrize("order", [1, 2])
+def test_nodal_loads_are_exact_wherever_the_nodes_are(order: int) -> None:
+    problem = pulled(order)
+    mesh, rng = problem.mesh, np.random.default_rng(1)
+    p = np.array(mesh.p)
+    for k, end in enumerate((2, 1)):
+        inner = (p[k] > 0) & (p[k] < end)
+        p[k, inner] += rng.uniform(-0.1, 0.1, np.count_nonzero(inner))
+    moved = replace(problem, mesh=replace(mesh, doflocs=p))
+    space = DisplacementSpace(moved)
+    exact, doubt = load_vector(Body(moved, p), space)
+    held = space.given()[0].T.ravel()
+    system = ContactSolver(moved).system(p)
+    assert np.max(doubt) < 1e-12
+    np.testing.assert_allclose(np.sort(system.load), np.sort(exact[~held]), atol=1e-11)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_the_energy_has_both_derivatives(order: int) -> None:
+    outer = Outer.of(pulled(order))
+    q, d = np.random.default_rng(1).uniform(-1, 1, (2, outer.n)) * [[0.1], [1]]
+    assert taylor_order(outer.energy, q, d, 1e-4) == pytest.approx(2, abs=0.02)
+    product = curvature_of(outer.energy)(outer.energy(q))(d)
+    order_of = difference_order(lambda at: outer.energy(at).gradient, product, q, d, 1e-3)
+    assert order_of == pytest.approx(2, abs=0.05)

@@ -2,12 +2,10 @@
 
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from gallery import free_boundary
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import stresses, von_mises
@@ -17,7 +15,6 @@ from rmesh_nlp.problem import (
     Dirichlet,
     Motion,
     Obstacle,
-    PiecewiseLinear,
     PlaneStrain,
     PlaneStress,
     Relative,
@@ -45,19 +42,6 @@ def test_uniaxial_tension_has_the_energy_of_youngs_modulus() -> None:
 def pressed_block(obstacle: Obstacle) -> ContactProblem:
     mesh, push = rectangle(4, 4, diagonal="falling"), Dirichlet("top", (0.001, -0.01))
     return ContactProblem(mesh, PlaneStrain(100.0, 80.0), (push,), obstacle, Motion(Relative(0.2)))
-
-
-def test_a_graph_is_met_at_the_nodes_whether_smooth_or_piecewise_linear() -> None:
-    for height in (lambda x, y: -0.02 * (x - 0.5) ** 2, PiecewiseLinear((0, 0.5, 1), (-0.01, 0.0, -0.01))):
-        solution = fixed.solve(pressed_block(Obstacle.graph("bottom", height)))
-        nodes = solution.problem.contact_nodes
-        x, y = solution.mesh.p[:, nodes]
-        foundation = np.array([float(ca.DM(height(a, 0))) for a in x])
-        gap = y + solution.displacement[1, nodes] - foundation
-        touching = solution.pressure[nodes] > 0
-        assert 0 < np.sum(touching) < touching.size
-        np.testing.assert_allclose(gap[touching], 0, atol=1e-15)
-        assert np.all(gap[~touching] > 0)
 
 
 def test_penetration_between_nodes_is_measured() -> None:
@@ -97,18 +81,6 @@ def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
     assert solution.tangential_stress[corner] == 0
 
 
-def test_an_interior_obstacle_has_its_known_free_boundary() -> None:
-    """That of the radial solution r^2 / 2 - ln r - 1 / 2 is at r = 1."""
-    solution = fixed.solve(free_boundary.problem(24))
-    touching = solution.pressure > 0
-    r = np.hypot(*solution.mesh.p)
-    assert solution.success
-    assert np.max(r[touching]) < 1.0 + 3 / 24
-    assert np.all(touching[r < 1 - 3 / 24])
-    # the reaction is the load that is not carried: 2 inside the contact set
-    np.testing.assert_allclose(solution.pressure[r < 0.7], 2.0, atol=1e-12)
-
-
 def test_von_mises_is_that_of_the_deviator() -> None:
     rng = np.random.default_rng(0)
     for xx, yy, xy, zz in rng.uniform(-1, 1, (5, 4)):
@@ -136,20 +108,6 @@ def test_stresses_of_a_linear_displacement_obey_hookes_law_in_space(law, order) 
         np.testing.assert_allclose(zz, 0)
     else:
         np.testing.assert_allclose(zz - poisson * (xx + yy), 0, atol=1e-12)
-
-
-def test_the_flux_of_a_scalar_problem_is_conductivity_times_slope_on_each_region_of_moved_nodes() -> None:
-    mesh = rm.shapes.rectangle(4, 2).with_subdomains(
-        {"soft": lambda x: x[0] < 0.5, "stiff": lambda x: x[0] > 0.5}
-    )
-    laws = {"soft": rm.Laplace(conductivity=2.0), "stiff": rm.Laplace(conductivity=7.0)}
-    problem = rm.ContactProblem(mesh, laws, ("left",))
-    stretched = np.vstack([2 * mesh.p[0], mesh.p[1]])
-    flux = stresses(problem, stretched, (3 * mesh.p[0] - mesh.p[1])[None, :])
-    for name, law in laws.items():
-        expected = law.conductivity * np.array([[1.5], [-1.0]])
-        elements = mesh.subdomains[name]
-        np.testing.assert_allclose(flux[:, elements], np.broadcast_to(expected, (2, elements.size)))
 
 
 @pytest.mark.parametrize("curved", [True, False])

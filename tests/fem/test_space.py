@@ -11,8 +11,7 @@ import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.fem.assembly import Assembled
-from rmesh_nlp.fem.fields import Design, Fields, constant_field, unknown_field
+from rmesh_nlp.fem.fields import Fields, constant_field
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -27,28 +26,8 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     Traction,
 )
-from rmesh_nlp.problem.coefficients import OPEN
-from rmesh_nlp.problem.design import symbol
 from support.curved import HOLE, plate
 from support.sliding import elastic, entries
-
-
-def test_design_variables_are_arguments_of_element_terms() -> None:
-    """Spring i of stiffness a + b: its energy and its derivatives by u at a given design."""
-    a, b, u = symbol("a"), symbol("b"), ca.SX.sym("u")
-    spring = ca.Function("spring", [u], [(a + b) * u**2 / 2, ca.SX(0, 1)], OPEN)
-    x, parameter = ca.MX.sym("x", 3), ca.MX.sym("p", 3)
-    design = Design(("b", "unused", "a"), unknown_field((1, 3), source=1))
-    values = unknown_field((1, 3))
-    fields = Fields(DisplacementSpace(EXAMPLES["6.1"](2)), replace(values, design=design), values, values)
-    assembled = Assembled([fields.group(spring, [values])], x, parameter, 0)
-    at = np.array([1.0, 2.0, -3.0]), np.array([5.0, 100.0, 0.5])
-    f, gradient = assembled.derivatives.grad_f(*at)
-    assert float(f) == pytest.approx(5.5 * 14 / 2)
-    np.testing.assert_allclose(gradient.full().ravel(), 5.5 * at[0])
-    np.testing.assert_allclose(assembled.derivatives.hess_lag(*at, 1, []).full(), 5.5 * np.eye(3))
-    with pytest.raises(ValueError, match="spring depends on the design variables a, b"):
-        fields._replace(positions=values).group(spring, [values])
 
 
 def bent(x: Any, y: Any) -> Any:

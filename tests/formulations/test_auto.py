@@ -123,20 +123,6 @@ def test_gain_without_move_limits_agrees_with_the_audited_one() -> None:
     assert abs(row["gain"] - row["gain_audited"]) <= 0.01 * row["gain_audited"]
 
 
-def test_ctrl_c_keeps_the_best_mesh() -> None:
-    steps: list[Step] = []
-
-    def press(step: Step) -> None:
-        steps.append(step)
-        if step.iteration == 6:
-            raise KeyboardInterrupt
-
-    solution = auto.solve(free(3), on_step=press)
-    assert (solution.status, solution.valid) == (Status.INTERRUPTED, True)
-    assert solution.energy <= next(step.energy for step in steps if step.q is not None)
-    assert solution.gain_audited > 0
-
-
 def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_named() -> None:
     example = EXAMPLES["6.3"]((4, 2))
     rough = replace(example, obstacle=replace(example.obstacle, friction=0.0, coulomb=0.3))

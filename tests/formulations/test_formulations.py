@@ -225,20 +225,6 @@ def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str
     assert row["status"] == "converged" or formulation is nested
 
 
-@SLOW
-def test_the_last_weight_may_be_zero_and_areas_are_then_constraints() -> None:
-    solution = joint.solve(unlimited(), regularisation=(0.1, 0))
-    assert solution.objective == "energy"
-    assert solution.assessment.final.min_area_ratio >= 0.01 - 1e-8
-
-
-def test_move_limits_hold_too() -> None:
-    limited = replace(EXAMPLES["6.1"](n=3), motion=Motion(0.05), quadrature=4)
-    solution = nested.solve(limited, regularisation=0.01)
-    assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) == pytest.approx(0.05, abs=1e-3)
-    assert np.max(np.abs(solution.mesh.p - limited.mesh.p)) <= 0.05 + 1e-12
-
-
 def test_other_objectives_are_refused() -> None:
     with pytest.raises(BadInputError, match="error-l2"):
         nested.solve(unlimited(), regularisation=0.01, objective="error-l2")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import replace
 
 import casadi as ca
@@ -14,11 +15,23 @@ from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import area_ratios, is_upright, is_valid
+from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.shapes import rectangle
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion, signed_areas
+from rmesh_nlp.problem import (
+    ContactProblem,
+    Dirichlet,
+    Laplace,
+    Motion,
+    Obstacle,
+    PiecewiseLinear,
+    PlaneStrain,
+    Relative,
+    signed_areas,
+)
 from support.designs import BOW, block
+from support.formulations import joint, nested
 
 
 def test_nodes_keep_to_their_sides_and_move_limits() -> None:
@@ -156,3 +169,152 @@ def test_elements_that_a_shape_moves_have_a_row(min_angle: float) -> None:
     expected = np.flatnonzero(np.any(moves[triangles], axis=0))
     assert expected.size > 0
     np.testing.assert_array_equal(discretise(design).validity.elements, expected)
+
+
+def two_halves(motion: Motion, **changes: object) -> ContactProblem:
+    """A rectangle (0, 3) x (0, 1) of two subdomains that meet at x = 1.5, loaded on top for x > 2."""
+    mesh = named(
+        rectangle(6, 4, x=(0, 3)),
+        {"load": lambda p: (p[1] == 1) & (p[0] > 2)},
+        {"a": lambda p: p[0] < 1.5, "b": lambda p: p[0] > 1.5},
+    )
+    return replace(ContactProblem(mesh, Laplace(1.0), ("left",), motion=motion), **changes)
+
+
+def node(p: ContactProblem, x: float, y: float) -> int:
+    (found,) = np.flatnonzero(np.isclose(p.mesh.p[0], x) & np.isclose(p.mesh.p[1], y))
+    return int(found)
+
+
+GIVEN = two_halves(Motion(0.1))
+MIDDLE, SIDE, END, INNER = (node(GIVEN, x, y) for x, y in ((1, 0.5), (1, 0), (2, 1), (1.5, 0.5)))
+WEDGE = PiecewiseLinear((0.0, 1.0, 3.0), (-0.1, -0.05, -0.2))
+GIVEN_ON_THE_RIGHT = {"dirichlet": ("left", Dirichlet("right", lambda x, y: y * (1 - y)))}
+CORNER = {"a": lambda p: (p[0] > 1.5) & (p[1] > 0.5)}
+WITH_A_CORNER = named(rectangle(6, 4, x=(0, 3)), subdomains=CORNER)
+FREE, SLIDING, PINNED = Mobility.FREE, Mobility.SLIDING, Mobility.PINNED
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        # corners, the end of a load, and where the interface meets the boundary a coefficient may jump
+        ({}, dict.fromkeys([(0, 0), (3, 1), (2, 1), (1.5, 0), (1.5, 1)], PINNED)),
+        ({}, {(1, 0.5): FREE} | dict.fromkeys([(1.5, 0.25), (1.5, 0.75), (1, 0), (0, 0.5)], SLIDING)),
+        (
+            {"law": PlaneStrain(1.0, 1.0), "obstacle": Obstacle.graph("bottom", WEDGE)},
+            {(1, 0): PINNED, (2, 0): SLIDING},  # a kink of the foundation
+        ),
+        # the corner of an interface inside
+        ({"mesh": WITH_A_CORNER, "law": Laplace(1.0)}, {(1.5, 0.5): PINNED, (2, 0.5): SLIDING}),
+        (GIVEN_ON_THE_RIGHT, {(3, 0.25): PINNED, (3, 0.5): PINNED, (3, 0.75): PINNED, (0, 0.5): SLIDING}),
+        (
+            {"motion": Motion(0.1, pinned=("bottom", MIDDLE), slides=(END, SIDE), free=INNER)},
+            # on a straight piece, although a part ends there; a number beats a name
+            {(2, 1): SLIDING, (1, 0.5): PINNED, (1, 0): SLIDING, (2, 0): PINNED, (1.5, 0.5): FREE},
+        ),
+        ({"motion": Motion(0.1, pinned="top", slides="top", free="top")}, {(1, 1): PINNED}),
+        ({"motion": Motion(0.1, slides=np.int64(SIDE), free=SIDE)}, {(1, 0): SLIDING}),
+    ],
+)
+def test_mobility(change: dict, expected: dict) -> None:
+    p = replace(GIVEN, **change)
+    mobility = MeshMap.of(p).mobility
+    assert {place: mobility[node(p, *place)] for place in expected} == expected
+
+
+def test_nodes_of_an_interface_slide_along_it_and_limits_may_follow_the_shortest_edge() -> None:
+    inside = [node(GIVEN, 1.5, y) for y in (0.25, 0.5, 0.75)]
+    for delta, limit in ((0.1, 0.1), (Relative(0.4), 0.4 * 0.25)):
+        free = MeshMap.of(two_halves(Motion(delta)))
+        shift = free.positions.values(np.ones(free.n)) - GIVEN.mesh.p
+        np.testing.assert_array_equal(shift[0, inside], 0)
+        np.testing.assert_allclose(shift[1, inside], limit)
+        np.testing.assert_allclose(shift[:, MIDDLE], limit)
+
+
+@pytest.mark.parametrize(("bend", "mobility"), [(1e-7, SLIDING), (1e-5, PINNED)])
+def test_node_slides_where_its_piece_is_straight(bend: float, mobility: Mobility) -> None:
+    p = GIVEN.mesh.p.copy()
+    p[1, SIDE] -= 0.25 * bend  # the facets beside it are 0.5 long
+    bent = replace(GIVEN, mesh=replace(GIVEN.mesh, doflocs=p))
+    assert MeshMap.of(bent).mobility[SIDE] == mobility
+
+
+def test_tied_node_moves_as_its_leader() -> None:
+    p = two_halves(Motion(0.1))
+    pairs = ((node(p, 1, 0.25), node(p, 1, 0.5)), (node(p, 1, 0), node(p, 1, 1)))
+    free = MeshMap.of(replace(p, motion=Motion(0.1, tied=pairs)))
+    assert free.n == MeshMap.of(p).n - 3
+    move = free.positions.values(np.random.default_rng(0).uniform(-1, 1, free.n)) - p.mesh.p
+    for tied, leader in pairs:
+        np.testing.assert_allclose(move[:, tied], move[:, leader], atol=1e-15)
+        assert np.any(move[:, tied] != 0)
+
+
+@pytest.mark.parametrize(
+    ("motion", "change", "message"),
+    [
+        (Motion(0.1, slides=0), {}, "is to slide, but it is on no straight piece"),
+        (Motion(0.1, slides=MIDDLE), {}, "is to slide"),
+        (Motion(0.1, tied=((16, 16),)), {}, "tied itself"),
+        (Motion(0.1, tied=((16, 17), (18, 16))), {}, "tied itself"),
+        (Motion(0.1, tied=((5, MIDDLE),)), {}, "cannot make the moves"),
+        (Motion(0.1, slides="right"), GIVEN_ON_THE_RIGHT, "is held at a function of position and"),
+    ],
+)
+def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        MeshMap.of(replace(GIVEN, motion=motion, **change))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Motion(-0.1), "delta must be positive and finite, or 0, got -0.1"),
+        (lambda: Motion((0.0, 0.1)), r"delta must be positive and finite, or 0, got \(0.0, 0.1\)"),
+        (lambda: Motion((0.1, np.inf)), r"got \(0.1, inf\)"),
+        (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
+        (lambda: Motion(Relative(0.0)), "relative must be positive and finite, got 0.0"),
+        (lambda: Motion(Relative(5)), "relative must be a part of the shortest edge .*, at most 1, got 5"),
+        (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
+        (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
+        (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
+        (lambda: Motion(0.1, min_angle=-1.0), "at least 0"),
+        (lambda: Motion(0.1, pinned=(1.5,)), "pinned must be names of boundaries or node numbers, got 1.5"),
+        (lambda: Motion(0.1, tied=(1, 2)), "tied must be pairs of node numbers, got 1"),
+        (lambda: Motion(0.1, curves={"top": 3}), "the curve of 'top' must be a Circle"),
+    ],
+)
+def test_bad_motions_are_named(make: Callable[[], Motion], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_motion_as_plain_values() -> None:
+    deltas = [Motion(d).delta_record() for d in (0.1, (0.1, 0.2), Relative(0.3), None)]
+    assert deltas == [[0.1, 0.1], [0.1, 0.2], {"relative": 0.3}, None]
+    motion = Motion(None, pinned=("a", 1), slides=2, free="b", tied=((3, 4),))
+    assert motion.numbers == (1, 2, 3, 4)
+
+
+@pytest.mark.slow
+def test_without_move_limits_validity_alone_limits() -> None:
+    p = two_halves(Motion(None, min_area_fraction=0.3), law=Laplace(lambda x, y: 100 * x**4))
+    free = MeshMap.of(p)
+    assert np.all(np.isinf(free.upper))
+    assert discretise(p).validity.size == p.mesh.t.shape[1]
+    one = joint.solve(p)
+    two = nested.solve(p, start=one.mesh.p)  # of several minima the same
+    assert one.success
+    assert two.energy == pytest.approx(one.energy, rel=1e-4)
+    assert one.assessment.final.min_area_ratio == pytest.approx(0.3, abs=1e-4)
+    multipliers = one.multipliers
+    assert multipliers is not None
+    assert np.all(multipliers.limit == 0)
+    assert multipliers.area.max() > 0
+    # an envelope theorem: the energy falls at the sum of the multipliers when the bound is lowered
+    step = 1e-4
+    wider = replace(p, motion=Motion(None, min_area_fraction=0.3 - step))
+    looser = nested.solve(wider, start=one.mesh.p)  # a descent stays in the same basin
+    assert (one.energy - looser.energy) / step == pytest.approx(multipliers.area.sum(), rel=0.05)

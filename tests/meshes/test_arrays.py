@@ -146,11 +146,11 @@ def test_bad_shapes_are_named(make: Callable, message: str) -> None:
 
 
 def test_boundaries_of_meshes_whose_edges_32_bits_do_not_number() -> None:
-    mesh = rectangle(23_170, 1, x=(0, 23_170))
-    edges = mesh.facets[:, mesh.boundaries["right"]]
-    assert mesh.p.shape[1] ** 2 > 2**31
-    found = named(mesh, {"side": edges.T})
-    np.testing.assert_array_equal(np.sort(found.facets[:, found.boundaries["side"]]), np.sort(edges))
+    n = 47_000  # most of these nodes belong to no triangle
+    assert n**2 > 2**31
+    mesh = MeshTri(np.random.default_rng(0).uniform(size=(2, n)), np.array([[0], [n - 2], [n - 1]], np.int32))
+    found = named(mesh, {"side": [(n - 1, n - 2)]})
+    assert found.facets[:, found.boundaries["side"]].ravel().tolist() == [n - 2, n - 1]
 
 
 SIDE_2 = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])
@@ -214,12 +214,6 @@ def test_the_same_is_found_wherever_the_mesh_lies(factor: float, seed: int) -> N
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]]).T
     sound = MeshTri(factor * (turn @ nodes + shift), triangles)
     assert fault(sound) is None
-
-
-def test_a_small_piece_beside_long_edges_is_found() -> None:
-    # edges a thousand times longer than those that cross them: the classes of length must meet
-    p = np.vstack([1000 * SIDE_2, [[1999.5, 3], [2000.5, 3], [2000.2, 4]]])
-    assert "overlap" in (fault(MeshTri(p.T.copy(), np.vstack([PARTS, [[4, 5, 6]]]).T.copy())) or "")
 
 
 def test_pieces_in_holes_beside_each_other_and_touching_in_a_node_are_sound() -> None:

@@ -20,15 +20,15 @@ from rmesh_nlp.meshes.curves import (
     Parametrised,
     Spline,
     fitted_circle,
-    on_values,
     spline_through,
 )
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.problem.body import Body, gradients
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving.solution import Solution
-from support.curved import HOLE, disc, plate, spline_of_the_hole
+from support.curved import CURVES, HOLE, disc, plate, spline_of_the_hole
 from support.formulations import auto, joint, mpcc, nested
 
 ARC = Circle((0.0, 1.0), 1.0)
@@ -64,12 +64,6 @@ def test_pinned_beats_a_curve_and_ends_of_an_arc_stay() -> None:
     still = replace(problem, motion=Motion(None, pinned=("arc",), curves={"arc": ARC}))
     assert np.all(MeshMap.of(still).mobility[arc] == Mobility.PINNED)
     assert ContactSolver(still).solve(still.mesh.p).energy > 0
-
-
-def test_nodes_that_are_nearly_on_the_curve_are_put_onto_it() -> None:
-    circle = Circle((5.0, 5.0), 2.5 + 1e-7)
-    nearly = plate({"hole": circle})
-    assert off(nearly, nearly.mesh, "hole", circle) < 1e-12
 
 
 def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:
@@ -215,9 +209,47 @@ def test_bad_curves_are_refused(make: Callable[[], Curve], message: str) -> None
         make()
 
 
-@pytest.mark.parametrize("kind", [ca.SX, ca.MX])
-@pytest.mark.parametrize("n", [0, 1, 7, 3000])
-def test_values_of_a_function_are_those_one_by_one(kind: type, n: int) -> None:
-    t, at = kind.sym("t"), np.linspace(-2, 3, n)
-    function = ca.Function("f", [t], [ca.cos(t) + ca.if_else(t > 1, t**2, 1)])
-    np.testing.assert_allclose(on_values(function, at), [float(function(one)) for one in at], rtol=1e-14)
+RADIUS, CENTRE = 2.5, np.array([[5.0], [5.0]])
+
+
+@pytest.fixture(scope="module", params=CURVES)
+def body(request: pytest.FixtureRequest) -> Body:
+    problem = plate({"hole": CURVES[request.param]})
+    return Body(problem, problem.mesh.p)
+
+
+def everywhere(body: Body, n: int = 30) -> tuple[np.ndarray, np.ndarray]:
+    """All elements, and barycentric coordinates (3, elements, n) of random points."""
+    elements = np.arange(body.triangles.shape[1])
+    points = np.random.default_rng(0).dirichlet([1, 1, 1], (elements.size, n))
+    return elements, points.transpose(2, 0, 1)
+
+
+def test_blended_triangles_end_on_the_curve(body: Body) -> None:
+    assert body.is_upright()
+    edges, s = body.edges("hole"), np.linspace(0, 1, 7)
+    x, speed = edges.at(np.arange(edges.size), np.broadcast_to(s, (edges.size, s.size)))
+    np.testing.assert_allclose(np.linalg.norm(x - CENTRE[..., None], axis=0), RADIUS, rtol=1e-12)
+    assert np.mean(speed, axis=1).sum() == pytest.approx(2 * np.pi * RADIUS, rel=1e-12)
+    curved = np.flatnonzero(body.is_curved)
+    assert curved.size == edges.size
+    side = np.zeros((3, curved.size, 7))  # from the vertex after the apex to the next one
+    for turn, part in ((1, 1 - s), (2, s)):
+        side[(body.apex[curved] + turn) % 3, np.arange(curved.size)] = part
+    there = body.at(curved, side)[0]
+    np.testing.assert_allclose(np.linalg.norm(there - CENTRE[..., None], axis=0), RADIUS, rtol=1e-12)
+
+
+def test_slopes_are_derivatives_and_gradients_their_inverse(body: Body) -> None:
+    elements, barycentric = everywhere(body)
+    x, slopes = body.at(elements, barycentric)
+    step = np.array([1.0, -0.4, -0.6])[:, None, None] * 1e-6
+    difference = (body.at(elements, barycentric + step)[0] - body.at(elements, barycentric - step)[0]) / 2
+    np.testing.assert_allclose(np.sum(slopes * step, axis=1), difference, atol=1e-11)
+    found, det = gradients(slopes)
+    np.testing.assert_allclose(np.sum(found, axis=0), 0, atol=1e-12)
+    product = np.einsum("dvmk,vemk->mkde", slopes, found)  # dx/dx
+    np.testing.assert_allclose(product, np.broadcast_to(np.eye(2), product.shape), atol=1e-12)
+    points = body.points(elements, barycentric)
+    np.testing.assert_allclose(points[0], x, atol=1e-12)
+    np.testing.assert_allclose(np.broadcast_to(points[1], det.shape), det, atol=1e-12)

@@ -51,12 +51,6 @@ def test_a_cut_step_is_judged_by_what_the_model_says_of_it(share: float, second:
     np.testing.assert_allclose(visited[:3], [0, 0.25, 0.25 + second])
 
 
-def test_negative_curvature_leads_to_a_corner() -> None:
-    b = np.array([0.1, -0.2, 0.3])
-    result = descent(lambda x: quadratic(-np.eye(3), b, x), np.zeros(3), 1.0)
-    np.testing.assert_array_equal(result.x, [1.0, -1.0, 1.0])
-
-
 def test_points_where_the_function_is_not_defined_are_not_taken() -> None:
     # the minimum of (x - 2)^2 in [-3, 3] is forbidden beyond 1: the method must stop before it
     def evaluate(x: Array) -> Evaluation | None:
@@ -102,13 +96,6 @@ def test_it_ends_only_where_it_is_stationary_and_nothing_is_predicted(tolerance,
     assert (np.max(np.abs(rosenbrock(result.x).gradient)) < 1e-8) == (iterations > 0)
 
 
-@pytest.mark.parametrize(("unit", "stationary"), [(0.2, True), (0.05, False)])
-def test_gradients_are_measured_in_the_given_unit(unit: float, stationary: bool) -> None:
-    b, settled = np.array([1.0, 0.5]), {"tolerance": 1e-3, "gain_tolerance": 1, "reference": 9}
-    found = descent(lambda x: quadratic(np.eye(2), b, x), b + np.array([0, 1e-4]), 9.0, unit=unit, **settled)
-    assert (found.iterations == 0) == stationary
-
-
 def test_a_callback_stops_it_and_the_iteration_limit_does() -> None:
     seen: list[int] = []
     stopped = descent(rosenbrock, on_step=lambda i, x: seen.append(i) or i == 2)
@@ -132,14 +119,6 @@ class TestRadius:
         options |= {"on_step": lambda iteration, x: found.append(x), "max_iterations": 3}
         descent(self.true, np.zeros(4), 100.0, settings=settings, **options)
         return found
-
-    def test_first_steps_are_a_part_of_the_scaled_gradient_step_or_of_the_widths_and_grow(self) -> None:
-        lengths = np.max(np.abs(np.diff(self.points(NewtonSettings(first_radius=0.01)), axis=0)), axis=1)
-        np.testing.assert_allclose(lengths[:2], np.array([1, 2]) * 0.01 * 4 / 1.001, rtol=1e-9)
-        widths = np.array([1.0, 1.0, 1.0, 0.1])
-        local = LocalRadii(lambda x: widths, lambda x, step: 1.0)
-        points = self.points(NewtonSettings(first_radius=0.02, grow=2.0), local=local)
-        np.testing.assert_allclose(np.diff(points[:3], axis=0), np.outer([0.02, 0.04], widths), rtol=1e-9)
 
     def test_a_step_beyond_the_domain_is_cut_and_its_own_decrease_counts(self) -> None:
         lengths: list[float] = []

@@ -184,12 +184,6 @@ def test_given_displacements_leave_room(given: float, offset: Any, message: str)
         replace(ContactProblem(**SCALAR), dirichlet=Dirichlet("left", given), obstacle=contact)
 
 
-def test_what_does_not_contradict_itself_is_taken() -> None:
-    ContactProblem(**(BODY | {"obstacle": (Obstacle("bottom"), WALL)}))
-    ContactProblem(**(BODY | {"dirichlet": ("left", Dirichlet("bottom", (0.0, None)))}))
-    ContactProblem(**(BODY | {"dirichlet": Dirichlet("left", (0.0, None))}))  # the floor holds the rest
-
-
 def boundary_lengths(problem: ContactProblem) -> dict[str, float]:
     mesh = problem.mesh
     ends = {name: mesh.p[:, mesh.facets[:, facets]] for name, facets in mesh.boundaries.items()}

@@ -7,11 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, on_refined
-from rmesh_nlp.display import rich_table
 from rmesh_nlp.examples import EXACT_ENERGY_61, EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.fem.metric import nodal_areas
@@ -77,19 +75,19 @@ def test_least_errors_are_those_of_the_best_triangles_at_each_place() -> None:
         assert value == pytest.approx(expected, rel=0.01)
 
 
-@pytest.mark.parametrize("degree", [2, 3])
-def test_least_errors_are_quadratic_in_the_derivatives_and_fall_like_the_order(degree: int) -> None:
-    mesh = rectangle(2, 2)
-    triangles, rng = counter_clockwise(mesh.p, mesh.t), np.random.default_rng(degree)
-    derivatives = rng.uniform(1, 2, (1, degree + 1, mesh.p.shape[1]))
+def test_least_errors_are_quadratic_in_the_derivatives_and_fall_like_the_order() -> None:
+    mesh = rectangle(1, 1)
+    triangles = counter_clockwise(mesh.p, mesh.t)
+    derivatives = np.random.default_rng(3).uniform(1, 2, (1, 4, mesh.p.shape[1]))
 
     def found(factor: float, count: int) -> np.ndarray:
         every = np.arange(mesh.t.shape[1]), np.arange(mesh.p.shape[1]), triangles
         least = LeastErrors.of(mesh.p, [Recovered(Laplace(), *every, factor * derivatives)], count)
         return np.array([*vars(least).values()])
 
-    np.testing.assert_allclose(found(2.0, 100), 4 * found(1.0, 100), rtol=1e-9)
-    np.testing.assert_allclose(found(1.0, 200), found(1.0, 100) / 2 ** (degree - 1), rtol=1e-9)
+    once = found(1.0, 100)
+    np.testing.assert_allclose(found(2.0, 100), 4 * once, rtol=1e-9)
+    np.testing.assert_allclose(found(1.0, 200), once / 2**2, rtol=1e-9)
 
 
 @pytest.mark.parametrize(("order", "error"), [(1, 1 / (24 * 4**2)), (2, 1 / (1440 * 4**4))])
@@ -146,12 +144,3 @@ def test_a_factor_is_an_interval_where_errors_and_energies_fall_at_other_rates()
     assert advice.is_rough
     assert dict(advice.rows())["rmesh solve --remesh"].startswith("1.2 to 26 times less")
     assert advice.second_order_remeshing_factor is None
-
-
-def test_what_stands_in_brackets_is_printed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rmesh_nlp.solving.advice.is_available", lambda: False)
-    console = Console(width=200, record=True)
-    console.print(rich_table("[x]", Advice(0.25, 0.5, 12.0, 3.0, 2.5, 9.0, "remesh", 9.0).rows()))
-    said = console.export_text()
-    assert "pip install 'rmesh-nlp[remesh]'" in said
-    assert "[x]" in said

@@ -116,8 +116,7 @@ def test_an_expression_of_a_design_may_be_a_number() -> None:
         assert rm.Outer.of(column(LIFT), f"design({text})").function(np.zeros(1)).value == value
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
+def test_designs_leave_given_displacements_admissible() -> None:
     """A clamped corner touches the foundation; lifting that would serve the objective and is no design."""
     lift = rm.DesignVariable("lift", 0.0, (-0.01, 0.01))
     problem = rm.ContactProblem(
@@ -129,6 +128,6 @@ def test_designs_leave_given_displacements_admissible(formulation: str) -> None:
         motion=rm.Motion(0),
         design=lift,
     )
-    found = rm.solve(problem, formulation, objective="mean(right, -uy)")
+    found = rm.solve(problem, "nested", objective="mean(right, -uy)")
     assert found.status is Status.CONVERGED
     assert found.design["lift"] == pytest.approx(0.0, abs=1e-5)
