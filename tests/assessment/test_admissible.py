@@ -16,7 +16,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
@@ -208,30 +208,6 @@ def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_t
         assert errors[1] > 0
         assert np.log2(errors[0] / errors[1]) > least
     assert errors[1] < 3e-4
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_body_on_a_curve_touches_with_its_true_shape(order: int) -> None:
-    """Half a disc of radius 1 that hangs 0.01 over a line by its given top."""
-    n = 8
-    angle = np.linspace(-np.pi, 0, n + 1)
-    points = np.vstack([np.stack([np.cos(angle), 1 + np.sin(angle)], axis=1), [(0.0, 1.0)]])
-    rim = np.stack([np.arange(n), np.arange(1, n + 1)], axis=1)
-    sides = {"arc": rim, "top": np.array([(0, n + 1), (n + 1, n)])}
-    problem = ContactProblem(
-        from_arrays(points, np.column_stack([rim, np.full(n, n + 1)]), sides),
-        LAW,
-        (Dirichlet("top", (0.0, -0.02)),),
-        Obstacle.graph("arc", -0.01),
-        Motion(None, curves={"arc": Circle((0.0, 1.0), 1.0)}),
-        order=order,
-    )
-    found = admissible(problem)
-    assert deepest(found) < 1e-10
-    sagitta = 1 - np.cos(np.pi / 16)  # of the edge below, whose middle is a node of order 2
-    keeps_off = Continuous(problem).first_standoff().max()
-    assert 0.97 * sagitta < keeps_off < sagitta if order == 1 else 0 < keeps_off < 0.03 * sagitta
-    assert found.energy > admissible(refined(problem)).energy > admissible(refined(refined(problem))).energy
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,6 @@ from rmesh_nlp.assessment import integrals
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, stiffness
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -94,26 +93,6 @@ def test_friction_of_a_slip_that_turns_by_hand(zeros: tuple[float, float]) -> No
         found, doubt = friction_energy(edges, problem.obstacles[0], way * u[:, space.nodes_of(edges.ends)])
         assert found == pytest.approx([wanted], rel=1e-12)
         assert doubt[0] < 1e-12
-
-
-@pytest.mark.parametrize("order", [1, 2])
-def test_friction_along_a_round_foundation(order: int) -> None:
-    """The slip along it of a displacement that turns on the way, by a fine sum."""
-    disc = Obstacle.circle("bottom", (1.0, -1.0), 1.1, friction=lambda x, y: 1 + x)
-    problem = ContactProblem(rectangle(2, 1, x=(0, 2)), PlaneStrain(1.0, 1.0), ("top",), disc, order=order)
-    body, space = Body(problem, problem.mesh.p), DisplacementSpace(problem)
-    edges = body.edges("bottom")
-    u = np.random.default_rng(3).normal(size=(2, space.n_nodes))
-    found, doubt = friction_energy(edges, disc, u[:, space.nodes_of(edges.ends)])
-    s = (np.arange(20_000) + 0.5) / 20_000
-    shares = functions(order, np.stack([1 - s, s]))
-    for edge, (a, b) in enumerate(edges.ends.T):
-        x = body.nodes[:, [a]] * (1 - s) + body.nodes[:, [b]] * s
-        normals = disc.normals(x)
-        along = u[:, space.nodes_of(edges.ends)[:, edge]] @ shares
-        slip = normals[1] * along[0] - normals[0] * along[1]
-        assert found[edge] == pytest.approx(np.mean((1 + x[0]) * np.abs(slip)), rel=1e-6)
-    assert np.max(doubt) < 1e-6 * np.max(found)
 
 
 def body(n: int = 3) -> Body:

@@ -227,26 +227,6 @@ def test_counts_slip_with_the_friction() -> None:
     assert found >= 0.5 * np.sum(weights * r)
 
 
-def test_does_not_depend_on_the_frame() -> None:
-    """On a slope both the normal and the tangent have two components."""
-
-    def turned(angle: float) -> float:
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        mesh = rm.shapes.rectangle(6, 3, x=(0, 2))
-        press, normal = (tuple(turn @ vector) for vector in ((0.002, -0.01), (0.0, 1.0)))
-        return residual(
-            rm.ContactProblem(
-                replace(mesh, doflocs=turn @ mesh.p),
-                rm.PlaneStrain.from_young(100.0, 0.3),
-                (rm.Dirichlet("top", press),),
-                rm.Obstacle("bottom", normal, coulomb=0.5),
-            )
-        )
-
-    assert turned(0.0) > 1e-3
-    assert turned(0.7) == pytest.approx(turned(0.0), rel=1e-6)
-
-
 def test_growth_is_said_above_a_hundredth_only() -> None:
     assert growth(None, None) is None
     assert growth(CLEAR, 1.9 * CLEAR) is None

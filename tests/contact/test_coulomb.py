@@ -11,7 +11,7 @@ from skfem import MeshTri
 import rmesh_nlp as rm
 from rmesh_nlp.assessment.measures import equilibrium_residual, law_residual
 from rmesh_nlp.contact.active_set import at_rest, solve
-from rmesh_nlp.contact.coulomb import newton
+from rmesh_nlp.contact.coulomb import Laws, newton
 from rmesh_nlp.contact.next_set import next_set
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
@@ -125,6 +125,29 @@ class TestSolver:
         state = newton(system, at_rest(system), 30)
         assert state.status is Status.CONVERGED
         assert is_solved(system, state)
+
+    def test_a_node_that_meets_the_foundation_slides_as_it_moves_unless_the_overlap_holds_it(self) -> None:
+        """Whatever way it slid at an earlier guess."""
+        problem = slab(0.5, (4, 2), motion=rm.Motion(None))
+        system = ContactSolver(problem).system(problem.mesh.p)
+        ones = np.ones(system.offset.size)
+        for direction in (-1, 1):
+            apart = ActiveSet(ones < 0, (direction * ones).astype(np.int8))
+            for slip, gap, way in ((0.3, -0.2, 1), (-0.3, -0.2, -1), (0.3, -0.7, 0), (-0.3, -0.7, 0)):
+                u = system.tangents.T @ (slip * ones) + system.normals.T @ (gap * ones)
+                proposal, _ = next_set(system, replace(system.equilibrium(apart), u=u), apart)
+                assert np.all(proposal.touching)
+                np.testing.assert_array_equal(proposal.sliding, way)
+
+    def test_laws_vanish_at_the_solution_alone(self) -> None:
+        problem = slab(1.0)
+        system = ContactSolver(problem).system(problem.mesh.p)
+        state, laws = solve(system), Laws(system)
+        unit = system.force_scale**2 / system.stiffness.diagonal().max()
+        assert laws(state)[0] < 1e-20 * unit
+        wrong = {"normal_force": 0.9 * state.normal_force, "tangential_force": -state.tangential_force}
+        for name, value in {**wrong, "u": -state.u}.items():
+            assert laws(replace(state, **{name: value}))[0] > 1e-6 * unit
 
     @pytest.mark.parametrize("turned", [False, True])
     def test_contraction_is_that_of_the_fixed_point(self, turned: bool) -> None:

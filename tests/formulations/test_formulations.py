@@ -232,18 +232,3 @@ def test_other_objectives_are_refused() -> None:
         joint.solve(unlimited(), objective="error-l2 + 0.1*quality")
     with pytest.raises(ValueError, match="joint minimises the energy only"):
         mpcc.solve(unlimited(), start="joint", objective="error-l2")
-
-
-@pytest.mark.parametrize("formulation", [joint, *(pytest.param(one, marks=SLOW) for one in (nested, mpcc))])
-def test_formulations_say_an_objective_alike(formulation: Any) -> None:
-    """Rows of one objective are compared with one another: its text and its values must be the same."""
-    solution = formulation.solve(
-        replace(EXAMPLES["6.2"]((4, 2)), quadrature=4), objective="energy+0.1*quality"
-    )
-    row = solution.record()
-    assert row["objective"] == "energy + 0.1*quality"
-    # the distortion is worth something on the relocated mesh, and nothing on the given one
-    assert row["objective_initial"] == pytest.approx(row["energy_initial"], rel=1e-12)
-    assert row["objective_value"] > row["energy"]
-    if formulation is joint:  # its history calls only an energy an energy
-        assert all(np.isnan(step.energy) and np.isfinite(step.objective) for step in solution.history)

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 import pytest
 
 from formulations import outer_solvers
 from formulations.joint import Joint
-from formulations.mpcc import OPTIONS, AllAtOnce, build
+from formulations.mpcc import OPTIONS, AllAtOnce
 from formulations.nested import Nested
 from formulations.outer_solvers import INTERIOR, NEWTON, OuterResult
 from rmesh_nlp.evaluation import ROUNDING
@@ -313,19 +312,6 @@ def test_without_move_limits_no_iterate_inverts_an_element(formulation: Any, nam
     solution = formulation.solve(problem, limits={"iterations": 250}, on_step=steps.append)
     assert solution.status.value == "converged"
     assert min(least_area_ratio(problem, positions.values(step.q)) for step in steps) > 0
-
-
-@pytest.mark.parametrize("friction", [0.0, 10.0])
-def test_a_flat_foundation_is_the_same_as_the_zeros_of_a_level_function(friction: float) -> None:
-    problem = replace(EXAMPLES["6.3"]((4, 2)), obstacle=Obstacle("contact", friction=friction))
-    level = Obstacle("contact", level=lambda x, y: y, friction=friction)  # its slope along x is no entry
-    values = []
-    for one in (problem, replace(problem, obstacle=level)):
-        mpcc = build(one)
-        x = np.random.default_rng(0).uniform(-0.5, 0.5, mpcc.x.numel())
-        found = ca.Function("values", [mpcc.x], [mpcc.f, mpcc.g, mpcc.G, mpcc.H])(x)
-        values.append(np.concatenate([value.full().ravel() for value in found]))
-    np.testing.assert_allclose(values[1], values[0], atol=1e-12)
 
 
 @pytest.mark.parametrize(("order", "kept"), [((0.9, 0.1), 1), ((0.1, 0.9), 0)])

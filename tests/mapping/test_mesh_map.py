@@ -28,7 +28,6 @@ from rmesh_nlp.problem import (
     PiecewiseLinear,
     PlaneStrain,
     Relative,
-    signed_areas,
 )
 from support.designs import BOW, block
 from support.formulations import joint, nested
@@ -60,17 +59,6 @@ def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProbl
         assert np.max(shift[0]) == pytest.approx(0.1)
     q = np.random.default_rng(5).uniform(-1, 1, free.n)
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
-
-
-def test_scaled_areas_are_those_of_the_moved_mesh() -> None:
-    problem = EXAMPLES["6.1"](4, 0.6)
-    free, validity = MeshMap.of(problem), discretise(problem).validity
-    q = np.random.default_rng(2).uniform(-1, 1, free.n)
-    _, _, rows, _ = validity.assembled.first(q, None)
-    ratios = area_ratios(problem, free.positions.values(q))
-    np.testing.assert_allclose(rows, ratios, atol=1e-13)
-    areas = signed_areas(free.positions.values(q), problem.triangles)
-    np.testing.assert_allclose(ratios * signed_areas(problem.mesh.p, problem.triangles), areas)
 
 
 @settings(max_examples=15, deadline=None)

@@ -225,9 +225,8 @@ def whole(upper: ca.DM) -> Array:
     return found + np.triu(found, 1).T
 
 
-@pytest.mark.parametrize("order", [1, 2])
-def test_derivatives_are_those_of_the_lagrangian(order: int) -> None:
-    function = Outer.of(replace(EXAMPLES["6.1"](3), order=order), "error-l2").function
+def test_derivatives_are_those_of_the_lagrangian() -> None:
+    function = Outer.of(replace(EXAMPLES["6.1"](3), order=2), "error-l2").function
     nlp, rng = reduced_nlp(function), np.random.default_rng(4)
     derivatives, n = nlp.derivatives, nlp.n_x
     q, d = rng.uniform(-1, 1, (2, n)) * [[0.02], [1]]

@@ -33,8 +33,6 @@ from rmesh_nlp.problem import (
     ContactProblem,
     Laplace,
     Motion,
-    Obstacle,
-    Place,
     PlaneStrain,
     PointLoad,
     Traction,
@@ -42,8 +40,6 @@ from rmesh_nlp.problem import (
 from rmesh_nlp.problem.body import Body
 from support.contact_geometry import (
     block_between_two_foundations,
-    block_in_a_corner,
-    block_sliding_on_a_circle,
 )
 from support.curved import CURVES, plate
 from support.problems import energy_error, signorini
@@ -125,18 +121,6 @@ class TestCarriedOver:
         kinds = [Mobility.PINNED, Mobility.SLIDING, Mobility.FREE]
         assert list(MeshMap.of(found).mobility[list(numbers[:3])]) == kinds
         assert [load.force for load in found.point_loads] == [load.force for load in loads]
-
-    def test_bodies_that_only_contact_holds_friction_and_interior_obstacles(self) -> None:
-        membrane = scalar(
-            law=Laplace(-10.0),
-            dirichlet=SIDES,
-            obstacle=Obstacle(Place.INTERIOR, (1.0,), 0.05),
-        )
-        blocks = block_in_a_corner(2), block_sliding_on_a_circle()
-        for problem in (membrane, *map(without_limits, blocks)):
-            found = Solved.of(remade(problem, 30))
-            assert found.state.status is Status.CONVERGED
-            assert found.problem.obstacles == problem.obstacles
 
 
 class TestCurves:

@@ -58,7 +58,7 @@ def test_no_time_is_counted_twice_or_forgotten(formulation, options, monkeypatch
     """By a clock that only looks move on, each by the same."""
     looks = itertools.count()
     monkeypatch.setattr("time.perf_counter", lambda: 1e-3 * next(looks))
-    problem = example("6.1", 6 if "remesh" in options else 3, 6)
+    problem = example("6.1", 6 if "remesh" in options else 2, 6)
     problem = problem if formulation is joint else no_move_limits(problem)
     began = next(looks)
     record = formulation.solve(problem, **options).record()

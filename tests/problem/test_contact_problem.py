@@ -169,21 +169,6 @@ def test_thresholds_are_rounding(base: dict, taken: dict, refused: dict, message
         ContactProblem(**(base | refused))
 
 
-@pytest.mark.parametrize(
-    ("given", "offset", "message"),
-    [
-        (0.1, -0.05, "no node of the contact set is free"),
-        (-0.1, 0.05, "node 0, .* makes its gap -0.05"),
-        (0.0, lambda x, y: ca.if_else(y > 0.9, -1e-10, 1.0), "no node of the contact set is free"),
-        (0.0, lambda x, y: ca.if_else(y > 0.9, -1e-8, 1.0), "makes its gap -1e-08"),
-    ],
-)
-def test_given_displacements_leave_room(given: float, offset: Any, message: str) -> None:
-    contact = Obstacle("left", (1.0,), offset)
-    with pytest.raises(ProblemError, match=message):
-        replace(ContactProblem(**SCALAR), dirichlet=Dirichlet("left", given), obstacle=contact)
-
-
 def boundary_lengths(problem: ContactProblem) -> dict[str, float]:
     mesh = problem.mesh
     ends = {name: mesh.p[:, mesh.facets[:, facets]] for name, facets in mesh.boundaries.items()}

@@ -92,27 +92,6 @@ def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactPro
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_ctrl_c_in_a_callback_keeps_the_lowest_of_all_that_was_reported(problem: ContactProblem) -> None:
-    outer = Outer.of(problem)
-    slope = outer.energy(outer.variables()).gradient
-    ways = [-part * slope / np.max(np.abs(slope)) for part in (0.0, 0.3, 0.1, -0.3)]
-
-    def end(outer: Outer, _: Array, monitor: Monitor) -> Outcome:
-        track = monitor.track(outer)
-        for number, q in enumerate(ways):
-            track.exact(number, q)
-        raise AssertionError("it is interrupted before")
-
-    def press(step: Step) -> None:
-        if step.iteration == len(ways) - 1:
-            raise KeyboardInterrupt
-
-    solution = solve(problem, Ends(end), on_step=press)
-    assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-    assert len(solution.history) == len(ways)
-    np.testing.assert_allclose(solution.mesh.p, outer.nodes(ways[1]), atol=1e-14)
-
-
 @pytest.mark.parametrize("way", ["tracked", "raised"])
 def test_what_is_stopped_is_never_made_worse(problem: ContactProblem, way: str) -> None:
     """A formulation that only goes uphill."""

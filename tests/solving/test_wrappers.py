@@ -131,25 +131,25 @@ def pressed(*_: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def given() -> ContactProblem:
-    return replace(EXAMPLES["6.1"](n=5), motion=Motion(None), quadrature=6)
+    return replace(EXAMPLES["6.1"](n=4), motion=Motion(None), quadrature=6)
 
 
 @pytest.fixture(scope="module")
 def ends(given: ContactProblem) -> tuple[Outer, Callable[[], Outer]]:
     """The mesh as given, and one that suits the solution, whose energy is lower."""
     first = Outer.of(given)
-    made = metric_start(Solved(first.contact, first.contact.given), 36).solved.problem
+    made = metric_start(Solved(first.contact, first.contact.given), 25).solved.problem
     return first, lambda: Outer.of(made)
 
 
 class TestRemeshed:
     def test_the_inner_formulation_runs_on_the_new_mesh_and_energies_are_of_the_given_one(self, given):
         script = Script(0.001)
-        solution = solve_once(given, Remeshed(script.formulation, 40))
+        solution = solve_once(given, Remeshed(script.formulation, 27))
         ((outer, q),) = script.begun
         row, nodes = solution.record(), outer.problem.mesh.p.shape[1]
         assert (outer.is_near, np.any(q)) == (True, False)
-        assert abs(nodes - 40) <= 2
+        assert abs(nodes - 27) <= 2
         counts, energies = row["remeshed_nodes"], row["remeshed_energies"]
         assert solution.contact_solves == len(counts)  # the script counts none
         assert counts[-1] == nodes or min(energies) < energies[-1]

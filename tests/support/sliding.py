@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import casadi as ca
@@ -55,6 +55,7 @@ def entries(function: ca.Function, *which: int) -> tuple[Any, ...]:
     return tuple(partial(_entry, function, i) for i in which)
 
 
+@cache
 def _functions(power: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     """The body force that the solution needs, its stress, and the density of its energy without friction."""
     x, y = ca.SX.sym("x"), ca.SX.sym("y")
@@ -66,6 +67,7 @@ def _functions(power: int) -> tuple[ca.Function, ca.Function, ca.Function]:
     return one, two, three
 
 
+@cache
 def exact_energy(power: int = 2) -> float:
     """J(u) by Gauss rules on either side of TURN, where the solution is a polynomial."""
     _, stress, density = _functions(power)
