@@ -90,19 +90,6 @@ def test_a_sound_problem_is_not_warned_of(name: str, order: int) -> None:
     assert name or fixed.solve(problem).record()["warnings"] == []
 
 
-def test_a_load_that_the_rule_does_not_see_is_warned_of() -> None:
-    problem = ContactProblem(
-        mesh=rectangle(4, 4),
-        law=Laplace(lambda x, y: ca.sin(8 * ca.pi * x) ** 2),
-        dirichlet=("left",),
-        motion=Motion(0.05),
-        quadrature="midpoint",
-    )
-    accurate = ContactSolver(replace(problem, quadrature=20)).system(problem.mesh.p).load
-    assert [warning.kind for warning in setup_warnings(ContactSolver(problem), accurate)] == ["load"]
-    assert setup_warnings(ContactSolver(replace(problem, quadrature=12)), accurate) == ()
-
-
 def bent_at_its_end() -> MeshTri:
     """At 4 of the 15 inner nodes of the lower side."""
     mesh = sound().mesh

@@ -15,7 +15,7 @@ from formulations import outer_solvers
 from formulations.finish import EXACT_FINISH, Finish
 from formulations.nested import CREEPING, WINDOW, Creeping, Nested
 from formulations.outer_solvers import OuterResult
-from gallery.kinks import seal, slab
+from gallery.kinks import seal
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.descent import Watch
 from rmesh_nlp.models.residual import Released
@@ -159,19 +159,6 @@ def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there() -
         else:  # no corner of the unit box and no axis falls faster
             assert found.rate == pytest.approx(least, rel=1e-3)
             assert rates(outer, q, [found.direction]) == pytest.approx(found.rate, rel=1e-3)
-
-
-def test_where_no_pair_is_biactive_the_label_is_that_of_the_residual() -> None:
-    problem, objective = slab(3, 0.5), "mean(top, -uy)"
-    solution, q = solved_to(problem, objective, "nested")
-    outer = Outer.of(problem, objective)
-    assert solution.stationarity_residual <= outer.tolerance
-    best, given = (outer.branches(outer.function(at)) for at in (q, np.zeros(outer.n)))
-    assert (best.label, best.b_stationary, best.pairs.size) == ("S", True, 0)
-    assert (given.label, given.b_stationary) == ("none", False)
-    # to first order a step of one in every variable gains the sum of the gradient
-    unit = outer.residual.unit
-    assert given.rate == pytest.approx(-np.sum(np.abs(outer.function(np.zeros(outer.n)).gradient)) / unit)
 
 
 def test_slips_that_are_given_have_no_friction_of_their_own() -> None:

@@ -10,7 +10,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.cells import Blended
 from rmesh_nlp.fem.energy import strain_energy
 from rmesh_nlp.mapping import MeshMap, Mobility
@@ -24,7 +23,7 @@ from rmesh_nlp.meshes.curves import (
 )
 from rmesh_nlp.models.levels import coarsened
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.problem.body import Body, gradients
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.solving.solution import Solution
@@ -55,15 +54,6 @@ def test_outer_variables_are_found_again_and_limits_are_lengths_of_the_curve() -
         np.arctan2(*(p[:, hole] - 5)[::-1]) for p in (free.positions.values(np.ones(free.n)), problem.mesh.p)
     )
     np.testing.assert_allclose(2.5 * np.angle(np.exp(1j * (there - here))), 0.3)
-
-
-def test_pinned_beats_a_curve_and_ends_of_an_arc_stay() -> None:
-    problem = disc({"arc": ARC})
-    arc = problem.boundary_nodes(("arc",))
-    assert np.sum(MeshMap.of(problem).mobility[arc] == Mobility.PINNED) == 2
-    still = replace(problem, motion=Motion(None, pinned=("arc",), curves={"arc": ARC}))
-    assert np.all(MeshMap.of(still).mobility[arc] == Mobility.PINNED)
-    assert ContactSolver(still).solve(still.mesh.p).energy > 0
 
 
 def test_refined_and_coarsened_meshes_have_their_nodes_on_the_curve() -> None:

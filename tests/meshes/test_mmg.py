@@ -100,33 +100,12 @@ class TestDomain:
         assert np.all(left ^ right)
         assert np.abs(signed_areas(new.p, new.t[:, left])).sum() == pytest.approx(1.0, rel=1e-12)
 
-    def test_clockwise_triangles_and_nodes_of_no_triangle_do_no_harm(self) -> None:
-        one = shapes.rectangle(4, 4)
-        p = np.hstack([one.p, [[7.0], [7.0]]])
-        mesh = MeshTri(p, one.t[[0, 2, 1]]).with_boundaries(one.boundaries)
-        new = made(mesh, 0.12)
-        assert sizes(new) == pytest.approx(dict.fromkeys(["", *one.boundaries], 1.0), rel=1e-12)
-        assert new.p.max() <= 1.0
-        np.testing.assert_array_equal(np.unique(new.t), np.arange(new.p.shape[1]))
-
     def test_edges_are_stretched_as_the_metric_says(self) -> None:
         mesh = shapes.rectangle(8, 8)
         tensors = uniform(mesh, 0.05) * np.array([[1.0], [0.0], [1 / 16]])  # four times as long in y
         new = remeshed(mesh, tensors, line_facets(mesh), corner_nodes(mesh))
         dx, dy = np.abs(new.p[:, new.facets[0]] - new.p[:, new.facets[1]]).mean(axis=1)
         assert 2.5 < dy / dx < 6
-
-    def test_edges_on_an_arc_are_no_further_off_than_said(self) -> None:
-        """A polygon of a circle, all nodes of which may go: its edges grow until they are off."""
-        mesh = shapes.plate_with_hole(0.3)
-        number = {}
-        for off in (0.02, 0.2):
-            new = remeshed(mesh, uniform(mesh, 2.0), line_facets(mesh), np.arange(0), off)
-            number[off] = new.boundaries["hole"].size
-            a, b = new.p[:, new.facets[:, np.asarray(new.boundaries["hole"])]].transpose(1, 0, 2)
-            sagitta = np.linalg.norm(a - b, axis=0) ** 2 / (8 * 2.5)
-            assert sagitta.max() < 2 * off
-        assert number[0.02] > 1.5 * number[0.2]
 
 
 class TestErrors:

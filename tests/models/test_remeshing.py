@@ -147,21 +147,6 @@ class TestCurves:
         assert sagitta(problem) == pytest.approx(2.5 - np.sqrt(2.5**2 - half**2))
         assert sagitta(plate()) == 0.0
 
-    def test_an_arc_keeps_its_ends_and_a_polygon_without_a_curve_its_vertices(self) -> None:
-        """The upper half of the hole; the lower half is a polygon."""
-        given = plate()
-        mesh = named(given.mesh, {"arc": lambda x: (np.hypot(*(x - 5)) < 2.6) & (x[1] > 5)})
-        problem = replace(given, mesh=mesh, motion=Motion(None, curves={"arc": CURVES["circle"]}))
-        arc = problem.boundary_nodes(("arc",))
-        polygon = np.setdiff1d(problem.boundary_nodes(("hole",)), arc)
-        found = remade(problem, 150)
-        p = found.mesh.p[:, found.boundary_nodes(("arc",))]
-        np.testing.assert_allclose(np.hypot(*(p - 5)), 2.5, atol=1e-12)
-        ends = arc[[np.argmin(mesh.p[0, arc]), np.argmax(mesh.p[0, arc])]]
-        kept = mesh.p[:, None, np.append(polygon, ends)]
-        assert np.abs(found.mesh.p[:, :, None] - kept).max(axis=0).min(axis=0).max() < 1e-12
-        assert p.shape[1] > arc.size
-
 
 def test_the_least_angle_is_that_of_the_motion_or_more_and_small_if_none_is_asked_for() -> None:
     mesh = rectangle(4, 4)
