@@ -72,7 +72,7 @@ def solved_body(n: int, order: int, friction: float) -> Solution:
 @BOTH
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: int, friction: float) -> None:
-    displacements = ("mean(top, -uy)", "boundary(right, (1+y)*ux)") if friction else ()
+    displacements = ("boundary(right, (1+y)*ux)",) if friction else ()
     fine = refined(body(6, order, friction))
     asked = ("resultant(bottom)", *displacements)
     coarse, close = (certify(solved_body(n, order, friction), quantities=asked) for n in (2, 4))

@@ -205,6 +205,26 @@ class TestSolver:
         assert spectral_radius(loaded, condensed(loaded), found.active) < 1
         assert contraction(loaded, found) >= 1
 
+    @pytest.mark.parametrize(
+        ("coulomb", "touching", "normal", "tangential"),
+        [(3.3, 1, (0.1, 0.8, -0.5), (0.2, -0.3, 0.5)), (1.8, 3, (-0.4, -0.4, -0.4), (-0.7, -0.9, 0.8))],
+    )
+    def test_several_solutions_are_warned_of_where_they_touch_elsewhere(
+        self, coulomb, touching, normal, tangential
+    ) -> None:
+        """Where every node slides one way the bounds contract."""
+        mesh, line = rm.shapes.rectangle(2, 1, x=(0, 1.1), y=(0, 1.9)), rm.PlaneStrain.from_young(1.0, 0.4)
+        disc = rm.Obstacle.circle("bottom", (0.7, -2.5), 2.5, coulomb=coulomb)
+        system = ContactSolver(rm.ContactProblem(mesh, line, ("top",), disc)).system(np.asarray(mesh.p))
+        loaded = replace(
+            system, load=system.load + system.normals.T @ normal + system.tangents.T @ tangential
+        )
+        found = solve(loaded)
+        assert np.sum(found.active.touching) == touching
+        assert len(all_solutions(loaded)) > 1
+        one_way = ActiveSet(np.ones(3, dtype=bool), np.ones(3, dtype=np.int8))
+        assert spectral_radius(loaded, condensed(loaded), one_way) < 1 <= contraction(loaded, found)
+
 
 class TestFormulations:
     def test_nested_and_mpcc_lower_the_objective_and_are_measured_alike(self) -> None:

@@ -230,7 +230,7 @@ def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxat
 
 @pytest.mark.parametrize("objective", ["energy", "error-l2"])
 def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(objective: str) -> None:
-    problem = example("6.1", 3)
+    problem = example("6.1", 2)
     seen: list[Any] = []
     solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
     first, record = solution.history[0], solution.record()

@@ -242,6 +242,19 @@ def test_gaps_normals_and_feet(obstacle: Obstacle, gaps: tuple, normals: tuple) 
         np.testing.assert_allclose(obstacle.tangential(x, y).full()[:, 0], (n[k, 1], -n[k, 0]), atol=1e-12)
 
 
+def test_level_function_of_a_curve_may_have_any_scale() -> None:
+    one = Obstacle.curve("a", lambda x, y: y - 0.1 * x**2)
+    other = Obstacle.curve("a", lambda x, y: 7 * (y - 0.1 * x**2))
+    points = np.array([[0.3, -1.0, 2.0], [0.5, 0.2, 0.4]])
+    np.testing.assert_allclose(one.distances(points), other.distances(points))
+    np.testing.assert_allclose(one.normals(points), other.normals(points))
+    # at the foot of a vertical line the normal is that of the graph
+    np.testing.assert_allclose(one.normals(points)[0, 2] / one.normals(points)[1, 2], -0.4)
+    # a curved foundation is met where the level function is zero
+    x, y = one.feet(points)
+    np.testing.assert_allclose(y, 0.1 * x**2, atol=1e-12)
+
+
 def test_interior_obstacle_and_friction() -> None:
     below = Obstacle.interior(lambda x, y: x - 3 * y)
     np.testing.assert_allclose(below.distances(POINTS), [14.0, -1.0])
