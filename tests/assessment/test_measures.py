@@ -1,4 +1,4 @@
-"""Residuals, causes of a gain that is none, quantities, and the residual of Coulomb's law, by hand."""
+"""Residuals, causes of a gain that is none, claims about errors, and the residual of Coulomb's law."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The active set solves the convex quadratic program: its laws hold, from any start."""
+"""Contact systems against scikit-fem, the active set that solves them, and nodes that are weakly active."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Coulomb friction: closed forms, all branches of a small problem, derivatives, and what is refused."""
+"""Coulomb friction: closed forms, published results, all branches of a small problem, and what is refused."""
 
 from dataclasses import replace
 from itertools import product

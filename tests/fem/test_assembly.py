@@ -1,4 +1,4 @@
-"""Fields, sums over elements, values at points, and derivatives of assembled programs."""
+"""Sums over elements and their derivatives, exact rules, loads that jump or kink within elements."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Errors of interpolation, the shapes that make them least, and the metric of the best mesh."""
+"""Recovered derivatives, errors of interpolation, and the metric of the best mesh."""
 
 from __future__ import annotations
 

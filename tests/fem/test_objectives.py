@@ -286,14 +286,6 @@ def test_the_gradient_passes_its_taylor_test(order: int) -> None:
     assert rm.verify_gradient(problem, text).order == pytest.approx(2, abs=0.1)
 
 
-def test_an_objective_in_python_is_the_same_as_in_text() -> None:
-    block = example("6.2", (6, 3))
-    both = rm.quantities.boundary_integral("top", lambda x, y, u, n: -u[1], mean=True)
-    both += 0.01 * rm.objective("quality")
-    assert value(block, both, drawn(block)) == value(block, "mean(top, -uy) + 0.01*quality", drawn(block))
-    assert str(both) == "boundary integral + 0.01*quality"
-
-
 def still(problem: ContactProblem) -> ContactProblem:
     return replace(problem, motion=rm.Motion(delta=0.05, pinned=tuple(range(problem.mesh.p.shape[1]))))
 

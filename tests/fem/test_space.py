@@ -1,4 +1,4 @@
-"""Spaces of displacements: numbering, weights, known rates, fields cut into pieces."""
+"""Spaces of displacements, fields in pieces, laws and stresses: known rates and closed forms."""
 
 from __future__ import annotations
 

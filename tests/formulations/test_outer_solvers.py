@@ -1,4 +1,4 @@
-"""Joint and the outer solvers of nested: where they end, by which method, at what cost."""
+"""Joint, nested and mpcc: where they end, by which method, at what cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where nodes may move and which elements are valid: by a barrier, by a least area, by a least angle."""
+"""Where nodes may move, what is pinned, slides, is free or tied, and which elements are valid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves, nodes that slide along them, and triangles beside arcs."""
+"""Curves, nodes that slide along them, and triangles blended to arcs."""
 
 from __future__ import annotations
 

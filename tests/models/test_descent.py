@@ -1,4 +1,4 @@
-"""Weights of a distortion, what relocation can gain, and descents of the energy with a distortion."""
+"""Descents with a distortion, the first-order residual, and multipliers of bounds."""
 
 from __future__ import annotations
 

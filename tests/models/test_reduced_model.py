@@ -1,4 +1,4 @@
-"""The reduced model: rates of its first and second derivatives, (5.7) and (5.11), and what is counted."""
+"""Energies, objectives, Lagrangians: derivatives in all unknowns and in the outer variables alone."""
 
 from dataclasses import replace
 from typing import Any

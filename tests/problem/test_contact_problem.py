@@ -1,4 +1,4 @@
-"""A contact problem as a whole: refinement keeps it, its description fits a screen, mistakes are named."""
+"""Contact problems as a whole: obstacles, loads, refinement, words, and mistakes that are named."""
 
 from collections.abc import Callable
 from dataclasses import replace

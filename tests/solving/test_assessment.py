@@ -1,4 +1,4 @@
-"""Valid, improved, stationary: what each finding makes of a solution; residuals of the laws by hand."""
+"""Starts, what is assessed of an end, and what follows: valid, improved, stationary."""
 
 from __future__ import annotations
 

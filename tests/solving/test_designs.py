@@ -1,4 +1,4 @@
-"""Solves of design problems: closed forms, constraints, levels, and what is said of them."""
+"""Designs: derivatives, closed forms, constraints, levels, and what is said of them."""
 
 from __future__ import annotations
 

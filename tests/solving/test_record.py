@@ -1,4 +1,4 @@
-"""What a solution says of itself: its fields, its record, each entry of it, and its summary."""
+"""What a solution says of itself: fields, record, summary; Taylor tests and the terms of Theorem 4.1."""
 
 from __future__ import annotations
 
