@@ -105,6 +105,9 @@ def test_densities_on_a_subdomain_and_functions_of_nodes(plate: ContactProblem) 
         value(plate, rm.quantities.nodal([0, 1], lambda X, u: X[:, 0]))
     with pytest.raises(ValueError, match="unknown subdomain 'soft': choose from left half"):
         value(plate, rm.quantities.body_integral(lambda *_: 1, subdomain="soft"))
+    E = DesignVariable("E", 1.0, (0.5, 2.0))
+    with pytest.raises(ValueError, match="depends on the design variables E"):
+        value(plate, rm.quantities.body_integral(lambda *_: E.symbol))
 
 
 def test_a_point_is_a_node_within_a_millionth_of_the_mesh(plate: ContactProblem) -> None:

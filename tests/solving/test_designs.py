@@ -79,7 +79,7 @@ def test_constraint_of_two_variables(formulation: str) -> None:
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     constraint = rm.Constraint("resultant(bottom)", (100.0, np.inf))
-    problem = replace(block(H0, BOW, n=(3, 1), constraints=(constraint,)), motion=rm.Motion(0))
+    problem = replace(block(H0, BOW, n=(4, 1), constraints=(constraint,)), motion=rm.Motion(0))
     found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
     record = found.record()
     assert found.status is Status.CONVERGED
