@@ -69,7 +69,7 @@ def wave(x, y):
 )
 def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
     rel = relocation(make())
-    valid = rel.validity.group.shifted(rel.n_contact + 2 * rel.n_s)
+    valid = rel.validity.group.shifted(rel.parts.n_contact + 2 * rel.parts.n_s)
     f, g = expressions([*rel.groups, valid], rel.x, rel.n_rows)
     derivatives = rel.nlp.derivatives
     program = SimpleNamespace(x=rel.x, p=rel.nlp.p, f=f, g=g, derivatives=derivatives)

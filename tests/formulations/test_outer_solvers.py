@@ -324,7 +324,7 @@ def test_the_better_end_of_two_paths_is_kept_for_designs_and_others_have_one(
     def path(_: AllAtOnce, at: Outer, q: Any, monitor: Monitor, *most: Any) -> Outcome:
         near.append(at.is_near)
         monitor.note(Step(len(near), *6 * [1.0]))
-        return Outcome(at, ends[(len(near) - 1) % 2], Status.CONVERGED)
+        return Outcome(at, ends[(len(near) - 1) % 2] if at.problem.design else q, Status.CONVERGED)
 
     monkeypatch.setattr(AllAtOnce, "_path", path)
     monitor = Monitor()

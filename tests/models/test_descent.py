@@ -154,7 +154,7 @@ def test_contact_forces_of_a_solvers_own_give_the_gradient_of_the_contact_soluti
     outer = Outer.of(block_sliding_on_a_circle())
     q = 0.1 * np.random.default_rng(0).uniform(-1, 1, outer.n)
     point, rel, residual = outer.energy(q), outer.relocation, outer.residual
-    state, rows = point.equilibrium, rel.friction_rows
+    state, rows = point.equilibrium, rel.parts.friction_rows
     bound, tau = point.system.slip_bound[rows], state.tangential_force[rows]
     lam_g = -np.concatenate([state.normal_force, (bound - tau) / 2, (bound + tau) / 2, np.zeros(rel.n_valid)])
     np.testing.assert_allclose(rel.forces(lam_g)[0], state.normal_force)
@@ -187,7 +187,7 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
 def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> None:
     """Limits are 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes there."""
     outer = Outer.of(sloped_block())
-    free, q, gradient = outer.relocation.mesh_map, np.zeros(outer.n), np.zeros(outer.n)
+    free, q, gradient = outer.relocation.parts.mesh_map, np.zeros(outer.n), np.zeros(outer.n)
     index = free.positions.index
     slanted = next(n for n in outer.problem.contact_nodes if index[0, n] == index[1, n] >= 0)
     inner = int(np.flatnonzero(free.mobility == Mobility.FREE)[0])
@@ -203,7 +203,7 @@ def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> N
 
 def test_a_move_limit_along_a_curve_is_a_length_of_it() -> None:
     outer = Outer.of(plate({"hole": HOLE}, delta=0.4))
-    index = outer.relocation.mesh_map.positions.index
+    index = outer.relocation.parts.mesh_map.positions.index
     node = outer.problem.boundary_nodes(("hole",))[3]
     q, gradient = np.zeros(outer.n), np.zeros(outer.n)
     q[index[0, node]], gradient[index[0, node]] = 1.0, -2.0

@@ -164,7 +164,7 @@ def with_angles() -> ContactProblem:
 def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multipliers(make) -> None:
     energy = ReducedEnergy(ContactSolver(make()), ENERGY)
     rel, nlp = energy.relocation, energy.relocation.nlp
-    point = energy(0.2 * np.random.default_rng(0).uniform(-1, 1, rel.n_q))
+    point = energy(0.2 * np.random.default_rng(0).uniform(-1, 1, rel.parts.n_q))
     x = energy.unknowns(point.q, point.equilibrium.u)
     value, gradient = (part.full().ravel() for part in nlp.derivatives.grad_f(x, []))
     g, jacobian = (part.full() for part in nlp.derivatives.jac_g(x, []))
@@ -172,16 +172,16 @@ def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multiplier
     # minimised over u and s alone; the multipliers of slips share the friction bound
     lam = np.zeros(rel.n_rows)
     lam[rel.gap_rows] = point.equilibrium.normal_force
-    if rel.n_s:
-        bound = point.system.slip_bound[rel.friction_rows]
-        tau = point.equilibrium.tangential_force[rel.friction_rows]
-        lam[rel.n_contact : rel.n_contact + rel.n_s] = (bound - tau) / 2
+    if rel.parts.n_s:
+        bound = point.system.slip_bound[rel.parts.friction_rows]
+        tau = point.equilibrium.tangential_force[rel.parts.friction_rows]
+        lam[rel.parts.n_contact : rel.parts.n_contact + rel.parts.n_s] = (bound - tau) / 2
         lam[rel.slip_rows] = (bound + tau) / 2
     residual = gradient - jacobian.T @ lam
     scale = np.max(np.abs(jacobian.T @ lam)) or np.max(np.abs(gradient))
-    np.testing.assert_allclose(residual[rel.n_q :], 0, atol=1e-9 * scale)
-    np.testing.assert_allclose(residual[: rel.n_q], point.gradient, atol=1e-9 * scale)
-    rows = g.ravel()[: rel.n_contact + 2 * rel.n_s]
+    np.testing.assert_allclose(residual[rel.parts.n_q :], 0, atol=1e-9 * scale)
+    np.testing.assert_allclose(residual[: rel.parts.n_q], point.gradient, atol=1e-9 * scale)
+    rows = g.ravel()[: rel.parts.n_contact + 2 * rel.parts.n_s]
     assert rows.min() > -1e-9
     np.testing.assert_allclose(rows * lam[: rows.size], 0, atol=1e-9 * scale)
 
@@ -199,7 +199,7 @@ def test_a_distortion_stands_in_the_place_of_area_constraints_but_not_of_angles(
 @pytest.mark.parametrize("make", [large_limits, with_angles])
 def test_element_constraints_have_their_derivatives(make) -> None:
     rel, rng = relocation(make()), np.random.default_rng(2)
-    rows, (q, d) = ElementConstraints(rel), 0.2 * rng.uniform(-1, 1, (2, rel.n_q))
+    rows, (q, d) = ElementConstraints(rel), 0.2 * rng.uniform(-1, 1, (2, rel.parts.n_q))
     multipliers = rng.random(rel.n_valid)
     there, here, before = (rows.at(q + t * d) for t in (1.0, 0.0, -1.0))
     # the rows are quadratic: these differences are exact
@@ -244,7 +244,7 @@ def test_derivatives_are_those_of_the_lagrangian() -> None:
 @pytest.mark.parametrize("name", slow_but(ENERGIES, ("6.3, friction, order 2",)))
 def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
     function = Outer.of(ENERGIES[name]()).energy
-    larger, n, rng = reduced_nlp(function), function.relocation.n_q, np.random.default_rng(7)
+    larger, n, rng = reduced_nlp(function), function.relocation.parts.n_q, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, larger.n_g)
     curvature = curvature_of(function)(function(q))(np.eye(n))
     areas = function.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
@@ -259,7 +259,9 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
 
 
 def test_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "_pattern", lambda rel: sp.csc_array(sp.eye_array(rel.n_q + rel.n_u)))
+    monkeypatch.setattr(
+        module, "_pattern", lambda rel: sp.csc_array(sp.eye_array(rel.parts.n_q + rel.parts.n_u))
+    )
     larger = reduced_nlp(Outer.of(bumpy(0.0)).energy)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))

@@ -250,7 +250,7 @@ def test_of_an_all_at_once_solver_the_last_iterate_is_kept_only_if_it_is_below_t
     start, track = np.zeros(outer.n), Monitor().track(outer)
     gradient = outer.energy(start).gradient
     q = step * gradient / np.max(np.abs(gradient))
-    track(1, np.append(q, np.zeros(outer.relocation.n_u)), 0.0, np.zeros(0))
+    track(1, np.append(q, np.zeros(outer.relocation.parts.n_u)), 0.0, np.zeros(0))
     np.testing.assert_array_equal(track.best(start), q if step < 0 else start)
 
 
@@ -306,7 +306,7 @@ class TestStart:
         for height in np.linspace(0.5, 0.99, 30):  # of the middle node: areas beside it shrink in proportion
             nodes = problem.mesh.p.copy()
             nodes[1, np.argmin(np.abs(problem.mesh.p - 0.5).sum(axis=0))] = height
-            q, ratio = outer.relocation.mesh_map.q_of(nodes), area_ratio(problem, nodes)
+            q, ratio = outer.relocation.parts.mesh_map.q_of(nodes), area_ratio(problem, nodes)
             assert outer.is_valid(q) == (ratio >= 0.2 - 1e-9), (height, ratio)
             assert barrier.is_valid(q) == (ratio > 0)
             found.append(ratio)
