@@ -184,13 +184,10 @@ def residual(problem: ContactProblem, push: float = 1.0, motion: float = 1.0) ->
     return found
 
 
-@pytest.mark.parametrize(("order", "size", "least"), [(1, 6, 3.0), (2, 4, 5.0)])
-def test_falls_with_the_edges_on_a_solution_that_sticks_and_slides(
-    order: int, size: int, least: float
-) -> None:
+def test_falls_with_the_edges_on_a_solution_that_sticks_and_slides() -> None:
     """The exact solution has a continuous stress and a slip of the third power of the distance."""
-    coarse, fine = (residual(block(n, order)) for n in (size, 2 * size))
-    assert 0 < fine < coarse / least
+    coarse, fine = (residual(block(n, order=2)) for n in (4, 8))
+    assert 0 < fine < coarse / 5
     assert coarse < 0.01
 
 

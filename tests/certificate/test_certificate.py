@@ -139,7 +139,7 @@ def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
 def test_a_body_with_curves_has_no_certificate_at_order_2() -> None:
     """Its displacement is of the body, and the bounds would be those of a polygon."""
     problem = ContactProblem(
-        plate_with_hole(3.0),
+        plate_with_hole(5.0),
         Laplace(1.0),
         ("left",),
         motion=Motion(None, curves={"hole": Circle((5.0, 5.0), 2.5)}),

@@ -40,7 +40,7 @@ def solved_to(problem: ContactProblem, objective: str, formulation: str) -> tupl
 @cache
 def end_of_seal() -> tuple[ContactProblem, Array]:
     """A rough seal, and the edge at which ``mpcc`` ends: every node touches without force."""
-    block = seal(4, 0.3)
+    block = seal(3, 0.3)
     return block, solved_to(block, leak(2.0), "mpcc")[1]
 
 

@@ -228,11 +228,10 @@ def test_every_relaxation_ends_near_joint_from_the_given_mesh(name: str, relaxat
     assert (record["stationarity"], record["b_stationary"]) == ("S", True)
 
 
-@pytest.mark.parametrize("objective", ["energy", "error-l2"])
-def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh(objective: str) -> None:
+def test_the_first_stage_begins_at_the_contact_solution_on_the_given_mesh() -> None:
     problem = example("6.1", 2)
     seen: list[Any] = []
-    solution = mpcc.solve(problem, objective=objective, on_step=seen.append)
+    solution = mpcc.solve(problem, objective="error-l2", on_step=seen.append)
     first, record = solution.history[0], solution.record()
     assert first.t == OPTIONS["t0"]
     # Ipopt pushes forces and gaps off their bounds, by a hundredth of their unit

@@ -61,7 +61,7 @@ def test_nodes_slide_along_a_slope_within_their_move_limits(sloped: ContactProbl
     np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.integers(0, 10_000), st.floats(0.02, 0.5))
 def test_elements_without_a_validity_row_never_fail(seed: int, fraction_of_h: float) -> None:
     # random meshes, random move limits, random corners of them
