@@ -3,6 +3,7 @@
 import re
 import subprocess
 import sys
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import casadi as ca
@@ -14,13 +15,55 @@ from rmesh_nlp.mpcc import ampl, read, solve
 from rmesh_nlp.mpcc.nl import read_rows
 from rmesh_nlp.mpcc.sol import solve_code, write_sol
 from rmesh_nlp.optimize.status import Status
-from support.asl import read_sol
 from support.nl_files import NL, SOLUTION, binary
 
 ACTIVE = NL.replace("1 5\nb", "1 2.5\nb")
 """With x + z <= 2.5, which is active at the minimum: its dual is not zero."""
 MAXIMUM = ACTIVE.replace("O0 0", "O0 1").replace("o0	#+\no76", "o16\no0\no76").replace("2 -2\n", "2 2\n")
 """The same as the maximum of the negative objective."""
+
+
+@dataclass
+class Sol:
+    """What JuMP's AmplNLWriter reads of a ``.sol`` file."""
+
+    message: str
+    options: list[str]
+    duals: list[float]
+    x: list[float]
+    code: int
+    suffixes: dict[str, dict[int, float]] = field(default_factory=dict)
+
+
+def read_sol(path: Path) -> Sol:
+    """Read a file in the order in which MathOptInterface's ``sol.jl`` does."""
+    lines = iter(path.read_text().splitlines())
+    words: list[str] = []
+    for line in lines:
+        if line.startswith("Options"):
+            break
+        words.append(line)
+    options = [next(lines)]
+    count, has_tolerance = int(options[0]), False
+    options += [next(lines), next(lines)]
+    if options[2] == "3":
+        count, has_tolerance = count - 2, True
+    options += [next(lines) for _ in range(3, count + 1)]
+    _, n_duals, _, n_values = (int(next(lines)) for _ in range(4))
+    if has_tolerance:
+        options.append(next(lines))
+    duals = [float(next(lines)) for _ in range(n_duals)]
+    x = [float(next(lines)) for _ in range(n_values)]
+    kind, number, code = next(lines).split()
+    assert (kind, number) == ("objno", "0")
+    found = Sol("\n".join(words).strip(), options, duals, x, int(code))
+    for line in lines:
+        suffix, _, n, *_ = line.split()
+        assert suffix == "suffix"
+        name = next(lines)
+        pairs = (next(lines).split() for _ in range(int(n)))
+        found.suffixes[name] = {int(j): float(value) for j, value in pairs}
+    return found
 
 
 @pytest.fixture
@@ -179,6 +222,13 @@ def test_words_of_options_become_numbers_and_names(text, stub, monkeypatch):
         (["x", "-AMPL", "tol=1e-9"], r"unknown setting 'tol'.* ipopt,"),
         (["x", "-AMPL", "-q"], "unknown flag '-q'"),
         (["x", "-AMPL", "=3"], "option must be NAME=VALUE, got '=3'"),
+        # without the flag of AMPL
+        ([], "no file given"),
+        (["absent.nl"], "absent.nl"),
+        (["x.gms"], "unknown format"),
+        (["x.nl", "--frob"], "no such option: --frob"),
+        (["x.nl", "--starts", "0"], "Invalid value for '--starts'"),
+        (["x.nl", "--time-limit", "0"], "Invalid value for '--time-limit'"),
     ],
 )
 def test_bad_calls_are_refused_in_one_line(arguments, words, capsys):

@@ -246,21 +246,3 @@ def test_command_solves_files(nl, capsys):
     assert ends[0]["f"] == pytest.approx(-3, abs=1e-6)  # the sign of the file
     assert app.run(["mpcc", str(path), "--max-iterations", "2"]) == 1
     assert "iteration_limit" in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "no file given"),
-        (["absent.nl"], "absent.nl"),
-        (["x.gms"], "unknown format"),
-        (["x.nl", "--frob"], "no such option: --frob"),
-        (["x.nl", "--starts", "0"], "Invalid value for '--starts'"),
-        (["x.nl", "--time-limit", "0"], "Invalid value for '--time-limit'"),
-    ],
-)
-def test_the_command_refuses_bad_input_in_one_line(arguments, words, capsys):
-    assert app.run(["mpcc", *arguments]) == 2
-    error = capsys.readouterr().err
-    assert words in error
-    assert error.count("\n") == 1
