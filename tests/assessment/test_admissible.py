@@ -12,6 +12,7 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.measures import equilibrium_residual
+from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
@@ -24,7 +25,6 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import refined
 from support.orders import ORDERS
-from support.penetration import penetration
 from truth.draws import aimed
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
@@ -46,7 +46,8 @@ def standoff(found: Admissible) -> np.ndarray:
 
 
 def deepest(found: Admissible) -> float:
-    return penetration(found.parts.space, found.body.nodes, found.displacement)
+    parts = penetrations(found.parts.space, found.body.nodes, found.displacement)
+    return max(part.depth for part in parts)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -19,6 +19,7 @@ from rmesh_nlp.assessment.contact_results import CLEAR, ContactResult, contact_r
 from rmesh_nlp.assessment.coulomb import coulomb_residual, growth
 from rmesh_nlp.assessment.error_reduction import by_certificate, error_reduction
 from rmesh_nlp.assessment.measures import EXPLOITS, corrections, residuals
+from rmesh_nlp.contact.penetration import deepest, penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.examples import EXAMPLES
@@ -31,7 +32,6 @@ from rmesh_nlp.problem.contact_problem import refined
 from support import sliding
 from support.curved import HOLE, plate
 from support.orders import ORDERS
-from support.penetration import penetration
 from support.problems import coulomb_slab
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
@@ -72,8 +72,8 @@ def test_each_cause_is_named_on_a_problem_made_for_it(name: str, order: int) -> 
     others = max(abs(value) for cause, value in found.items() if cause != name)
     assert abs(found[name]) > 1e-7 * abs(own.energy)
     assert others < 1e-2 * abs(found[name])
-    deepest = penetration(model.discretisation.space, problem.mesh.p, model.displacement.values(own.u))
-    assert (deepest > 1e-3) is (name == "penetration")
+    parts = penetrations(model.discretisation.space, problem.mesh.p, model.displacement.values(own.u))
+    assert (deepest(parts) > 1e-3) is (name == "penetration")
     assert residuals(model.system(problem.mesh.p), own).hold
     if (name, order) == ("friction", 1):  # lumped at nodes it is too large by what lies beside the turn
         slip = exact.displacement[0, exact.body.nodes[1] == 0]

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from rmesh_nlp.contact.penetration import deepest, penetrations
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.edge_gaps import POWER, SAMPLES, with_edge_gaps
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -18,7 +19,6 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from support.contact_geometry import LAW, block_between_two_foundations
 from support.curved import disc
 from support.orders import ORDERS
-from support.penetration import penetration
 
 CURVATURE = 0.8
 PARABOLA = Obstacle.graph("bottom", lambda x, y: -CURVATURE / 2 * (x - 1) ** 2)
@@ -37,9 +37,8 @@ def passes(problem: ContactProblem, body: ContactProblem | None = None) -> tuple
     model, nodes = ContactSolver(problem), problem.mesh.p
     state = model.solve(nodes)
     assert np.sum(state.active.touching) >= 2
-    return penetration(
-        DisplacementSpace(body or problem), nodes, model.displacement.values(state.u)
-    ), state.energy
+    parts = penetrations(DisplacementSpace(body or problem), nodes, model.displacement.values(state.u))
+    return deepest(parts), state.energy
 
 
 def shaken(problem: ContactProblem, seed: int) -> ContactProblem:
