@@ -115,10 +115,7 @@ def test_a_writer_that_is_killed_leaves_no_lock_and_no_files(tmp_path):
     assert elsewhere.exists()
 
 
-def test_a_file_of_the_user_s_is_not_claimed(tmp_path):
-    (tmp_path / "table.md").write_text("mine")
-    with pytest.raises(BadInputError, match=r"table\.md exists and rmesh did not write it"):
-        Manifest(tmp_path).claim("table.md")
+def test_a_link_of_the_user_s_is_not_claimed(tmp_path):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "solutions").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(BadInputError, match="solutions is a link"):
