@@ -37,16 +37,6 @@ SMALL = example("6.2", (4, 2))
 UNLIMITED = replace(SMALL, motion=replace(SMALL.motion, delta=None))
 
 
-@pytest.mark.parametrize("formulation", FORMULATIONS)
-def test_one_record_and_one_clock(formulation: Any) -> None:
-    record = solved(formulation.name, "6.3", (4, 2)).record()
-    parts = [record[f"{name}_time_s"] for name in ("build", "solve", "audit", "contact")]
-    assert min(parts) > 0
-    assert record["wall_time_s"] == pytest.approx(sum(parts[:3]))
-    assert (record["start"], record["settings"]) == ("given", {})
-    assert record["gain_audited"] == record["energy_initial_audited"] - record["energy_audited"]
-
-
 @pytest.mark.parametrize("formulation", [*FORMULATIONS, auto])
 def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
     asked = {*KEYWORDS, "sede"}

@@ -225,10 +225,6 @@ def test_the_distortion_keeps_elements_valid(formulation: Any, options: dict[str
     assert row["status"] == "converged" or formulation is nested
 
 
-def test_other_objectives_are_refused() -> None:
+def test_the_gain_of_another_objective_is_no_unit_of_weights() -> None:
     with pytest.raises(BadInputError, match="error-l2"):
         nested.solve(unlimited(), regularisation=0.01, objective="error-l2")
-    with pytest.raises(ValueError, match="mpcc or nested"):
-        joint.solve(unlimited(), objective="error-l2 + 0.1*quality")
-    with pytest.raises(ValueError, match="joint minimises the energy only"):
-        mpcc.solve(unlimited(), start="joint", objective="error-l2")

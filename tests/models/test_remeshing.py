@@ -58,10 +58,6 @@ def remade(problem: ContactProblem, nodes: int | None = None, **options: Any) ->
     return remeshed_problem(problem, Solved.of(problem).regions, number, **options)[0]
 
 
-def without_limits(problem: ContactProblem) -> ContactProblem:
-    return replace(problem, motion=replace(problem.motion, delta=None))
-
-
 def count(problem: ContactProblem) -> int:
     return int(problem.mesh.p.shape[1])
 
@@ -98,7 +94,7 @@ class TestNumberOfNodes:
 class TestCarriedOver:
     def test_domain_names_and_everything_else(self) -> None:
         problem = block_between_two_foundations()
-        found = remade(without_limits(problem), 120)
+        found = remade(replace(problem, motion=Motion(None)), 120)
         assert np.abs(signed_areas(found.mesh.p, found.mesh.t)).sum() == pytest.approx(2.0)
         assert found.mesh.boundaries.keys() == problem.mesh.boundaries.keys()
         for name in ("law", "dirichlet", "obstacle", "tractions", "quadrature", "name", "units"):

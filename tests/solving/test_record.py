@@ -278,17 +278,16 @@ def test_the_pages_have_the_declared_entries_and_all_public_names(monkeypatch: p
     assert public <= set(re.findall(r"`rm\.(\w+)`", records_page.NAMES.read_text()))
 
 
-def half_touching(n: int, order: int) -> tuple[Solution, DisplacementSpace]:
-    """Touches for x < 0 with the pressure 3/2 sqrt(-x); no node at 0, so that contact ends within an edge."""
-    problem = replace(signorini.problem(n), order=order)
-    return fixed.solve(problem), DisplacementSpace(problem)
-
-
 @pytest.mark.parametrize("order", ORDERS)
 def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(order: int) -> None:
+    """The exact one touches for x < 0 with the pressure 3/2 sqrt(-x).
+
+    No node is at 0, so that contact ends within an edge.
+    """
     errors = []
     for n in (4, 9):
-        solution, space = half_touching(n, order)
+        problem = replace(signorini.problem(n), order=order)
+        solution, space = fixed.solve(problem), DisplacementSpace(problem)
         assert solution.success
         x, y = space.points(np.asarray(solution.mesh.p))
         wanted = np.array([float(signorini.exact(*at)) for at in zip(x, y, strict=True)])
