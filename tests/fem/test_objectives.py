@@ -23,6 +23,7 @@ from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, DesignVariable, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.contact_problem import refined
+from support.designs import block
 from support.objectives import value_on
 from support.orders import ORDERS
 from support.reduced import reduced
@@ -392,6 +393,20 @@ def test_files_are_beside_the_file_that_names_them() -> None:
         "2*fit(/a/b/m.csv) + square(fit(/a/b/c/m.csv) - 1)"
     )
     assert beside("fit(/m.csv) + mean(fit, -uy)", folder) == "fit(/m.csv) + mean(fit, -uy)"
+
+
+def test_moduli_and_friction_are_identified() -> None:
+    """From the displacement at the lower edge of the same block with other numbers."""
+    E, F = DesignVariable("E", 1.0, (0.5, 2.0)), DesignVariable("F", 0.05, (0.0, 0.3))
+    problem = replace(block(E, F, n=(4, 2)), motion=rm.Motion(delta=0.0))
+    true = rm.solve(problem.at_design({"E": 1.4, "F": 0.2}), "fixed")
+    nodes = np.flatnonzero(problem.mesh.p[1] == 0)
+    objective = 1e6 * rm.quantities.fit(problem.mesh.p[:, nodes], true.displacement[:, nodes])
+    found = rm.solve(problem, "nested", objective=objective)
+    assert found.success
+    assert found.record()["iterations"] < 100
+    assert found.design["E"] == pytest.approx(1.4, rel=1e-4)
+    assert found.design["F"] == pytest.approx(0.2, rel=1e-3)
 
 
 def test_the_gain_is_measured_on_refined_meshes_whose_triangles_a_point_could_leave() -> None:
