@@ -19,27 +19,26 @@ S = TypeVar("S", bound="Settings")
 class Number:
     """What a number may be: finite, above ``above`` and below ``below``.
 
-    A ``whole`` one is an int, not a float that happens to be whole. 0 may be too if ``zero``, and infinity if
+    With ``least`` it is an int of at least that, not a float that happens to be whole. Infinity may be too if
     ``infinite``, such as for a limit that is none.
     """
 
     above: float = 0.0
     below: float = math.inf
-    whole: bool = False
-    zero: bool = False
+    least: int | None = None
     infinite: bool = False
 
     def check(self, name: str, value: Any) -> None:
         """Raise a BadInputError that names the value if it is not such a number."""
         number = isinstance(value, Real) and not isinstance(value, bool)
-        if number and ((self.zero and value == 0) or (self.infinite and value == math.inf)):
+        if self.least is not None:
+            if not (number and isinstance(value, Integral) and int(value) >= self.least):
+                raise BadInputError(f"{name} must be a whole number of at least {self.least}, got {value!r}")
             return
-        least = 0 if self.zero else 1
-        if self.whole and not (number and isinstance(value, Integral) and int(value) >= least):
-            raise BadInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
+        if self.infinite and value == math.inf:
+            return
         if not (number and 0 < value < math.inf):
-            what = "finite and not negative" if self.zero else "positive and finite"
-            raise BadInputError(f"{name} must be {what}, got {value!r}")
+            raise BadInputError(f"{name} must be positive and finite, got {value!r}")
         if not value > self.above:
             raise BadInputError(f"{name} must be above {self.above:g}, got {value!r}")
         if not value < self.below:
@@ -49,8 +48,8 @@ class Number:
 Positive = Annotated[float, Number()]
 Part = Annotated[float, Number(below=1.0)]
 Factor = Annotated[float, Number(above=1.0)]
-Count = Annotated[int, Number(whole=True)]
-Limit = Annotated[int, Number(whole=True, zero=True)]
+Count = Annotated[int, Number(least=1)]
+Limit = Annotated[int, Number(least=0)]
 Seconds = Annotated[float, Number(infinite=True)]
 
 

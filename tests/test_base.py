@@ -39,8 +39,8 @@ def test_a_difference_within_rounding_is_none(a: float, b: float, wanted: float)
         (Number(), [1e-300, 1, 1e300], [0, -1, math.inf, math.nan, True, "1", None], "positive and finite"),
         (Number(below=1.0), [0.999], [1.0, 2], "below 1"),
         (Number(above=1.0), [1.001], [1.0, 0.5], "above 1"),
-        (Number(whole=True), [1, 10**9], [2.0], "a whole number of at least 1"),
-        (Number(whole=True, zero=True), [0, 3], [-1, math.inf, "0"], "a whole number of at least 0"),
+        (Number(least=1), [1, 10**9], [2.0], "a whole number of at least 1"),
+        (Number(least=0), [0, 3], [-1, math.inf, "0"], "a whole number of at least 0"),
         (Number(infinite=True), [math.inf, 0.1], [0, -math.inf], "positive and finite"),
     ],
 )

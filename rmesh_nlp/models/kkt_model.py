@@ -125,6 +125,9 @@ class Bilevel:
         """The symbolic MPCC."""
         free, rows = self.parts.mesh_map, self.assembled.g
         free_above = np.full(sum(self.sizes) - free.n, np.inf)
+        names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
+        ends = np.cumsum([0, *self.sizes]).tolist()
+        parts = zip(names, self.sizes, ca.vertsplit(self.x, ends), strict=True)
         return MPCC(
             x=self.x,
             f=self.assembled.f,
@@ -136,7 +139,8 @@ class Bilevel:
             lbg=self.lower,
             ubg=self.upper,
             derivatives=self.assembled.derivatives,
-            parts=_by_name(self.x, self.sizes),
+            # those of friction and of sums only if there are any
+            parts={name: part for name, size, part in parts if size or name in names[:3]},
         )
 
     def pair_rows(self, pairs: Index) -> Index:
@@ -253,10 +257,3 @@ def _part(field: Field, first: int, size: int) -> Field:
     """Some of the sums (m, 1)."""
     rows = slice(first, first + size)
     return Field(field.index[rows], field.scale[rows], field.offset[rows])
-
-
-def _by_name(x: ca.MX, sizes: tuple[int, ...]) -> dict[str, ca.MX]:
-    """The unknowns in the units of the model; those of friction and of sums only if there are any."""
-    names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
-    parts = zip(names, sizes, ca.vertsplit(x, np.cumsum([0, *sizes]).tolist()), strict=True)
-    return {name: part for name, size, part in parts if size or name in names[:3]}
