@@ -17,7 +17,8 @@ from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import area_ratios, is_upright, is_valid
-from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
@@ -127,6 +128,18 @@ def test_a_least_area_is_a_fraction_of_the_given_one(height: float, upright: boo
     assert is_upright(given, nodes) is upright
     assert is_valid(given, nodes) is valid
     assert is_valid(given, nodes, by_barrier=True) is upright
+
+
+def test_an_element_that_its_arc_cuts_is_not_valid_whatever_its_area() -> None:
+    """Outside the unit circle, which lies between the chord of two nodes and the third one."""
+    mesh = from_arrays([[1, 0], [2, 2], [0, 1]], [[0, 1, 2]], {"arc": lambda X: X.sum(axis=0) < 1.1})
+    motion = Motion(None, curves={"arc": Circle((0.0, 0.0), 1.0)})
+    problem, nodes = ContactProblem(mesh, Laplace(1.0), ("arc",), motion=motion), np.array(mesh.p)
+    far = np.flatnonzero(nodes.sum(axis=0) > 3)
+    for place, valid in ((0.8, True), (0.6, False)):
+        nodes[:, far] = place
+        assert area_ratios(problem, nodes)[0] > motion.min_area_fraction
+        assert is_valid(problem, nodes) is is_upright(problem, nodes) is valid
 
 
 @pytest.mark.parametrize("by_barrier", [False, True])
@@ -264,7 +277,7 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
         (lambda: Motion((0.1, np.inf)), r"got \(0.1, inf\)"),
         (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
         (lambda: Motion(Relative(0.0)), "relative must be positive and finite, got 0.0"),
-        (lambda: Motion(Relative(5)), "relative must be a part of the shortest edge .*, at most 1, got 5"),
+        (lambda: Motion(Relative(1.1)), "relative must be a part of .*, at most 1, got 1.1"),
         (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
         (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
         (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),

@@ -149,10 +149,10 @@ def test_a_spline_passes_through_its_points_at_about_unit_speed() -> None:
 def test_a_closed_spline_goes_on_smoothly_where_it_begins() -> None:
     spline = spline_of_the_hole()
     low, high = spline.interval
-    ends = np.array([low, high])
+    ends = np.array([low, high - 1e-7])  # the end itself is taken for the beginning
     for function in (spline.at, spline.velocity):
         value = function(ends)
-        np.testing.assert_allclose(value[:, 0], value[:, 1], atol=1e-9)
+        np.testing.assert_allclose(value[:, 0], value[:, 1], atol=1e-6)
         beyond = function(np.array([high + 0.3, low + 0.3]))
         np.testing.assert_allclose(beyond[:, 0], beyond[:, 1], atol=1e-9)
 

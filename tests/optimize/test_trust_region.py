@@ -119,6 +119,16 @@ def test_it_ends_only_where_it_is_stationary_and_nothing_is_predicted(tolerance,
     assert (np.max(np.abs(rosenbrock(result.x).gradient)) < 1e-8) == (iterations > 0)
 
 
+def test_what_rounding_hides_is_stalled_unless_it_is_stationary() -> None:
+    """A slope of 1 in a box of 1e-5, below the digits of a value of 1e12."""
+
+    def evaluate(x: Array) -> Evaluation:
+        return Evaluation(1e12 + x[0], np.ones(1), lambda: Matrix(np.eye(1)))
+
+    for tolerance, status in ((1e-6, Status.STALLED), (1e-4, Status.CONVERGED)):
+        assert descent(evaluate, [0.0], 1e-5, unit=1.0, tolerance=tolerance).status is status
+
+
 def test_a_callback_stops_it_and_the_iteration_limit_does() -> None:
     seen: list[int] = []
     stopped = descent(rosenbrock, on_step=lambda i, x: seen.append(i) or i == 2)

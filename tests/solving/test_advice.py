@@ -137,7 +137,6 @@ def test_rows_say_factors_and_what_they_cost() -> None:
     assert replace(advice, recommended="refine").sentence.startswith("refine")
 
 
-@pytest.mark.slow
 def test_a_factor_is_an_interval_where_errors_and_energies_fall_at_other_rates() -> None:
     """On 20 nodes 26 is predicted for a new mesh, and 3.4 is reached."""
     advice = advise(replace(random_problem(91022), motion=Motion(None)))
