@@ -253,6 +253,24 @@ def test_tied_node_moves_as_its_leader() -> None:
         assert np.any(move[:, tied] != 0)
 
 
+def beside_a_circle(**rules: object) -> ContactProblem:
+    """Left of the unit circle: node 1 where its angle jumps, node 4 on a straight side along its tangent."""
+    angle = np.deg2rad([170.0, 180.0, 190.0])
+    nodes = [*zip(np.cos(angle), np.sin(angle), strict=True), (-2, 0.5), (-2, 0), (-2, -0.5)]
+    triangles = [[0, 4, 1], [0, 3, 4], [1, 5, 2], [1, 4, 5]]
+    mesh = from_arrays(nodes, triangles, {"arc": lambda X: np.hypot(*X) < 1.01})
+    motion = Motion(None, curves={"arc": Circle((0.0, 0.0), 1.0)}, **rules)
+    return ContactProblem(mesh, Laplace(1.0), ("arc",), motion=motion)
+
+
+def test_unknowns_of_positions_are_those_they_come_from_also_where_an_angle_jumps() -> None:
+    free = MeshMap.of(beside_a_circle())
+    for q in (np.full(free.n, 0.1), np.full(free.n, -0.1)):
+        np.testing.assert_allclose(free.q_of(free.positions.values(q)), q, atol=1e-12)
+    with pytest.raises(ValueError, match="cannot make the moves"):  # those of the leader turn
+        MeshMap.of(beside_a_circle(tied=((4, 1),)))
+
+
 @pytest.mark.parametrize(
     ("motion", "change", "message"),
     [
