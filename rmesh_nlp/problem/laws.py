@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from numbers import Real
 from typing import ClassVar, TypeVar
 
 import casadi as ca
@@ -13,7 +14,7 @@ from skfem.models.elasticity import lame_parameters
 from rmesh_nlp.display import describe
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import Number, check_positive
 
 LOCKING = 0.45
 """Poisson's ratio from which on linear triangles in plane strain are too stiff."""
@@ -89,9 +90,9 @@ class Elastic(ABC):
         body_force: tuple[Coefficient, Coefficient] = (0.0, 0.0),
     ) -> E:
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
-        if is_number(young):
-            check_positive(young=young)
-        if is_number(poisson) and not -1 < poisson < 0.5:
+        if not isinstance(young, ca.SX):
+            Number().check("young", young)
+        if not isinstance(poisson, ca.SX) and not (isinstance(poisson, Real) and -1 < float(poisson) < 0.5):
             raise ValueError(f"poisson must lie between -1 and 0.5, got {poisson}")
         lame_lambda, lame_mu = lame_parameters(young, poisson)
         return cls(lame_lambda, lame_mu, body_force)

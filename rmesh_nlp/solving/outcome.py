@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.contact.system import OwnState
-from rmesh_nlp.errors import BadInputError, expect
+from rmesh_nlp.errors import BadInputError, expect, located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.entries import ENTRIES
@@ -57,10 +57,8 @@ class Outcome:
             raise BadInputError(f"q of an outcome must be of shape ({self.outer.n},), got {np.shape(self.q)}")
         if of_driver := [name for name in self.details if name in ENTRIES and ENTRIES[name].of is not None]:
             raise BadInputError(f"details: the driver itself writes {', '.join(of_driver)}")
-        try:
+        with located("details", (TypeError,)):
             json.dumps(plain(self.details))
-        except TypeError as error:
-            raise BadInputError(f"details: {error}") from error
 
     def having(self, details: Mapping[str, Any], **changes: Any) -> Outcome:
         """The same with further entries."""

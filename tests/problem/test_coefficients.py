@@ -187,6 +187,8 @@ def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> No
         (lambda: PlaneStrain.from_young(0.0, 0.3), "young must be positive and finite, got 0.0"),
         (lambda: PlaneStrain.from_young(1.0, 0.5), "poisson must lie between -1 and 0.5, got 0.5"),
         (lambda: PlaneStrain.from_young(1.0, -1.0), "between -1 and 0.5, got -1.0"),
+        (lambda: PlaneStrain.from_young(None, 0.3), "young must be positive and finite, got None"),
+        (lambda: PlaneStrain.from_young(1.0, "x"), "between -1 and 0.5, got x"),
     ],
 )
 def test_what_is_no_material_and_no_function_is_refused(make: object, message: str) -> None:
