@@ -49,11 +49,6 @@ class Validity:
         """Number of rows."""
         return self.bound.size
 
-    @property
-    def rows_per_element(self) -> int:
-        """1, or 4 with a least angle."""
-        return int(self.group.function.size1_out(1))
-
     @cached_property
     def q(self) -> ca.MX:
         """The symbol of the outer variables in ``assembled``."""

@@ -215,7 +215,7 @@ def test_rows_of_an_element_are_its_area_and_then_its_angles() -> None:
     problem = EXAMPLES["6.1"](3)
     outer = Outer.of(replace(problem, motion=Motion(None, min_angle=20.0)))
     validity = outer.relocation.validity
-    per_element = validity.rows_per_element
+    per_element = len(validity.group.rows)
     assert per_element == 4
     values = np.arange(validity.elements.size * per_element) + 1.0
     none = np.zeros(outer.n)
