@@ -1,6 +1,6 @@
 """What a mesh is worth to the continuous problem: the exact energy of an admissible displacement.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``admissible``: Admissible, admissible, Continuous
 - ``contact_results``: contact_results, ContactResult, worse

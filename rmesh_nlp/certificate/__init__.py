@@ -2,7 +2,7 @@
 
 :func:`rmesh_nlp.solving.certify.certify` bounds the error of a solution with them.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``bracket``: BENT, Bracket, refined_bracket, UNKNOWN
 - ``equilibration``: Guess

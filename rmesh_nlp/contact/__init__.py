@@ -1,6 +1,6 @@
 """The inner problem: contact on a fixed mesh, solved exactly.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``active_set``: solve
 - ``factorisation``: factorised, HAS_CHOLMOD

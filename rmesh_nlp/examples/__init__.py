@@ -1,6 +1,6 @@
 """The paper's examples, and reference solutions for those without an exact one.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``paper``: as_size, PRINTED_DIGITS, RULES, truncated
 - ``random_problems``: random_problem

@@ -1,6 +1,6 @@
 """Finite elements: element functions, their sums over a mesh, energies, stresses.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``assembly``: Assembled, element_values, Sums
 - ``bernstein``: functions, SIDES, size, slopes, to_coefficients

@@ -1,6 +1,6 @@
 """Files in and out: problem files, records, fields, meshes.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``export``: Series, write_mesh, write_solution
 - ``folder``: append_whole, folder_aside, Manifest, read_text, remove_leftovers, safe_name, write_text,

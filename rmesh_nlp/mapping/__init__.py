@@ -1,6 +1,6 @@
 """Outer variables q -> node positions X(q): move limits, curves, ties, validity of elements.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``mesh_map``: MeshMap, VertexParameters
 - ``validity``: is_upright, is_valid, least_angles, least_area_ratio, Validity, validity

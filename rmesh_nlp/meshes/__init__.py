@@ -1,6 +1,6 @@
 """Meshes in: arrays and simple shapes, with named boundaries and subdomains; files in ``reading``.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``arrays``: from_arrays
 - ``coarsening``: decimated, Lines

@@ -1,6 +1,6 @@
 """The models of the outer problem: energy NLP, KKT model (MPCC), reduced model; levels of meshes.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``attainable``: LeastErrors
 - ``branches``: Branches

@@ -2,7 +2,7 @@
 
 >>> from rmesh_nlp.mpcc import MPCC, solve
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``ampl``
 - ``lifting``: lift

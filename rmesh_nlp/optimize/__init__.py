@@ -1,6 +1,6 @@
 """Nonlinear programs (NLP) and descents; knows nothing of meshes.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``activity``: both_vanish, BOUND_OF_AN_NLP, is_inside, ZERO
 - ``budget``: Budget, deferred, LEAST_SECONDS, Limits, processor_seconds, StoppedError, timed

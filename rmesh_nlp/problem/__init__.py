@@ -1,6 +1,6 @@
 """A contact problem as a user describes it: mesh, laws, supports, loads, contact, and how nodes may move.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``body``: Body, determinants, Edges, gradients, sides_on
 - ``coefficients``: at, Coefficient, is_nonzero, is_number, on_points, once, OPEN, POSITION

@@ -1,6 +1,6 @@
 """Tables and figures from records; nothing is solved here.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``blocks``: in_common_units
 - ``figures``: figures

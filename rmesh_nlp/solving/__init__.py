@@ -1,6 +1,6 @@
 """One solve: the driver, what a formulation gets and returns, its assessment, the solution.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``advice``: advise
 - ``driver``: solve

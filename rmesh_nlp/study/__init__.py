@@ -2,7 +2,7 @@
 
 A study file becomes a plan of solves with content keys, which workers perform, one row each.
 
-Other folders use of its modules:
+What other folders use of its modules:
 
 - ``comparison``
 - ``engine``
