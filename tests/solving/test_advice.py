@@ -43,10 +43,12 @@ def test_a_parabola_is_best_meshed_by_strips() -> None:
     assert found.attainable_same_connectivity >= 1.0
     assert found.recommended == "remesh"
     assert found.predicted_factor == found.remeshing_factor <= found.attainable_factor
+    assert "rmesh solve --remesh" in dict(found.rows())
 
 
 def test_a_linear_solution_leaves_nothing_to_gain() -> None:
-    found = advise(parabola(2, law=Laplace(0.0)))
+    found = advise(parabola(2, law=Laplace(0.0), motion=Motion(0.1)))
+    assert "rmesh solve --delta none --remesh" in dict(found.rows())  # limits are not regarded
     assert (found.error, found.attainable_factor, found.recommended) == (0.0, 1.0, "refine")
     assert (found.record()["second_order_factor"], np.isfinite(found.predicted_factor)) == (1.0, True)
 
