@@ -7,52 +7,71 @@ curves, its energy is never below the least one. By Theorem 4.1 it falls if and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
 from rmesh_nlp.assessment.parts import PROVED
-from rmesh_nlp.assessment.tightening import tightened
+from rmesh_nlp.assessment.tightening import Springs, tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import ROUNDING, Array, magnitude, numbers_of
+from rmesh_nlp.evaluation import ROUNDING, Array, Index, magnitude, numbers_of
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.problem.data import ContactSet
 
 REPEATS = 12
-"""Contact solves with larger stand-offs, where normals vary along an edge, and meshes on which triangles are
-cut all of whose nodes are held, where the foundation rises through them."""
+"""Times that nodes are raised by what is missing, more than once where normals vary along an edge; and meshes
+on which triangles are cut all of whose nodes are held, where the foundation rises through them."""
+
+
+class _Reduced(NamedTuple):
+    """The program in the unknowns ``last`` (k,) that contact acts on, and all unknowns by these."""
+
+    program: ContactSystem
+    whole: Callable[[Array], Array]
+    last: Index
 
 
 @dataclass(frozen=True)
 class Admissible:
     """A displacement that is admissible for the continuous problem, and its energy."""
 
-    parts: Discretisation  # of the mesh, locally refined where given displacements left no room
-    body: Body
+    continuous: Continuous  # on a mesh that is locally refined where given displacements left no room
     system: ContactSystem  # with the stand-offs, and friction bounded from above
     state: Equilibrium
     displacement: Array  # (components, nodes), at the nodes of the displacement space
     energy: float  # J of the continuous problem: strain - work + friction
     strain: float
     friction: float
-    doubt: float  # what quadrature may have changed in the energy
+    doubt: float  # what quadrature and rounding may have changed in the energy
     penetration: float  # what is left of it; positive only if the repeats did not suffice
 
     @property
+    def parts(self) -> Discretisation:
+        """The discretisation on that mesh."""
+        return self.continuous.parts
+
+    @property
+    def body(self) -> Body:
+        """The body with that mesh."""
+        return self.continuous.body
+
+    @property
     def problem(self) -> ContactProblem:
-        """That of the discretisation."""
+        """The problem on that mesh."""
         return self.parts.problem
 
     @property
@@ -124,9 +143,9 @@ class Continuous:
         """The same with the foundation of a contact set raised along its normal, everywhere by a length."""
         other, offset = copy(self), self._bare.offset.copy()
         offset[contact.rows] -= by
-        vars(other)["_bare"] = self._bare.with_offset(offset)
+        vars(other).update(_bare=self._bare.with_offset(offset), _reduced=self._reduced)
         other.cells = [
-            replace(cells, distance=cells.distance - by, low=cells.low - by, at_nodes=cells.at_nodes - by)
+            replace(cells, distance=cells.distance - by, at_nodes=cells.at_nodes - by)
             if cells.contact.number == contact.number
             else cells
             for cells in self.cells
@@ -144,51 +163,113 @@ class Continuous:
                 room = min(room, np.min(gaps[held], initial=np.inf), np.min(between, initial=np.inf))
         return float(room)
 
-    def solve(self, start: ActiveSet | None = None, *, tighten: bool = True) -> Admissible:
-        """The admissible displacement of least energy, friction bounded from above.
+    @cached_property
+    def _reduced(self) -> _Reduced:
+        """The program without stand-offs; the whole one where it has no fewer entries."""
+        bare, acted = self._bare, [self._bare.normals.indices, self._bare.tangents.indices]
+        for cells in self.cells:
+            acts = self.problem.frictional | np.any(cells.normals != 0, axis=(1, 2))
+            acted.append(self.field.index[acts][:, cells.nodes].ravel())
+        last = np.unique(numbers_of(acted))
+        last = last[last >= 0]
+        if (condensed := bare.condensed(last)) is None:
+            return _Reduced(bare, lambda u: u, np.arange(bare.load.size))
+        return _Reduced(*condensed, last)
 
-        Without ``tighten`` nodes keep off as far as they must by themselves, at a tenth of the cost.
+    def solve(self, start: ActiveSet | None = None) -> Admissible:
+        """The admissible displacement of least energy.
+
+        With Coulomb friction, where no energy is least, that in equilibrium.
         """
-        standoff, violation = self.first_standoff(), 0.0
-        system = self.system(standoff)
-        state = _solved(system, start)
-        rises = np.any(standoff) or any(part.obstacle.level is not None for part in self.space.contact_sets)
-        if rises:
-            state, standoff, violation = self._safe(system, state, standoff)
-        # coefficients that are not negative are more than a gap of order 2 needs
-        tighten &= violation == 0 and not self.problem.has_coulomb
-        if tighten and (rises or (self.cells and self.space.order == 2)):
-            closer = tightened(system, state, self.cells, self.field)
-            if closer is not None and closer.energy < state.energy:
-                gap = self._bare.normals @ closer.u + self._bare.offset
-                state, standoff = closer, np.where(closer.active.touching, gap, 0.0)
-        system = self.system(standoff)
-        displacement = self.field.values(state.u)
-        u = displacement.T.ravel()
-        strain, work = 0.5 * float(u @ (self.stiffness @ u)), float(self.load @ u)
-        friction, doubt = 0.0, float(self._load_doubt @ np.abs(u))
-        for part, edges in self._rubbing:
-            ends = displacement[:, self.space.nodes_of(edges.ends)]
-            values, wrong = friction_energy(edges, part.obstacle, ends)
-            friction, doubt = friction + float(np.sum(values)), doubt + float(np.sum(wrong))
-        energies = strain - work + friction, strain, friction, doubt
-        return Admissible(self.parts, self.body, system, state, displacement, *energies, violation)
+        standoff, (program, whole, last) = self.first_standoff(), self._reduced
+        state = _solved(program.with_offset(self._bare.offset - standoff), start)
+        if self._is_loose(standoff, state):
+            springs = self._springs(last)
 
-    def _safe(
-        self, system: ContactSystem, state: Equilibrium, standoff: Array
-    ) -> tuple[Equilibrium, Array, float]:
-        """Stand-offs raised until no violation is left where normals vary; what is left else."""
+            def displacement(x: Array) -> Array:
+                u = np.zeros(self._bare.load.size)
+                u[last] = x
+                return self.field.values(u)
+
+            x, forces = tightened(program, state, displacement, springs)
+            state = self._at_nodes(springs, x, forces)
+            gap = program.normals @ x + self._bare.offset
+            standoff = np.where(state.active.touching, gap, 0.0)
+        return self._made(self.system(standoff), replace(state, u=whole(state.u)))
+
+    def _is_loose(self, standoff: Array, state: Equilibrium) -> bool:
+        """Whether nodes may keep off too far, or friction along edges be less than at nodes."""
+        if self.problem.has_coulomb or not self.cells:
+            return False
+        if (
+            self.space.order == 2
+            or np.any(standoff)
+            or any(part.obstacle.level is not None for part in self.space.contact_sets)
+        ):
+            return True
+        for part, edges in self._rubbing:
+            rows = np.full(self.space.n_nodes, -1)
+            rows[part.nodes] = part.rows
+            if np.any(np.ptp(state.active.sliding[rows[edges.ends]], axis=0)):
+                return True
+        return False
+
+    def _springs(self, last: Index) -> list[Springs]:
+        """Springs of gaps and of friction at the points of all cells, for the unknowns ``last``."""
+        place = np.full(self._bare.load.size + 1, -1)  # the last one is that of no unknown
+        place[last], springs = np.arange(last.size), []
+        for cells in self.cells:
+            places = place[np.moveaxis(self.field.index[:, cells.nodes], 2, 0)].reshape(cells.number.size, -1)
+            springs.append(Springs(cells, cells.normals, None, places))
+            if cells.contact.obstacle.has_bound:
+                bound = on_points(cells.contact.obstacle.friction, cells.points, "the friction bound")
+                springs.append(Springs(cells, cells.tangents, bound * cells.lengths, places))
+        return springs
+
+    def _at_nodes(self, springs: Sequence[Springs], x: Array, forces: Sequence[Array]) -> Equilibrium:
+        """The displacement with the forces at points shared among their nodes.
+
+        A node touches where its share of pressure is positive, and slides where friction has its bound.
+        """
+        normal, along, bound = np.zeros((3, self._bare.offset.size))
+        for part, force in zip(springs, forces, strict=True):
+            rows, free = part.cells.rows, part.cells.rows >= 0
+            pairs = [(normal, force)] if part.limit is None else [(along, force), (bound, part.limit)]
+            for total, values in pairs:
+                np.add.at(total, rows[free], (part.cells.shares @ values.T)[free])
+        along, bound = (each[: self._bare.slip_bound.size] for each in (along, bound))
+        sliding = np.where(np.abs(along) < bound * (1 - ROUNDING), 0, -np.sign(along)).astype(np.int8)
+        return Equilibrium(x, np.nan, normal, along, ActiveSet(normal > 0, sliding), Status.CONVERGED, 1)
+
+    def _made(self, system: ContactSystem, state: Equilibrium) -> Admissible:
+        """The displacement, its nodes raised by what it lacks to be admissible, and its energy."""
+        u, normals = state.u, self._bare.normals
+        rounding = 8 * np.finfo(float).eps * (magnitude(u) + magnitude(self._bare.offset))
         for _ in range(REPEATS):
-            displacement = self.field.values(state.u)
-            raised = self._raised([cells.missing(displacement) for cells in self.cells])
-            violation = float(np.max(raised, initial=0.0))
-            size = magnitude(state.u) + magnitude(system.offset)
-            if violation <= ROUNDING * size:
-                return state, standoff, 0.0
-            standoff = standoff + 1.1 * raised
-            system = system.with_offset(system.offset - 1.1 * raised)
-            state = _solved(system, state.active)
-        return state, standoff, violation
+            displacement = self.field.values(u)
+            missing = self._raised([cells.missing(displacement) for cells in self.cells])
+            penetration = float(np.max(missing, initial=0.0))
+            if penetration <= rounding:
+                penetration = 0.0
+                break
+            step = np.where(missing > 0, 1.1 * missing + rounding, 0.0)
+            u = u + normals.T @ (step / normals.power(2).sum(axis=1))
+        state, full = replace(state, u=u, energy=system.energy(u)), displacement.T.ravel()
+        strain, work = 0.5 * float(full @ (self.stiffness @ full)), float(self.load @ full)
+        friction, doubt = self.friction(displacement)
+        rounding = np.finfo(float).eps * (abs(self.stiffness) @ np.abs(full) + np.abs(self.load))
+        doubt += float((self._load_doubt + rounding) @ np.abs(full))
+        energies = strain - work + friction, strain, friction, doubt
+        return Admissible(self, system, state, displacement, *energies, penetration)
+
+    def friction(self, displacement: Array) -> tuple[float, float]:
+        """The integral of friction bound times slip of a displacement (components, nodes), and its doubt."""
+        parts = [
+            friction_energy(edges, part.obstacle, displacement[:, self.space.nodes_of(edges.ends)])
+            for part, edges in self._rubbing
+        ]
+        value, doubt = np.sum([np.sum(each, axis=1) for each in parts], axis=0) if parts else (0.0, 0.0)
+        return float(value), float(doubt)
 
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""

@@ -121,7 +121,7 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
         if points is None:
             wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, lower))
         if depth == 0:
-            scale = np.sum(np.abs(fine), axis=1, keepdims=True)
+            scale = np.max(np.sum(np.abs(fine), axis=1))  # of all rows, which have one unit: one may vanish
         wrong = np.broadcast_to(wrong, fine.shape)
         split = np.any(wrong > ROUNDING * scale, axis=0) & (depth < DEPTH)
         total, doubt = (

@@ -35,18 +35,20 @@ def corrections(
     """What the continuous energy differs by from that of a contact solution, by what it is due to.
 
     Penetration between nodes: the work of the contact forces along the additional stand-offs. Friction
-    lumped at nodes and the shape of the body: the differences of these energies at the admissible
-    displacement. Quadrature of the loads: what is left. On a mesh that had to be refined all of it counts
-    as penetration.
+    lumped at nodes: the mean difference of its energies at the two displacements. The shape of the body: that
+    of the strain energies at the admissible one. Quadrature of the loads: what is left. On a mesh that had to
+    be refined all of it counts as penetration.
     """
     own = dict.fromkeys(EXPLOITS, 0.0)
     if exact.problem is not model.problem:
         return {**own, "penetration": exact.energy - solved.energy}
     strain, friction = model.strain_and_friction(nodes, exact.state.u)
+    before = model.strain_and_friction(nodes, solved.u)[1]
+    friction_before = exact.continuous.friction(model.displacement.values(solved.u))[0]
     force = (solved.normal_force + exact.state.normal_force) / 2
     causes = {
         "penetration": float(force @ (model.system(nodes).offset - exact.system.offset)),
-        "friction": exact.friction - friction,
+        "friction": (exact.friction - friction + friction_before - before) / 2,
         "geometry": exact.strain - strain,
     }
     return {"quadrature": exact.energy - solved.energy - sum(causes.values()), **causes}

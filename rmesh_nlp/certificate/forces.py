@@ -22,7 +22,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from rmesh_nlp.assessment.admissible import Admissible, Continuous
+from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.evaluation import ROUNDING, magnitude
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Place
@@ -37,7 +37,7 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
     """
     if not exact.problem.obstacles:
         return {}
-    continuous, active = Continuous(exact.parts, exact.body.nodes), exact.state.active
+    continuous, active = exact.continuous, exact.state.active
     bounds, gap = {}, max(exact.energy - lower, ROUNDING * exact.strain)
     size = float(magnitude(exact.displacement) * np.sqrt(gap / max(exact.strain, 1e-300)))
     gaps = exact.system.normals @ exact.state.u + exact.system.offset
@@ -46,7 +46,7 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
             continue
 
         def upper(by: float, contact: ContactSet = contact) -> float:
-            trial = continuous.shifted(contact, by).solve(active, tighten=False)
+            trial = continuous.shifted(contact, by).solve(active)
             return trial.energy + trial.doubt if trial.status is Status.CONVERGED else np.inf
 
         raised = exact.system.offset.copy()

@@ -112,7 +112,7 @@ def first_set(system: ContactSystem) -> ActiveSet:
         return replace(start, touching=np.ones(system.offset.size, dtype=bool))
     rows = sp.vstack([system.normals, system.tangents]) if system.slip_bound.size else system.normals
     condensed = system.condensed(np.unique(rows.indices))
-    return start if condensed is None else solve(condensed, start).active
+    return start if condensed is None else solve(condensed[0], start).active
 
 
 def at_rest(system: ContactSystem) -> ActiveSet:

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
@@ -22,8 +23,9 @@ from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
 
-SAMPLES = 128
-"""Parts of an edge between whose ends the foundation is looked at; its middle is one of these places."""
+SAMPLES, FINE = 128, 4
+"""Parts of an edge at whose ends gaps hold, its middle is one of these, and of these parts between whose ends
+the foundation is looked at."""
 
 LATTICES, POINTS = (48, 32, 24, 16, 12), 150_000
 """The same along the sides of a triangle: the finest with which the mesh has no more points than this, or the
@@ -47,7 +49,7 @@ class Cells:
     shares: Array  # (v, k), N_i at the points
     points: Array  # (2, m, k)
     distance: Array  # (m, k), gaps without displacement
-    low: Array  # (m, k), the same less what they may fall by between the points
+    sag: Array  # (m, k - 1) of edges, what they may fall by from one point to the next; of triangles (m, k)
     at_nodes: Array  # (v, m), coefficients d_i of the interpolant of these gaps
     vertices: int  # nodes of a cell at its vertices, which come first
     bends: Array  # (v, directions), second differences of N_i between points; no directions if N_i is linear
@@ -57,7 +59,7 @@ class Cells:
 
         ``given`` (nodes,) is the displacement along the normal where it is given.
         """
-        height = self.shares.T @ self.at_nodes - self.low.T
+        height = self.shares.T @ self.at_nodes - (self.distance - self._beside(self.sag)).T
         return self._needed(height, np.where(self.rows < 0, self.at_nodes + given[self.nodes], 0.0))
 
     def unreachable(self, given: Array) -> Index:
@@ -74,26 +76,56 @@ class Cells:
         """(components, m, k) unit normals at the points."""
         return self.contact.obstacle.normals(self.points)
 
+    @cached_property
+    def tangents(self) -> Array:
+        """(components, m, k) unit tangents there, the normals turned by -90 degrees."""
+        return np.stack([self.normals[1], -self.normals[0]])
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(m, k) length of the edge that each point stands for."""
+        half = np.linalg.norm(np.diff(self.points), axis=0) / 2
+        return np.pad(half, ((0, 0), (1, 0))) + np.pad(half, ((0, 0), (0, 1)))
+
+    def displaced(self, displacement: Array) -> Array:
+        """(components, m, k) the displacement (components, nodes) at the points."""
+        return np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
+
     def along(self, displacement: Array) -> Array:
         """(m, k) components of a displacement (components, nodes) along the normals at the points."""
-        u = np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
-        return np.sum(self.normals * u, axis=0)
+        return np.sum(self.normals * self.displaced(displacement), axis=0)
 
     def gaps(self, displacement: Array) -> Array:
         """(m, k) least gaps about the points."""
-        return self.along(displacement) + self.low - self.dips(displacement)
+        return self.along(displacement) + self.distance - self.dips(displacement)
 
     def depths(self, displacement: Array) -> Array:
         """(m,) how far the foundation passes into each cell at its points, 0 without."""
         return np.abs(np.minimum(np.min(self.along(displacement) + self.distance, axis=1), 0.0))
 
     def dips(self, displacement: Array) -> Array:
-        """(m, k) by how much the normal displacement is less between the points: of a parabola an eighth."""
-        result = np.zeros(self.low.shape)
+        """(m, k) by how much the gap may be less about the points than there, for a displacement.
+
+        Where it changes by d from one point to the next, and lies at most ``D t (1 - t) / 2`` below its
+        chord, it is less than at both by ``(D / 2 - |d|)^2 / (2 D)`` if ``|d| < D / 2``, and else not at all.
+        In triangles d is not regarded.
+        """
+        bend = np.zeros(self.distance.shape)
         for bends in self.bends.T:
             bent = np.einsum("cvm,v->cm", displacement[:, self.nodes], bends)
-            result += np.maximum(np.sum(self.normals * bent[..., None], axis=0), 0.0) / 8
-        return result
+            bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
+        if self.sag.shape == bend.shape:
+            return self.sag + bend / 8
+        bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * self.sag
+        change = np.abs(np.diff(self.along(displacement) + self.distance))
+        rest = np.maximum(bend / 2 - change, 0.0)
+        return self._beside(np.divide(rest**2, 2 * bend, out=np.zeros_like(bend), where=bend > 0))
+
+    def _beside(self, sag: Array) -> Array:
+        """(m, k) largest of what is between points and their neighbours."""
+        if sag.shape == self.distance.shape:
+            return sag
+        return np.maximum(np.pad(sag, ((0, 0), (1, 0))), np.pad(sag, ((0, 0), (0, 1))))
 
     def missing(self, displacement: Array) -> Array:
         """(m,) by how much the free nodes of each cell must keep off more than they do; not negative."""
@@ -119,39 +151,53 @@ def cells_of(body: Body, space: DisplacementSpace, contact: ContactSet) -> Itera
     row = np.full(space.n_nodes, -1)
     row[contact.nodes] = contact.rows
     at: Callable[[Index, Array], tuple[Array, Array]]
+    sag: Callable[[Array], Array]
     if contact.obstacle.boundary is Place.INTERIOR:
         nodes, at = space.elements, body.points
         fits = [n for n in LATTICES if n * n / 2 * nodes.shape[1] <= POINTS]
-        n = fits[0] if fits else LATTICES[-1]
-        barycentric, bends = _lattice(n)
+        n, every = fits[0] if fits else LATTICES[-1], 1
+        barycentric, triples = _lattice(n)
         where, steps = barycentric[:, None], (np.roll(np.eye(3), 1, axis=0) - np.eye(3)) / n
+        sag = partial(_about, triples=triples)
     else:
         edges = body.edges(str(contact.obstacle.boundary))
-        nodes, at = space.nodes_of(edges.ends), edges.at
-        barycentric, bends, where = np.stack([1 - _ALONG, _ALONG]), _EDGE_BENDS, _ALONG[None]
+        nodes, at, every, sag = space.nodes_of(edges.ends), edges.at, FINE, _between
+        where = np.arange(SAMPLES * FINE + 1)[None] / (SAMPLES * FINE)
+        barycentric = np.stack([1 - where[0, ::FINE], where[0, ::FINE]])
         steps = np.array([[-1.0], [1.0]]) / SAMPLES
     shares, to_gaps = functions(space.order, barycentric), to_coefficients(space.order, len(barycentric))
     own = np.argmax(shares, axis=1)  # the points of the nodes
     # a quadratic form has twice its value at the step as its second difference
     turns = 2 * functions(space.order, steps) if space.order == 2 else np.zeros((len(shares), 0))
-    step, order = max(1, 400_000 // shares.shape[1]), np.argsort(bends.ravel(), kind="stable")
-    # the bends that each point belongs to, point after point
-    beside, begins = order % bends.shape[1], np.flatnonzero(np.diff(bends.ravel()[order], prepend=-1))
-    for first in range(0, nodes.shape[1], step):
-        part = np.arange(first, min(first + step, nodes.shape[1]))
-        shape = (*where.shape[:-2], part.size, shares.shape[1])
-        points = at(part, np.broadcast_to(where, shape))[0]
-        distance = contact.obstacle.distances(points)
-        bend = distance[:, bends[0]] - 2 * distance[:, bends[1]] + distance[:, bends[2]]
-        low = distance - BETWEEN * np.maximum.reduceat(np.abs(bend.T)[beside], begins).T
+    size = max(1, 400_000 // where.shape[-1])
+    for first in range(0, nodes.shape[1], size):
+        part = np.arange(first, min(first + size, nodes.shape[1]))
+        points = at(part, np.broadcast_to(where, (*where.shape[:-2], part.size, where.shape[-1])))[0]
+        looked = contact.obstacle.distances(points)
+        points, distance = points[..., ::every], looked[:, ::every]
         some, at_nodes = nodes[:, part], to_gaps @ distance[:, own].T
+        rows, corners = row[some], len(barycentric)
         yield Cells(
-            contact, part, some, row[some], shares, points, distance, low, at_nodes, len(barycentric), turns
+            contact, part, some, rows, shares, points, distance, sag(looked), at_nodes, corners, turns
         )
 
 
-_ALONG = np.arange(SAMPLES + 1) / SAMPLES
-_EDGE_BENDS = np.arange(SAMPLES - 1) + np.array([[0], [1], [2]])
+def _between(distance: Array) -> Array:
+    """(m, k - 1) how far a gap may lie below its chords, by its values at every part of those."""
+    parts = sliding_window_view(distance, FINE + 1, axis=1)[:, ::FINE]
+    chords = parts[..., :1] + (parts[..., -1:] - parts[..., :1]) * (np.arange(FINE + 1) / FINE)
+    bend = np.pad(np.abs(np.diff(distance, 2)), ((0, 0), (1, 1)))
+    largest = np.max(sliding_window_view(bend, FINE + 1, axis=1)[:, ::FINE], axis=2)
+    return np.max(chords - parts, axis=2) + BETWEEN * largest
+
+
+def _about(distance: Array, triples: Index) -> Array:
+    """(m, k) how far a gap may lie below its values at the points of a triangle."""
+    order = np.argsort(triples.ravel(), kind="stable")
+    # the bends that each point belongs to, point after point
+    beside, begins = order % triples.shape[1], np.flatnonzero(np.diff(triples.ravel()[order], prepend=-1))
+    bend = distance[:, triples[0]] - 2 * distance[:, triples[1]] + distance[:, triples[2]]
+    return BETWEEN * np.maximum.reduceat(np.abs(bend.T)[beside], begins).T
 
 
 @lru_cache

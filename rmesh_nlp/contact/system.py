@@ -8,6 +8,7 @@ lambda_i, lambda the contact force: no longer a program, but the conditions of o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -16,7 +17,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from rmesh_nlp.contact.factorisation import Solve, condensed, factorised, factorised_lu
+from rmesh_nlp.contact.factorisation import Condensed, Solve, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
 from rmesh_nlp.optimize.status import Status
 
@@ -76,16 +77,18 @@ class ContactSystem:
         vars(other)["rotated"] = self.rotated
         return other
 
-    def condensed(self, last: Index) -> ContactSystem | None:
+    def condensed(self, last: Index) -> tuple[ContactSystem, Callable[[Array], Array]] | None:
         """The program in the unknowns ``last`` (k,) alone, among which are all that contact acts on.
 
-        None where there are none, where its matrix has more entries, or where only contact holds the body.
+        And all unknowns (m,) in equilibrium with these. None where there are none, or where its matrix has
+        more entries.
         """
-        if last.size == 0 or last.size**2 > self.stiffness.nnz or self.rigid is not None:
+        if last.size == 0 or last.size**2 > self.stiffness.nnz:
             return None
-        stiffness, load = condensed(self.stiffness, self.load, last)
-        own = {"normals": self.normals[:, last], "tangents": self.tangents[:, last]}
-        return replace(self, stiffness=sp.csc_array(stiffness), load=load, **own)
+        part = Condensed(self.stiffness, self.load, last)
+        own = {name: getattr(self, name)[:, last] for name in ("normals", "tangents")}
+        rigid = None if self.rigid is None else self.rigid[last]
+        return replace(self, stiffness=sp.csc_array(part.S), load=part.load, rigid=rigid, **own), part.whole
 
     @cached_property
     def rotated(self) -> RotatedSystem:

@@ -35,6 +35,9 @@ POLYGON = (
 )
 
 
+CROSSED = "it contradicts the other one, so one of them is wrong"
+
+
 def certify(
     solution: Solution, *, quantities: Sequence[str] = (), refinements: int | None = None
 ) -> Certificate:
@@ -86,11 +89,10 @@ def bounded(
     nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
-    before, why = after, after.why
+    before, is_one = after, True
     is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
     if is_new or not np.array_equal(nodes, given.mesh.p):
-        before = _bracket(given, _on_polygon(given, given.continuous), refinements)
-        why = (*after.why, *(f"given mesh: {reason}" for reason in before.why))
+        before, is_one = _bracket(given, _on_polygon(given, given.continuous), refinements), False
         is_same = not final.design  # else the bounds are those of two problems
         if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
             best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
@@ -100,6 +102,8 @@ def bounded(
             )
         if is_new:  # the elements of a file are those of the last mesh
             before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
+    before, after = _consistent(before), _consistent(after)
+    why = after.why if is_one else (*after.why, *(f"given mesh: {reason}" for reason in before.why))
     bounds = {
         resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
         for name, (low, high) in force_bounds(exact, after.lower).items()
@@ -140,6 +144,13 @@ def with_upper(bracket: Bracket, continuous: Admissible) -> Bracket:
     return replace(bracket, upper=continuous.energy + continuous.doubt, upper_faults=faults)
 
 
+def _consistent(bracket: Bracket) -> Bracket:
+    """The bracket, both of whose bounds are withdrawn where they contradict each other."""
+    if bracket.why or bracket.lower <= bracket.upper:
+        return bracket
+    return replace(bracket, lower_faults=(CROSSED,), upper_faults=(CROSSED,))
+
+
 def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements: int | None) -> Bounds:
     """Bounds of the work of a load on the exact solution, on which it does not act."""
     parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
@@ -173,7 +184,8 @@ def _certificate(
     before: Bracket, after: Bracket, why: tuple[str, ...], bounds: dict[str, Bounds]
 ) -> Certificate:
     # half the square of the admissible displacement's error is at most the gap between the bounds
-    gaps = (max(before.upper - before.lower, 0.0), max(after.upper - after.lower, 0.0))
+    both = before.upper - before.lower, after.upper - after.lower
+    gaps = both[0] if both[0] >= 0 else np.nan, both[1] if both[1] >= 0 else np.nan
     apart = before.distance, after.distance
     errors = [float(np.sqrt(2 * gap)) + distance for gap, distance in zip(gaps, apart, strict=True)]
     return Certificate(

@@ -175,7 +175,7 @@ class Certificate:
         admissible displacement on the mesh of the solution, with the doubt of its quadrature. On curved
         bodies both are of the polygon, and ``upper`` is the energy of the solution.
     gaps : (float, float)
-        ``upper - lower`` on the given mesh and on the relocated one.
+        ``upper - lower`` on the given mesh and on the relocated one; NaN where they contradict each other.
     error_bound_initial, error_bound : float
         Bounds of the error in the energy norm (twice the strain energy, its root) on the given
         mesh and on the relocated one: roots of twice the gaps, and the distance of the computed displacement
@@ -233,11 +233,14 @@ class Certificate:
     @property
     def sentence(self) -> str:
         """What it says of the error in words."""
-        if self.is_disproved:
-            return (
-                f"no error bound: the energy {figure(self.upper)} lies below the proven bound "
-                f"{figure(self.lower)}, so the displacement is not admissible"
+        if self.upper < self.lower:
+            word, cause = (
+                ("proven ", "the displacement is not admissible")
+                if self.guaranteed_lower
+                else ("", "one is wrong")
             )
+            energy, bound = figure(self.upper), figure(self.lower)
+            return f"no error bound: the energy {energy} lies below the {word}bound {bound}, so {cause}"
         word = "at most" if self.is_guaranteed else "estimated at"
         before, after = (f"{100 * part:.3g} %" for part in (self.relative_initial, self.relative))
         return f"error in the energy norm {word} {before} before, {after} after"

@@ -12,9 +12,10 @@ import pytest
 
 from rmesh_nlp.assessment.admissible import Admissible, Continuous, admissible
 from rmesh_nlp.assessment.measures import equilibrium_residual
+from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.contact.standoff import SAMPLES, Cells, cells_of
+from rmesh_nlp.contact.standoff import BETWEEN, FINE, SAMPLES, Cells, cells_of
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes import named
@@ -91,7 +92,7 @@ def test_nodes_come_closer_at_order_2_where_the_gap_bends_differently_after_each
         here = Continuous(replace(block(Obstacle.graph("bottom", height), n=1), order=2))
         found = here.solve()
         assert deepest(found) < 1e-10
-        assert found.energy < here.solve(tighten=False).energy - 1e-5
+        assert found.energy < solve(here.system(here.first_standoff())).energy - 1e-5
 
 
 ABOVE = Obstacle("top", (0.0, -1.0), lambda x, y: 0.01 + 0.004 * np.sin(16 * np.pi * x))
@@ -213,7 +214,7 @@ def test_errors_of_order_2_fall_by_the_fourth_power_of_the_width_beside_curves_t
 
 @pytest.mark.parametrize(
     ("height", "status", "order"),
-    [(-0.3, Status.CONVERGED, 1), (-0.4, Status.INACCURATE, 1), (-0.3, Status.CONVERGED, 2)],
+    [(-0.3, Status.CONVERGED, 1), (-0.4, Status.CONVERGED, 1), (-0.3, Status.CONVERGED, 2)],
 )
 def test_where_normals_turn_along_an_edge_nothing_passes_or_it_is_said(height, status, order) -> None:
     """A disc smaller than an edge, over which the body is dragged: stand-offs must be raised."""
@@ -261,7 +262,8 @@ def edge(height: Callable, held: tuple[str, ...] = ("top",), length: float = 2.0
 def test_nodes_keep_off_by_the_height_of_the_foundation_over_its_chord(height: Callable, off: float) -> None:
     cells = edge(height)
     found = cells.off(np.zeros(4))
-    assert off - 1e-12 <= found[0] <= off + 1e-4
+    samples = height(np.linspace(0, 1, SAMPLES * FINE + 1))  # between them it may rise by half a bend
+    assert off - 1e-12 <= found[0] <= off + 1e-4 + BETWEEN * np.max(np.abs(np.diff(samples, 2)))
 
 
 def test_beside_a_held_node_the_free_one_makes_up_for_it() -> None:
@@ -297,5 +299,6 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
 def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_first() -> None:
     """Of a coarse quarter of a disc nodes keep off so far that the springs begin without any force."""
     problem = replace(aimed()[17].problem(), order=2)
-    high = Continuous(problem).solve(tighten=False)
+    here = Continuous(problem)
+    high = solve(here.system(here.first_standoff()))
     assert admissible(problem).energy < high.energy - 0.05 * abs(high.energy)
