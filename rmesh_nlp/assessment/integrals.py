@@ -37,6 +37,10 @@ DEPTH = 9
 """Last stage: times that a cell may be halved in each direction, and one."""
 
 
+VANISHING = 1e-6
+"""Size of a row, as a part of the largest one, that is worth no finer rule: it may be all rounding."""
+
+
 class Integral(NamedTuple):
     """Integrals (rows, owners), what they may be wrong by, and whether the integrands' switches are located.
 
@@ -121,7 +125,8 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
         if points is None:
             wrong = np.abs(fine - _in_chunks(on_cells, owner, low, width, lower))
         if depth == 0:
-            scale = np.max(np.sum(np.abs(fine), axis=1))  # of all rows, which have one unit: one may vanish
+            scale = np.sum(np.abs(fine), axis=1, keepdims=True)
+            scale = np.maximum(scale, VANISHING * np.max(scale))
         wrong = np.broadcast_to(wrong, fine.shape)
         split = np.any(wrong > ROUNDING * scale, axis=0) & (depth < DEPTH)
         total, doubt = (

@@ -24,7 +24,7 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from support.orders import ORDERS
 from truth.draws import aimed
 
@@ -32,6 +32,7 @@ LAW = PlaneStrain.from_young(1000.0, 0.3)
 BUMP = Obstacle.interior(lambda x, y: -0.05 + 0.08 * ca.exp(-((x - 0.5) ** 2 + (y - 0.5) ** 2) / 0.0009))
 WAVES = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.004 * np.sin(24 * np.pi * x))
 PEAK = Obstacle.graph("bottom", lambda x, y: -0.02 + 0.01 * np.exp(-(((x - 0.8) / 0.01) ** 2)))
+FLAT = Obstacle.graph("bottom", -0.02)
 SIDES = ("left", "right", "top", "bottom")
 
 
@@ -302,3 +303,39 @@ def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_fir
     here = Continuous(problem)
     high = solve(here.system(here.first_standoff()))
     assert admissible(problem).energy < high.energy - 0.05 * abs(high.energy)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_what_is_returned_is_admissible_and_its_energy_that_of_itself(order: int) -> None:
+    """Refined where contact ends and beside the support, where springs leave the deepest penetration."""
+    problem = replace(block(replace(FLAT, friction=4.0), n=2), order=order, motion=Motion(None))
+    for _ in range(3):
+        corner = np.argsort(np.linalg.norm(problem.mesh.p[:, problem.mesh.t].mean(axis=1), axis=0))[:4]
+        problem = locally_refined(problem, corner)
+    found = admissible(problem)
+    size = np.max(np.abs(found.displacement)) + 0.02
+    assert min(np.min(cells.gaps(found.displacement)) for cells in found.continuous.cells) > -1e-14 * size
+    own = found.continuous
+    u = found.displacement.T.ravel()
+    work = 0.5 * u @ (own.stiffness @ u) - own.load @ u
+    assert found.energy == pytest.approx(work + own.friction(found.displacement)[0], rel=1e-13)
+    np.testing.assert_allclose(own.field.values(found.state.u), found.displacement, atol=1e-15)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_friction_is_the_least_along_edges_and_not_at_nodes(order: int) -> None:
+    """On the way to the solution for friction at nodes the energy rises."""
+    problem = replace(block(replace(FLAT, friction=8.0), n=1), tractions=(Traction("top", (2.0, -20.0)),))
+    own = Continuous(replace(problem, order=order))
+    found, nodal = own.solve(), solve(own.system(np.zeros(own.space.contact_nodes.size)))
+    change = own.field.values(nodal.u) - found.displacement
+
+    def energy(part: float) -> float:
+        u = found.displacement + part * change
+        w = u.T.ravel()
+        return float(0.5 * w @ (own.stiffness @ w) - own.load @ w + own.friction(u)[0])
+
+    least = energy(0.0)
+    assert energy(1.0) > least + 1e-5 * abs(least)
+    # the search takes 128 trapezoids per edge for the integral
+    assert min(energy(part) for part in (1e-3, 1e-2, 0.1)) >= least - 1e-8 * abs(least)

@@ -10,6 +10,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 import pytest
+from skfem.quadrature import get_quadrature
+from skfem.refdom import RefTri
 
 from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.certificate import NotCertifiableError, equilibration
@@ -19,6 +21,7 @@ from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import Fields, element_of, law_of
 from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.paper import EXACT_ENERGY_61
 from rmesh_nlp.examples.random_problems import random_problem
@@ -34,6 +37,7 @@ from rmesh_nlp.problem import (
     PointLoad,
     Traction,
 )
+from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.certify import certify, with_upper
 from support.certificates import distorted, guess_on, of_values, proved
 from support.formulations import fixed, joint
@@ -421,3 +425,24 @@ def test_the_bracket_holds_the_least_energy_and_closes_at_the_rate_of_the_order(
         assert np.all(found.local >= 0)
         widths.append(found.upper - found.lower)
     assert np.log2(widths[0] / widths[1]) > rate - 0.3
+
+
+def test_what_is_left_of_a_load_by_elements_lowers_the_bound() -> None:
+    """A source without moments on either triangle: zero is in equilibrium with it, and no minimiser."""
+    mesh, powers = rectangle(1, 1), [(i, j) for i in range(4) for j in range(4 - i)]
+    points, weights = get_quadrature(RefTri, 6)
+    x, y = mesh.mapping().F(points)
+    moments = [[(weights * x**i * y**j * test).sum(1) for i, j in powers] for test in (1.0, x, y)]
+    own = np.linalg.svd(np.moveaxis(np.array(moments), 2, 0).reshape(6, -1))[2][-1]
+
+    def source(x, y):
+        return sum(1e3 * c * x**i * y**j for c, (i, j) in zip(own.tolist(), powers, strict=True))
+
+    problem = ContactProblem(mesh, Laplace(source), SIDES)
+    finer = replace(problem, order=2)
+    for _ in range(3):
+        finer = refined(finer)
+    guess = Guess(np.zeros((1, 4)), np.zeros(4), np.zeros(4))
+    found, least = bracket(problem, mesh.p, guess), ContactSolver(finer).given.energy
+    assert not found.lower_faults
+    assert found.lower <= least < -1e-3

@@ -111,6 +111,18 @@ def test_the_upper_bound_is_an_admissible_energy_with_its_doubt(monkeypatch: pyt
     assert (found.upper, found.guaranteed_upper) == (0.5, True)
 
 
+def test_bounds_that_contradict_each_other_are_withdrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    above = replace(KNOWN, lower=0.3)
+    found = relocated(monkeypatch, above, above)
+    assert not found.guaranteed_lower
+    assert not found.guaranteed_upper
+    assert not found.guaranteed_initial
+    assert "contradicts" in found.why
+    assert np.isnan(found.error_bound)
+    assert "no error bound" in found.sentence
+    assert not any(bounds.guaranteed for bounds in found.bounds.values())
+
+
 @pytest.mark.parametrize("residual", [1e-6, float("nan")])
 def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch: pytest.MonkeyPatch) -> None:
     build = bracketing.equilibrated
