@@ -2,7 +2,7 @@
 
 What other folders use of its modules:
 
-- ``admissible``: Admissible, admissible, Continuous
+- ``admissible``: Admissible, admissible
 - ``contact_results``: contact_results, ContactResult, worse
 - ``coulomb``: coulomb_residual, growth
 - ``energy``: friction_energy, load_vector
