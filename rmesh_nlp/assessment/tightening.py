@@ -27,10 +27,14 @@ from rmesh_nlp.contact.standoff import Cells
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 
-STIFFNESSES, SOFT = (1.0, 1e2, 1e4, 1e6, 1e8), 1e2
-"""Of the springs, one after the other, in units of the largest entry of K, and the most of those of friction.
-Where the slip changes its sign within an edge the integral of friction is smooth. For stiff springs Newton's
-method would see a kink at each point: 195 steps on an ellipse of order 2, 23 with soft ones."""
+STIFFNESSES = (1.0, 1e2, 1e4, 1e6, 1e8)
+"""Of the springs of gaps, one after the other, in units of the largest entry of K."""
+
+SLIP, STIFFER = 1e-2, 10.0
+"""The first stretch at which friction has its bound, in units of the largest displacement, and the factor of
+this stiffness from one time to the next. Where the slip changes its sign within an edge the integral of
+friction is smooth. For stiff springs without forces of a last time Newton's method would see a kink at each
+point: 366 steps on an ellipse, 33 with these."""
 
 STEPS, REPEATS = 50, 20
 """Most steps of Newton's method with springs of one kind, and times that their forces are taken over."""
@@ -141,10 +145,12 @@ def tightened(
     with, ``displacement`` makes (components, nodes) of unknowns. Gaps hold up to rounding.
     """
     x, unit, left = state.u, program.stiffness.diagonal().max(), np.inf
-    size = max([magnitude(displacement(x)), *(magnitude(part.cells.distance) for part in springs)])
-    forces = [part.shared(state) for part in springs]
+    moved, forces = magnitude(displacement(x)), [part.shared(state) for part in springs]
+    size = max([moved, *(magnitude(part.cells.distance) for part in springs)])
+    bound = max([magnitude(part.limit) for part in springs if part.limit is not None], default=0.0)
+    sliding = bound / (SLIP * moved) if moved > 0 < bound else unit
 
-    def solved(most: float, sliding: float) -> tuple[Array, list[Array], float]:
+    def solved(most: float) -> tuple[Array, list[Array], float]:
         u, stiffnesses = displacement(x), [most if part.limit is None else sliding for part in springs]
         own = [part.at(u, f, k) for part, f, k in zip(springs, forces, stiffnesses, strict=True)]
         end, new = _Program(program, displacement, own).minimised(x)
@@ -153,8 +159,9 @@ def tightened(
 
     for times in (*STIFFNESSES, *STIFFNESSES[-1:] * REPEATS):
         before = left
-        x, forces, left = solved(times * unit, min(times, SOFT) * unit)
+        x, forces, left = solved(times * unit)
+        sliding *= STIFFER
         if times == STIFFNESSES[-1] and (left <= EXACT * size or left > 0.9 * before):
             break
     # stiff springs multiply rounding of stretches
-    return x, solved(unit, unit)[1]
+    return x, solved(unit)[1]
