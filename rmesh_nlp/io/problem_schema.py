@@ -43,7 +43,7 @@ from rmesh_nlp.io.problem_values import (
     source_of,
 )
 from rmesh_nlp.meshes import shapes
-from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline
+from rmesh_nlp.meshes.curves import FITTED, Circle, Curve, Parametrised, Spline
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
     DesignVariable,
@@ -327,7 +327,7 @@ def _curve(value: object, read: ValidatorFunctionWrapHandler) -> CurveTable | st
     """A table, or the word for what is fitted to the nodes."""
     if isinstance(value, dict):
         return read(value)
-    if value in ("circle", "spline"):
+    if value in FITTED:
         return str(value)
     raise ValueError("expected 'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}")
 
