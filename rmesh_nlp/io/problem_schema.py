@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_type_hints
@@ -104,7 +105,11 @@ def _spline(spline: list[tuple[float, float]], closed: bool = False) -> Spline:
 
 
 def _parametrised(x: str, y: str, t: tuple[float, float], closed: bool = False) -> Parametrised:
-    return Parametrised(lambda at: value_of(x, {"t": at}), lambda at: value_of(y, {"t": at}), t, closed)
+    return Parametrised(partial(_value_at, x), partial(_value_at, y), t, closed)
+
+
+def _value_at(text: str, t: Any) -> Any:
+    return value_of(text, {"t": t})
 
 
 CURVES: tuple[Callable[..., Curve], ...] = (_circle, _spline, _parametrised)
