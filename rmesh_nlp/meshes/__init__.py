@@ -8,7 +8,7 @@ What other folders use of its modules:
 - ``embedding``: fault
 - ``geometry``: counter_clockwise, have_same_mesh, lengths, members_of, named_by_user, node_at, nodes_of,
   relocated_mesh, SEVEN_DIGITS, signed_areas
-- ``mmg``: is_available, MISSING, remeshed
+- ``mmg``: is_available, LARGEST, MISSING, remeshed
 - ``reading``: read_mesh
 - ``shapes``: rectangle
 """
