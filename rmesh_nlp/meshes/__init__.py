@@ -6,8 +6,8 @@ What other folders use of its modules:
 - ``coarsening``: decimated, Lines
 - ``curves``: Circle, Curve, fitted, FITTED, on_values, Parametrised, Spline
 - ``embedding``: fault
-- ``geometry``: counter_clockwise, have_same_mesh, lengths, members_of, named_by_user, node_at, nodes_of,
-  relocated_mesh, SEVEN_DIGITS, signed_areas
+- ``geometry``: counter_clockwise, EPSILON, have_same_mesh, last_digit, lengths, members_of, named_by_user,
+  node_at, nodes_of, relocated_mesh, SEVEN_DIGITS, signed_areas
 - ``mmg``: is_available, LARGEST, MISSING, remeshed
 - ``reading``: read_mesh
 - ``shapes``: rectangle
