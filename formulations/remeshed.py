@@ -8,7 +8,7 @@ from typing import ClassVar
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
-from rmesh_nlp.meshes.mmg import MISSING, is_available
+from rmesh_nlp.meshes.mmg import LARGEST, MISSING, is_available
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.motion import Relative
@@ -38,8 +38,9 @@ class Remeshed(Wrapper):
     def __post_init__(self) -> None:
         super().__post_init__()
         whole = isinstance(self.nodes, int) and not isinstance(self.nodes, bool)
-        if self.nodes is not True and not (whole and self.nodes >= 3):
-            raise BadInputError(f"remesh must be true or a number of nodes of at least 3, got {self.nodes!r}")
+        if self.nodes is not True and not (whole and 3 <= self.nodes <= LARGEST):
+            said = f"remesh must be true or a number of nodes from 3 to {LARGEST}"
+            raise BadInputError(f"{said}, got {self.nodes!r}")
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)

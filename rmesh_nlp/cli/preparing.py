@@ -13,7 +13,7 @@ from rich.console import Console
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import check_target, notes
 from rmesh_nlp.contact.penetration import penetrations
-from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
+from rmesh_nlp.contact.setup_warnings import curve_warnings, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.display import figure, rich_table
@@ -72,7 +72,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         model = ContactSolver(problem.at_design())
         space, u = model.discretisation.space, model.displacement.values(model.given.u)
         passing = penetrations(space, model.problem.mesh.p, u)
-        signs = *setup_warnings(model), *penetration_warnings(passing)
+        signs = *curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing)
         messages = [warning.message for warning in signs]
     doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
     said = f"states a problem, with {doubts}" if messages else "is in order"

@@ -6,7 +6,7 @@ What other folders use of its modules:
 - ``factorisation``: factorised, HAS_CHOLMOD
 - ``penetration``: deepest, penetrations
 - ``sensitivity``: TangentResponse, weakly_active
-- ``setup_warnings``: penetration_warnings, setup_warnings
+- ``setup_warnings``: curve_warnings, penetration_warnings, setup_warnings, SetupWarning
 - ``solver``: coefficients, ContactSolver, Directions
 - ``standoff``: Cells, cells_of
 - ``system``: ActiveSet, ContactSystem, Equilibrium, OwnState

@@ -1,11 +1,12 @@
 """Signs that a problem was set up wrongly although nothing in it contradicts itself.
 
-What is looked at costs one contact solve on the given mesh, and one assembly of the load where it varies.
+They cost one assembly beside a contact solution, and one of the load where it varies.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,10 +15,12 @@ from rmesh_nlp.contact.penetration import Penetration
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array, largest_side, magnitude
-from rmesh_nlp.fem.edge_gaps import holds_along_edges
-from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.mapping import MeshMap
+from rmesh_nlp.mapping.validity import is_upright
+from rmesh_nlp.meshes.curves import FITTED, fitted
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.laws import LOCKING
 from rmesh_nlp.problem.units import after
@@ -50,8 +53,13 @@ class SetupWarning(NamedTuple):
     message: str
 
 
-def setup_warnings(model: ContactSolver, accurate: Array | None = None) -> tuple[SetupWarning, ...]:
-    """All signs of a wrong set-up but penetration, from the contact solution on the given mesh.
+def setup_warnings(
+    model: ContactSolver,
+    accurate: Array | None = None,
+    nodes: Array | None = None,
+    state: Equilibrium | None = None,
+) -> tuple[SetupWarning, ...]:
+    """All signs of a wrong set-up but penetration, from a contact solution.
 
     Parameters
     ----------
@@ -59,14 +67,21 @@ def setup_warnings(model: ContactSolver, accurate: Array | None = None) -> tuple
         Of the problem.
     accurate : (n_u,) array, optional
         Nodal loads by an accurate rule; without them the rule is not looked at.
+    nodes : (2, vertices) array, optional
+        Positions, by default as given.
+    state : Equilibrium, optional
+        The contact solution there, by default that on the mesh as given.
     """
-    problem, space = model.problem, model.discretisation.space
-    system, u = model.system(problem.mesh.p), space.values(model.displacement.values(model.given.u))
+    problem, space, state = model.problem, model.discretisation.space, state or model.given
+    nodes = problem.mesh.p if nodes is None else nodes
+    u, points = space.values(model.displacement.values(state.u)), space.points_of(Body(problem, nodes))
+    extent = largest_side(nodes[:, np.unique(problem.mesh.t)])
+    scale = extent if problem.components == 2 else max(magnitude(u), 1e-300)
     return (
         *_problem(problem),
-        *_loads(problem, system, accurate),
-        *_sizes(problem, u),
-        *(sign for part in space.contact_sets for sign in _contact(space, part, system, model.given, u)),
+        *_loads(problem, model.system(nodes), accurate),
+        *_sizes(problem, u, extent),
+        *(sign for part in space.contact_sets for sign in _contact(problem, part, points, state, u, scale)),
     )
 
 
@@ -80,22 +95,19 @@ def penetration_warnings(penetrations: Sequence[Penetration]) -> Iterator[SetupW
 
 
 def _contact(
-    space: DisplacementSpace, part: ContactSet, system: ContactSystem, state: Equilibrium, u: Array
+    problem: ContactProblem, part: ContactSet, points: Array, state: Equilibrium, u: Array, scale: float
 ) -> Iterator[SetupWarning]:
-    problem = space.problem
-    offset, touching = system.offset[part.rows], state.active.touching[part.rows]
-    # nodes keep off the foundation, or at edges are coefficients: neither is an overlap
-    if holds_along_edges(problem, part.obstacle) or space.order == 2:
-        offset = part.obstacle.distances(space.points(problem.mesh.p)[:, part.nodes])
+    """Of one contact set, with displacements and places of its nodes on the body, arcs where it has them."""
+    obstacle, touching, points = part.obstacle, state.active.touching[part.rows], points[:, part.nodes]
+    offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * u[:, part.nodes], axis=0)
     name, n, unit = _name(part), touching.size, after(problem.units.length)
-    scale = _extent(problem) if problem.components == 2 else max(magnitude(u), 1e-300)
     inside = offset < -1e-9 * scale
     if np.any(inside):
         text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
         text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
         yield SetupWarning("overlap", text + "foundation where it should be?")
     if not np.any(touching):
-        yield _open(problem, part, system, state)
+        yield _open(problem, name, offset, change, scale)
     elif np.all(touching) and n >= FEW:
         text = f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
         text += "displacement may be what is meant, or a longer contact boundary"
@@ -105,15 +117,12 @@ def _contact(
         yield SetupWarning("unresolved", text + "there for pressures")
 
 
-def _open(
-    problem: ContactProblem, part: ContactSet, system: ContactSystem, state: Equilibrium
-) -> SetupWarning:
+def _open(problem: ContactProblem, name: str, offset: Array, change: Array, extent: float) -> SetupWarning:
     """Contact that never closes, and the likeliest reason."""
-    offset, change = system.offset[part.rows], (system.normals @ state.u)[part.rows]
     least, unit = float(np.min(offset + change)), after(problem.units.length)
-    text = f"contact on {_name(part)} never closes: under the load its gap is {least:.3g}{unit} or more"
+    text = f"contact on {name} never closes: under the load its gap is {least:.3g}{unit} or more"
     nearest, moved = float(np.min(offset)), magnitude(change)
-    if problem.components == 2 and nearest > _extent(problem):
+    if problem.components == 2 and nearest > extent:
         return SetupWarning("open", f"{text}; the foundation is farther off than the body is long")
     if moved > 0 and np.min(change) >= -1e-3 * moved:
         text += "; the load moves it away from the foundation: is its sign right?"
@@ -123,23 +132,42 @@ def _open(
 
 
 def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
-    """What needs no solution: materials that lock, point loads, round boundaries without a curve."""
+    """What needs no solution: materials that lock, point loads."""
     for poisson in problem.locking:
         text = f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
         yield SetupWarning("locking", text + "and displacements come out too small")
     if problem.point_loads:
         text = "a point load has no finite energy in the plane: its energy falls without end as the mesh is "
         yield SetupWarning("point-load", text + "refined, so compare energies on this mesh only")
-    for part in problem.contact_sets:
-        name = part.obstacle.boundary
+
+
+def curve_warnings(problem: ContactProblem) -> Iterator[SetupWarning]:
+    """Round contact boundaries without a curve, with the kinds of curves that the problem accepts."""
+    for name in (obstacle.boundary for obstacle in problem.obstacles):
         if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
             continue
         turns = _turns(problem, name)  # of 45 degrees and more are corners
         round_ones = np.count_nonzero((turns > SEVEN_DIGITS) & (turns < np.pi / 4))
         if round_ones >= FEW and 2 * round_ones > turns.size:
-            text = f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed: say "
-            text += f"which curve it is on, as in [curves] {name} = 'circle' or 'spline', and they slide "
-            yield SetupWarning("round", text + "along it")
+            text = f"{name!r} bends at {round_ones} of its {turns.size} inner nodes, which are fixed"
+            smooth = turns.max() < np.pi / 4  # a spline would round corners off
+            if kinds := [repr(kind) for kind in FITTED if smooth and _is_accepted(problem, name, kind)]:
+                text += f": say which curve it is on, as in [curves] {name} = {' or '.join(kinds)}, and they "
+                text += "slide along it"
+            else:
+                text += ", and no circle or spline can be its curve here: only a finer mesh is rounder"
+            yield SetupWarning("round", text)
+
+
+def _is_accepted(problem: ContactProblem, name: str, kind: str) -> bool:
+    """Whether a curve that is fitted to the boundary makes a problem on a valid mesh."""
+    try:
+        curves = {**problem.motion.curves, name: fitted(problem.mesh, name, kind)}
+        curved = replace(problem, motion=replace(problem.motion, curves=curves))
+        MeshMap.of(curved)
+    except ValueError:
+        return False
+    return is_upright(curved, curved.mesh.p)
 
 
 def _turns(problem: ContactProblem, name: str) -> Array:
@@ -153,10 +181,10 @@ def _turns(problem: ContactProblem, name: str) -> Array:
     return np.pi - np.arccos(np.clip(np.sum(a * b, axis=0), -1, 1))
 
 
-def _sizes(problem: ContactProblem, u: Array) -> Iterator[SetupWarning]:
+def _sizes(problem: ContactProblem, u: Array, extent: float) -> Iterator[SetupWarning]:
     if problem.components == 1:
         return
-    largest, extent = magnitude(u), _extent(problem)
+    largest = magnitude(u)
     unit = after(problem.units.length)
     said = f"the largest displacement is {largest:.2g}{unit} and the body {extent:.2g}{unit} long"
     if largest > extent:
@@ -179,10 +207,6 @@ def _loads(problem: ContactProblem, system: ContactSystem, accurate: Array | Non
             text = f"the nodal loads are wrong by {wrong:.0%}: the load varies on a scale that the mesh with "
             text += f"the rule {problem.quadrature!r} does not see; refine, or raise quadrature"
             yield SetupWarning("load", text)
-
-
-def _extent(problem: ContactProblem) -> float:
-    return largest_side(problem.mesh.p[:, np.unique(problem.mesh.t)])
 
 
 def _name(part: ContactSet) -> str:

@@ -95,10 +95,9 @@ def negative_laplacian(u: PositionFunction) -> PositionFunction:
     """``-Laplace(u)`` by symbolic differentiation, as a function of position."""
     x, y = POSITION
     value = u(x, y)
-    function = ca.Function(
+    return ca.Function(
         "source", [x, y], [-ca.jacobian(ca.jacobian(value, x), x) - ca.jacobian(ca.jacobian(value, y), y)]
     )
-    return lambda x, y: function(x, y)
 
 
 def example_61(n: Size = 8, delta: Delta | None = None, order: int = 1) -> ContactProblem:

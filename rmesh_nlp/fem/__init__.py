@@ -8,7 +8,7 @@ What other folders use of its modules:
 - ``contact_terms``: bound_force_groups, contact_force_groups, friction, gap_field, gaps, gradient_group,
   identity_group, slip_field, slips
 - ``distortion``: DISTORTIONS
-- ``edge_gaps``: holds_along_edges, with_edge_gaps
+- ``edge_gaps``: with_edge_gaps
 - ``energy``: displacement_field, loads, strain
 - ``fields``: Bends, constant_field, Design, ElementGroup, Field, Fields, Forces, Modes, NONE, unknown_field
 - ``functional``: as_row, Functional, scaled_group

@@ -84,6 +84,14 @@ class DisplacementSpace:
         a, b = self.problem.mesh.facets
         return np.hstack([X, (X[:, a] + X[:, b]) / 2])
 
+    def points_of(self, body: Body) -> Array:
+        """(2, nodes) where the nodes are on a body: at the middles of arcs in the place of chords."""
+        points = np.array(self.points(body.nodes))
+        for arcs in body.arcs if self.order == 2 else ():
+            middle = np.full((arcs.facets.size, 1), 0.5)
+            points[:, self.n_vertices + arcs.facets] = arcs.at(np.arange(middle.size), middle)[0][..., 0]
+        return points
+
     def values(self, coefficients: Array) -> Array:
         """(components, nodes) values at the nodes' points of the field with coefficients at the nodes."""
         return self._with_edges(coefficients, 0.25, 0.5)
@@ -114,16 +122,16 @@ class DisplacementSpace:
         """The same at edges, by the values at vertices."""
         problem, shape = self.problem, (self.problem.components, self.problem.mesh.facets.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
-        body = Body(problem, problem.mesh.p)
+        middles = self.points_of(Body(problem, problem.mesh.p))[:, self.n_vertices :]
         for support in problem.supports:
-            edges = body.edges(support.boundary)
-            middle = edges.at(np.arange(edges.size), np.full((edges.size, 1), 0.5))[0][..., 0]
+            facets = members_of("boundary", support.boundary, problem.mesh.boundaries)
+            ends, middle = problem.mesh.facets[:, facets], middles[:, facets]
             for i, coefficient in enumerate(support.value):
                 if coefficient is None:
                     continue
                 given = on_points(coefficient, middle, f"the displacement given on {support.boundary!r}")
-                held[i, edges.facets] = True
-                value[i, edges.facets] = 2 * given - np.sum(at_vertices[i, edges.ends], axis=0) / 2
+                held[i, facets] = True
+                value[i, facets] = 2 * given - np.sum(at_vertices[i, ends], axis=0) / 2
         return held, value
 
     @cached_property

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
@@ -12,8 +11,8 @@ from rmesh_nlp.io.problem_messages import outwards
 from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable
 from rmesh_nlp.io.problem_values import SYMMETRY
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Curve, fitted_circle, spline_through
-from rmesh_nlp.meshes.geometry import members_of, node_at
+from rmesh_nlp.meshes.curves import Curve, fitted
+from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import (
     Constraint,
     ContactProblem,
@@ -55,7 +54,7 @@ def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
             loads.append(PointLoad(node_at(mesh, load.at), **load.entries("at")))
     for name, curve in table.curves.items():
         with at("curves", name):
-            curves[name] = curve.made() if isinstance(curve, CurveTable) else _fitted(curve, mesh, name)
+            curves[name] = curve.made() if isinstance(curve, CurveTable) else fitted(mesh, name, curve)
     design, rules = _design(table), table.motion.entries()
     if design and "motion" not in table.model_fields_set:
         rules["delta"] = 0.0  # a design alone
@@ -98,14 +97,6 @@ def _mesh(table: ProblemTable) -> MeshTri:
                     mesh, **{kind: {name: lambda p, c=condition: on_points(c, p, "the condition") > 0.5}}
                 )
     return mesh
-
-
-def _fitted(curve: str, mesh: MeshTri, name: str) -> Curve:
-    """The circle or the spline through the nodes of a boundary."""
-    edges = mesh.facets[:, members_of("boundary", name, mesh.boundaries)]
-    if curve == "circle":
-        return fitted_circle(mesh.p[:, np.unique(edges)])
-    return spline_through(mesh.p, edges)
 
 
 def _design(table: ProblemTable) -> tuple[DesignVariable | Shape, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from inspect import Parameter, signature
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_type_hints
@@ -43,7 +44,7 @@ from rmesh_nlp.io.problem_values import (
     source_of,
 )
 from rmesh_nlp.meshes import shapes
-from rmesh_nlp.meshes.curves import Circle, Curve, Parametrised, Spline
+from rmesh_nlp.meshes.curves import FITTED, Circle, Curve, Parametrised, Spline
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
     DesignVariable,
@@ -104,7 +105,11 @@ def _spline(spline: list[tuple[float, float]], closed: bool = False) -> Spline:
 
 
 def _parametrised(x: str, y: str, t: tuple[float, float], closed: bool = False) -> Parametrised:
-    return Parametrised(lambda at: value_of(x, {"t": at}), lambda at: value_of(y, {"t": at}), t, closed)
+    return Parametrised(partial(_value_at, x), partial(_value_at, y), t, closed)
+
+
+def _value_at(text: str, t: Any) -> Any:
+    return value_of(text, {"t": t})
 
 
 CURVES: tuple[Callable[..., Curve], ...] = (_circle, _spline, _parametrised)
@@ -327,7 +332,7 @@ def _curve(value: object, read: ValidatorFunctionWrapHandler) -> CurveTable | st
     """A table, or the word for what is fitted to the nodes."""
     if isinstance(value, dict):
         return read(value)
-    if value in ("circle", "spline"):
+    if value in FITTED:
         return str(value)
     raise ValueError("expected 'circle', 'spline' or a table such as {circle = [0.0, 0.0, 1.0]}")
 

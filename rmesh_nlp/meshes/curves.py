@@ -17,8 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
+from skfem import MeshTri
 
 from rmesh_nlp.evaluation import Array, is_finite, magnitude, slope_of
+from rmesh_nlp.meshes.geometry import members_of
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
 SAMPLES = 4000
@@ -248,3 +250,13 @@ def spline_through(points: Array, edges: NDArray) -> Spline:
     if len(order) < len(neighbours):
         raise ValueError("a spline needs a boundary of one piece")
     return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), not ends)
+
+
+FITTED = ("circle", "spline")
+"""Kinds of curves that are fitted to nodes."""
+
+
+def fitted(mesh: MeshTri, name: str, kind: str) -> Curve:
+    """The circle or the spline through the nodes of a named boundary; a ValueError if there is none."""
+    edges = mesh.facets[:, members_of("boundary", name, mesh.boundaries)]
+    return fitted_circle(mesh.p[:, np.unique(edges)]) if kind == "circle" else spline_through(mesh.p, edges)

@@ -19,8 +19,29 @@ NAMELESS = (
 )
 """What to do with a mesh without names."""
 
+EPSILON = float(np.finfo(float).eps)
+
 SEVEN_DIGITS = 1e-6
 """Relative distance of nodes that are at one place: files are often written with seven digits."""
+
+
+def last_digit(nodes: NDArray) -> float:
+    """Spacing of the coordinates that can be written with as many decimals and digits as those of ``nodes``.
+
+    The larger one of the last decimal and of the last significant digit of the largest coordinate; numbers
+    of single precision have seven digits.
+    """
+    x = np.abs(nodes[nodes != 0])
+    exponent = np.floor(np.log10(x))
+    digit = 10.0 ** (np.max(exponent) - _decimals(x / 10.0**exponent))
+    single = np.spacing(np.max(x).astype(np.float32)) if np.all(x.astype(np.float32) == x) else 0.0
+    return float(max(10.0 ** -_decimals(x), digit, single))
+
+
+def _decimals(x: NDArray) -> int:
+    """The least number with which all numbers can be written."""
+    scaled = (x * 10.0**k for k in range(20))
+    return next((k for k, s in enumerate(scaled) if np.all(np.abs(s - np.rint(s)) <= 8 * EPSILON * s)), 20)
 
 
 def signed_areas(nodes: NDArray, triangles: NDArray) -> NDArray:

@@ -5,11 +5,9 @@
 
 from __future__ import annotations
 
-import ctypes
-import signal
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import pickle
+from base64 import b64decode, b64encode
+from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any
 
@@ -23,14 +21,15 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
+from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.process import Process, serve
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
 
-REPLACED = (signal.SIGABRT, signal.SIGFPE, signal.SIGILL, signal.SIGINT, signal.SIGSEGV, signal.SIGTERM)
-"""Signals that Mmg has handlers of its own for, at its beginning."""
+LARGEST = 1_000_000
+"""Nodes of a new mesh at most."""
 
-PERIOD = 1e-3
-"""Seconds after which they are put back again."""
+_mmg = Process("rmesh_nlp.meshes.mmg")
 
 
 def is_available() -> bool:
@@ -38,7 +37,14 @@ def is_available() -> bool:
     return find_spec("mmgpy") is not None
 
 
-def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curves: float = 0.0) -> MeshTri:
+def remeshed(
+    mesh: MeshTri,
+    tensors: Array,
+    lines: Index,
+    fixed: Index,
+    off_curves: float = 0.0,
+    budget: Budget | None = None,
+) -> MeshTri:
     """A mesh of the same domain whose edges have about length one in a metric; names are kept.
 
     Parameters
@@ -53,84 +59,55 @@ def remeshed(mesh: MeshTri, tensors: Array, lines: Index, fixed: Index, off_curv
         Nodes that stay: corners, ends of parts.
     off_curves : float
         How far new edges on curved lines may be from the arc, in units of length; 0 if there are none.
+    budget : Budget, optional
+        Mmg runs in a process of its own, which is killed when this is over or Ctrl-C comes.
 
     Raises
     ------
     BadInputError
         If mmgpy is not installed, or Mmg gives up.
+    StoppedError
+        If the budget is over before.
     """
     if not is_available():
         raise BadInputError(MISSING)
-    from mmgpy import MmgMesh2D
-
     edge_sets, edge_mark = _marks(mesh.boundaries, lines)
     piece = _pieces(mesh, lines)
     cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.t.shape[1]), piece)
-    work = MmgMesh2D()
-    work.set_mesh_size(vertices=mesh.p.shape[1], triangles=mesh.t.shape[1], edges=lines.size)
-    work.set_vertices(np.ascontiguousarray(mesh.p.T))
-    work.set_triangles(_rows(counter_clockwise(mesh.p, mesh.t)), cell_mark)
-    work.set_edges(_rows(mesh.facets[:, lines]), edge_mark)
     first, second = mesh.f2t[:, lines]
     ends_inside = np.flatnonzero((second >= 0) & (piece[first] == piece[second]))
-    work.set_required_edges(ends_inside.astype(np.int32))  # Mmg follows lines between two pieces only
-    work.set_corners(fixed.astype(np.int32))
-    work.set_required_vertices(fixed.astype(np.int32))
-    work["tensor"] = np.ascontiguousarray(tensors.T)
-    size = largest_side(mesh.p)
-    try:
-        with _own_signals():  # sizes change as fast as the metric says
-            work.remesh(verbose=-1, hgrad=-1.0, hausd=off_curves or size)
-    except RuntimeError as error:
-        raise BadInputError(f"Mmg cannot remesh this domain: {error}") from error
-    triangles, cell_mark = work.get_triangles_with_refs()
-    edges, edge_mark = work.get_edges_with_refs()
+    given = (
+        np.ascontiguousarray(mesh.p.T),
+        _rows(counter_clockwise(mesh.p, mesh.t)),
+        cell_mark,
+        _rows(mesh.facets[:, lines]),
+        edge_mark,
+        ends_inside.astype(np.int32),  # Mmg follows lines between two pieces only
+        fixed.astype(np.int32),
+        np.ascontiguousarray(tensors.T),
+        off_curves or largest_side(mesh.p),
+    )
+    answer = _mmg.ask(b64encode(pickle.dumps(given)), budget)
+    if answer.line is None:
+        if budget is not None:
+            budget.check()
+        raise BadInputError(f"Mmg cannot remesh this domain: it ended with code {answer.code}")
+    made = pickle.loads(b64decode(answer.line))
+    if isinstance(made, str):
+        raise BadInputError(f"Mmg cannot remesh this domain: {made}")
+    vertices, triangles, cell_mark, edges, edge_mark = made
     used, flat = np.unique(triangles, return_inverse=True)
     number = np.full(int(np.max(edges, initial=0)) + 1, -1)
     number[used[used < number.size]] = np.flatnonzero(used < number.size)
     try:
         return from_arrays(
-            work.get_vertices()[used],
+            vertices[used],
             flat.reshape(-1, 3),
             {name: number[edges[np.isin(edge_mark, marks)]] for name, marks in edge_sets.items()},
             {name: np.flatnonzero(np.isin(cell_mark, marks)) for name, marks in cell_sets.items()},
         )
     except ValueError as error:
         raise BadInputError(f"the mesh that Mmg made is not in order: {error}") from error
-
-
-@contextmanager
-def _own_signals() -> Iterator[None]:
-    """Keep the handlers of signals that Mmg replaces, of which its own one for Ctrl-C ends the process.
-
-    Ctrl-C waits until Mmg is done. This thread blocks it; a guard puts the handlers back at once, since
-    any other thread may get the signal instead. They are those of C, so that it works in any thread.
-    """
-    get, put = ctypes.pythonapi.PyOS_getsig, ctypes.pythonapi.PyOS_setsig
-    get.argtypes, get.restype = [ctypes.c_int], ctypes.c_void_p
-    put.argtypes, put.restype = [ctypes.c_int, ctypes.c_void_p], ctypes.c_void_p
-    before = {number: get(number) for number in REPLACED}
-    has_mask, done = hasattr(signal, "pthread_sigmask"), threading.Event()
-
-    def put_back() -> None:
-        for number, handler in before.items():
-            put(number, handler)
-
-    def watch() -> None:
-        while not done.wait(PERIOD):
-            put_back()
-
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if has_mask else set()
-    guard = threading.Thread(target=watch, name="signals", daemon=True)  # with the same mask
-    guard.start()
-    try:
-        yield
-    finally:
-        done.set()
-        guard.join()
-        put_back()
-        if has_mask:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 def _pieces(mesh: MeshTri, lines: Index) -> Index:
@@ -158,3 +135,32 @@ def _marks(
 
 def _rows(columns: Any) -> NDArray[np.int32]:
     return np.ascontiguousarray(columns.T, dtype=np.int32)
+
+
+def _made(line: bytes) -> bytes:
+    """Vertices, and triangles and edges with their marks, or why there are none."""
+    from mmgpy import MmgMesh2D
+
+    vertices, triangles, cell_mark, edges, edge_mark, required, fixed, tensors, off = pickle.loads(
+        b64decode(line)
+    )
+    work = MmgMesh2D()
+    work.set_mesh_size(vertices=len(vertices), triangles=len(triangles), edges=len(edges))
+    work.set_vertices(vertices)
+    work.set_triangles(triangles, cell_mark)
+    work.set_edges(edges, edge_mark)
+    work.set_required_edges(required)
+    work.set_corners(fixed)
+    work.set_required_vertices(fixed)
+    work["tensor"] = tensors
+    made: Any
+    try:  # sizes change as fast as the metric says
+        work.remesh(verbose=-1, hgrad=-1.0, hausd=off)
+        made = work.get_vertices(), *work.get_triangles_with_refs(), *work.get_edges_with_refs()
+    except RuntimeError as error:
+        made = str(error)
+    return b64encode(pickle.dumps(made))
+
+
+if __name__ == "__main__":
+    serve(_made)

@@ -17,10 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.errors import one_line
+from rmesh_nlp.errors import located, one_line
 from rmesh_nlp.evaluation import ROUNDING, Index
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, sides
+from rmesh_nlp.meshes.groups import check_groups
 
 SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
 """Longest time of the processor to read a file: meshio takes about 2e-7 seconds per byte of text."""
@@ -53,7 +54,7 @@ def read_file(path: Path) -> meshio.Mesh:
         quiet = contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO())
         with quiet[0], quiet[1], warnings.catch_warnings(), _limited(seconds):
             warnings.simplefilter("ignore")
-            return meshio.read(path, kind)
+            file = meshio.read(path, kind)
     except _TooLongError:
         raise ValueError(
             f"{path}: cannot be read as a mesh: the reader of {kind} found no end within {seconds:.0f} s; "
@@ -62,6 +63,9 @@ def read_file(path: Path) -> meshio.Mesh:
     except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
         reason = _reason(error, said.getvalue())
         raise ValueError(f"{path}: cannot be read as a mesh of the format {kind}: {reason}") from error
+    with located(path):
+        check_groups(kind, path)
+    return file
 
 
 AGAIN = "; export it again, as .msh of gmsh or .vtu if it can be"
@@ -192,7 +196,7 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
     """Named edges ("line"), as pairs of nodes, and named triangles by their numbers."""
     parts: dict[str, dict[str, list[NDArray]]] = {kind: {} for kind in GROUPS}
     names = {(int(i), int(dim)): name for name, (i, dim) in (file.field_data or {}).items()}
-    offset, tagged = 0, set()
+    offset = 0
     for position, block in enumerate(file.cells):
         if block.type not in GROUPS:
             continue
@@ -204,15 +208,17 @@ def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
             for tag in np.unique(tags[tags > 0]).astype(int):
                 name = names.get((tag, dimension), f"{title}-{tag}")
                 part.setdefault(name, []).append(cells[tags == tag])
-                tagged.add(name)
         for name, chosen in (file.cell_sets or {}).items():
-            # gmsh's own sets repeat its physical groups; the others are none of the user's
-            if str(name).startswith("gmsh:") or name in tagged:
+            if str(name).startswith("gmsh:"):  # none of the user's
                 continue
             members = _members(name, chosen, position)
             if members.size:
                 part.setdefault(name, []).append(cells[members])
-    return {kind: {name: np.concatenate(arrays) for name, arrays in parts[kind].items()} for kind in parts}
+    # a set of gmsh is a physical group again, complete where an entity is in several
+    return {
+        kind: {name: np.unique(np.concatenate(arrays), axis=0) for name, arrays in parts[kind].items()}
+        for kind in parts
+    }
 
 
 def _members(name: Any, chosen: Any, position: int) -> Index:

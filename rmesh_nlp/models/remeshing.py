@@ -23,8 +23,8 @@ from rmesh_nlp.fem.metric import Metric, best_metric
 from rmesh_nlp.fem.recovery import Recovered, interpolation_error, recovered
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes.mmg import remeshed
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.meshes.mmg import LARGEST, remeshed
+from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import Body
@@ -107,6 +107,8 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     StoppedError
         If the budget is over before there is a mesh.
     """
+    if nodes > LARGEST:
+        raise BadInputError(f"a new mesh may have up to {LARGEST} nodes, got {nodes}")
     budget = budget or Budget()
     if first.problem.has_coulomb:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
@@ -114,9 +116,9 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     current, ratio, off, done = first, float("nan"), sagitta(first.problem), list[Solved]()
     for _ in range(ROUNDS):
         try:
-            problem, ratio = remeshed_problem(current.problem, current.regions, nodes, ratio, off=off)
+            problem, ratio = remeshed_problem(current.problem, current.regions, nodes, ratio, off, budget)
             current = _solved(problem)
-        except BadInputError:
+        except (BadInputError, StoppedError):
             if not done:
                 raise
             break
@@ -142,6 +144,7 @@ def remeshed_problem(
     nodes: int,
     ratio: float = float("nan"),
     off: float | None = None,
+    budget: Budget | None = None,
 ) -> tuple[ContactProblem, float]:
     """The problem on a mesh of a number of nodes, the best for derivatives recovered on its own.
 
@@ -157,7 +160,7 @@ def remeshed_problem(
     if np.isnan(ratio):
         ratio = problem.mesh.t.shape[1] / X.shape[1]
     while True:
-        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off)
+        candidate, ratio = _with_nodes(problem, metric, nodes, ratio, off, budget)
         if angle == 0 or np.min(least_angles(candidate.mesh.p, candidate.triangles)) >= angle:
             return candidate, ratio
         if even == 0:
@@ -173,12 +176,12 @@ def remeshed_problem(
 
 
 def _with_nodes(
-    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, off: float
+    problem: ContactProblem, metric: Metric, nodes: int, ratio: float, off: float, budget: Budget | None
 ) -> tuple[ContactProblem, float]:
     """The problem on the mesh nearest to a number of nodes, and the ratio that gave it."""
     candidates: list[tuple[int, float, ContactProblem]] = []
     for _ in range(TRIALS):
-        made = _remeshed(problem, metric.with_triangles(ratio * nodes), off)
+        made = _remeshed(problem, metric.with_triangles(ratio * nodes), off, budget)
         count = made.mesh.p.shape[1]
         candidates.append((abs(count - nodes), ratio, made))
         if abs(count - nodes) <= EXACT * nodes:
@@ -191,14 +194,14 @@ def _with_nodes(
     return best, ratio
 
 
-def _remeshed(problem: ContactProblem, metric: Metric, off: float) -> ContactProblem:
+def _remeshed(problem: ContactProblem, metric: Metric, off: float, budget: Budget | None) -> ContactProblem:
     """The problem on a mesh that Mmg makes for a metric at its nodes; nodes that cannot move stay."""
     mesh, motion = problem.mesh, problem.motion
     fixed = np.flatnonzero(MeshMap.of(problem).mobility == Mobility.PINNED)
     numbers = np.array([*motion.numbers, *(load.node for load in problem.point_loads)], dtype=np.int64)
     fixed, size = np.union1d(fixed, numbers), largest_side(mesh.p)
     for closer in CLOSER if off else CLOSER[:1]:
-        new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off)
+        new = remeshed(mesh, metric.tensors, line_facets(mesh), fixed, closer * off, budget)
         try:
             carried = _carried_over(problem, new, numbers)
         except ProblemError as error:

@@ -8,6 +8,7 @@ What other folders use of its modules:
 - ``constraints``: LARGEST_DENSE, Linearised, stacked
 - ``newton_step``: NewtonSettings
 - ``nlp``: Derivatives, longer, NLP, Symbolic
+- ``process``: PATIENCE_S, Process, serve
 - ``solver``: LEAST_SHIFTS, NLPResult, PluginOptions, Solver
 - ``status``: NOT_STATIONARY_YET, Status, success_in_words
 - ``trust_region``: Evaluation, LocalRadii, minimise, NewtonResult

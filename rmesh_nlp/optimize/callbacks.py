@@ -57,6 +57,7 @@ class IterationCallback(PythonFunction):
     def __init__(self, n_x: int, n_g: int, n_p: int) -> None:
         sizes = {"x": n_x, "f": 1, "g": n_g, "lam_x": n_x, "lam_g": n_g, "lam_p": n_p}
         self._monitor: Monitor | None = None
+        self._error: BaseException | None = None
         inputs = [ca.Sparsity.dense(sizes[name]) for name in ca.nlpsol_out()]
         super().__init__("monitor", inputs, [ca.Sparsity.dense(1)])
 
@@ -73,27 +74,27 @@ class IterationCallback(PythonFunction):
         try:
             if self._monitor is not None and self._monitor(self._iteration, x, float(f[0]), lam_g):
                 self._stop = True
-        except KeyboardInterrupt:  # CasADi would take it for a failed evaluation
-            self._interrupt()
+        except BaseException as error:  # CasADi would take it for a failed evaluation: raised after the solve
+            self._stop, self._error = True, error
         self._iteration += 1
         np.frombuffer(res[0])[:] = self._stop
         return 0
 
     def _interrupt(self, *_: object) -> None:
-        self._stop = self._interrupted = True
+        self._stop, self._error = True, KeyboardInterrupt()
 
     @contextmanager
     def watched(self, monitor: Monitor | None) -> Iterator[None]:
-        """A solve that ``monitor`` sees; raises KeyboardInterrupt after one that Ctrl-C interrupted.
+        """A solve that ``monitor`` sees; raises what the monitor raised, KeyboardInterrupt after Ctrl-C.
 
         CasADi swallows the KeyboardInterrupt that Python raises inside it: the solver stops, and reports an
         ordinary failure. So the signal asks the callback to stop the solver at the next iteration.
         """
-        self._monitor, self._iteration, self._stop, self._interrupted = monitor, 0, False, False
+        self._monitor, self._iteration, self._stop, self._error = monitor, 0, False, None
         try:
             with signals_to(self._interrupt):
                 yield
         finally:
             self._monitor = None
-            if self._interrupted:
-                raise KeyboardInterrupt from None
+            if self._error is not None:
+                raise self._error from None

@@ -10,12 +10,14 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache, wraps
+from numbers import Real
 from typing import ParamSpec, TypeAlias, TypeGuard, TypeVar
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import located, one_line
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.vectorised import columnwise
 
@@ -59,8 +61,14 @@ NOT_SYMBOLIC = (
 
 def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
     """Value of a coefficient at a point; a ValueError says what to use instead of branches and ``math``."""
-    if not callable(coefficient):
-        return coefficient
+    value = _called(coefficient, x, y) if callable(coefficient) else coefficient
+    is_one = isinstance(value, Real) or getattr(value, "shape", None) in ((), (1,), x.shape)
+    if isinstance(x, ca.SX | ca.MX) and not is_one:
+        raise ValueError(f"one number is needed, got {one_line(repr(value))[:60]}")
+    return value
+
+
+def _called(coefficient: PositionFunction, x: Expression, y: Expression) -> Expression:
     with warnings.catch_warnings():
         # numpy's functions of one and two arguments work on symbols, which CasADi remarks upon
         warnings.filterwarnings("ignore", message="(?s).*numpy function was called on a casadi value")
@@ -84,10 +92,11 @@ def where(condition: Expression, a: Expression, b: Expression) -> Expression:
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
     """Values (...) of a coefficient at ``points`` (2, ...); a ValueError if one is not finite."""
-    if callable(coefficient):
-        values = evaluated(as_function(coefficient), points)[0]
-    else:
-        values = np.full(points.shape[1:], float(coefficient))
+    with located(what):
+        if callable(coefficient):
+            values = evaluated(as_function(coefficient), points)[0]
+        else:
+            values = np.full(points.shape[1:], float(at(coefficient, *POSITION)))
     x, y = points.reshape(2, -1)
     for bad in np.flatnonzero(~np.isfinite(values)):
         raise ValueError(f"{what} is {values.flat[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")

@@ -23,7 +23,7 @@ from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tupl
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
 from rmesh_nlp.problem.laws import Elastic, Laplace
-from rmesh_nlp.problem.lines import harmonic_motions, onto_curves
+from rmesh_nlp.problem.lines import harmonic_motions, onto_curves, onto_lines
 from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
@@ -105,7 +105,7 @@ class ContactProblem(Shown, ProblemData):
             self._check_design()
         else:
             check(self)
-        object.__setattr__(self, "mesh", onto_curves(self.mesh, self.motion.curves))
+        object.__setattr__(self, "mesh", onto_curves(onto_lines(self.mesh), self.motion.curves))
 
     def _check_design(self) -> None:
         """Whether the names are known, and the problem makes sense at the first design."""

@@ -7,6 +7,7 @@ end of a part, or a point where a coefficient jumps.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -14,20 +15,66 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse import csgraph
 from scipy.sparse.linalg import splu
 from skfem import Basis, ElementTriP1, MeshTri
 from skfem.models.poisson import laplace
 
 from rmesh_nlp.errors import ProblemError, contradicting
 from rmesh_nlp.evaluation import Array, Index, Mask, cross, largest_side
+from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, lengths, named_by_user, nodes_of
+from rmesh_nlp.meshes.geometry import EPSILON, SEVEN_DIGITS, last_digit, lengths, named_by_user, nodes_of
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ProblemData
 
 OFF = 1e-3
 """Distance from its curve, in units of the shortest edge of the boundary, at which a given node is not on it.
 Mesh generators write nodes with 1e-10 or better; a wrong radius is off by more."""
+
+
+FLAT = 2e-4
+"""Largest distance from its line of a node of a straight piece, in units of the length of the piece."""
+
+
+def onto_lines(mesh: MeshTri) -> MeshTri:
+    """The mesh with nodes that are on straight lines up to rounding exactly on these; a warning says so.
+
+    Coordinates in files often have five to eight digits, which bends nodes by larger angles the shorter their
+    edges are, while a flat arc of many edges is within rounding at each of them. So lines are cut where a
+    node is farther from that through its neighbours than rounding explains. What lies between two cuts is
+    straight if all of it is within rounding of the line through its ends; arcs are not, unless they are no
+    higher than that. Cuts are ten times farther, or edges of an arc that are short enough were a piece.
+    """
+    close = 1.5 * last_digit(mesh.p)  # a node and the line are half a unit off in two directions: sqrt(2)
+    exact = 100 * EPSILON * largest_side(mesh.p)
+    if close < exact:
+        return mesh
+    ends = mesh.facets[:, line_facets(mesh)]
+    node, *beside = _pairs(ends)
+    neighbours = [mesh.p[:, ends[:, facet].sum(axis=0) - node] for facet in beside]
+    smooth = _distances(mesh.p[:, node], *neighbours) <= 10 * close
+    joined = sp.coo_array((smooth[smooth], (beside[0][smooth], beside[1][smooth])), shape=2 * ends.shape[1:])
+    piece = np.tile(csgraph.connected_components(joined, directed=False)[1], 2)
+    (piece, node), count = np.unique([piece, ends.ravel()], axis=1, return_counts=True)
+    is_open = np.isin(piece, np.flatnonzero(np.bincount(piece[count == 1]) == 2))
+    piece, node, count = np.unique(piece[is_open], return_inverse=True)[1], node[is_open], count[is_open]
+    a, b = mesh.p[:, node[count == 1]].reshape(2, -1, 2).transpose(2, 0, 1)[..., piece]
+    off, length = _distances(mesh.p[:, node], a, b), np.linalg.norm(b - a, axis=0)
+    bent = np.bincount(piece, off > np.minimum(close, FLAT * length))[piece] > 0
+    moved = ~bent & (off > exact)
+    if not np.any(moved):
+        return mesh
+    said = f"put {moved.sum()} nodes on the straight lines that they are on but for rounding, at most "
+    warnings.warn(f"{said}{np.max(off[moved]):.2g} away", MeshRepairWarning, stacklevel=2)
+    X, share = np.array(mesh.p), np.sum((mesh.p[:, node] - a) * (b - a), axis=0) / length**2
+    X[:, node[moved]] = (a + share * (b - a))[:, moved]
+    return replace(mesh, doflocs=X)
+
+
+def _distances(points: Array, a: Array, b: Array) -> Array:
+    """Of points (2, n) from the lines through ``a`` and ``b``."""
+    return np.abs(cross(b - a, points - a)) / np.maximum(np.linalg.norm(b - a, axis=0), 1e-300)
 
 
 def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = False) -> MeshTri:
@@ -46,7 +93,7 @@ def onto_curves(mesh: MeshTri, curves: Mapping[str, Curve], *, anywhere: bool = 
             x, y = mesh.p[:, nodes[worst]]
             said = f"node {nodes[worst]} of {name!r} at ({x:.6g}, {y:.6g}) is {off[worst]:.3g} off its curve"
             raise ProblemError(("curves", name), said)
-        shifted = off > 100 * np.finfo(float).eps * largest_side(mesh.p)
+        shifted = off > 100 * EPSILON * largest_side(mesh.p)
         moved[:, nodes[shifted]] = places[:, shifted]
     return mesh if np.array_equal(moved, mesh.p) else replace(mesh, doflocs=moved)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import casadi as ca
 import numpy as np
@@ -26,6 +26,7 @@ from rmesh_nlp.problem.coefficients import (
 from rmesh_nlp.settings import check_positive
 
 Vector = tuple[float, float]
+Centre = tuple[float | ca.SX, float | ca.SX]
 
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
@@ -112,7 +113,7 @@ class Obstacle:
     def line(
         cls,
         boundary: str,
-        point: tuple[float | ca.SX, float | ca.SX],
+        point: Centre,
         normal: Vector,
         friction: Coefficient = 0.0,
         coulomb: Coefficient = 0.0,
@@ -122,11 +123,7 @@ class Obstacle:
         ``normal`` points from the line to the body and may have any length but zero.
         """
         n = unit(normal)
-
-        def distance(x: Expression, y: Expression) -> Expression:
-            return n[0] * (x - point[0]) + n[1] * (y - point[1])
-
-        return cls(boundary, n, distance, friction=friction, coulomb=coulomb)
+        return cls(boundary, n, partial(_off_line, n, point), friction=friction, coulomb=coulomb)
 
     @classmethod
     def graph(
@@ -138,11 +135,7 @@ class Obstacle:
         height is any smooth function or a :class:`PiecewiseLinear`, called as height(x, y).
         """
         kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
-
-        def distance(x: Expression, y: Expression) -> Expression:
-            return y - at(height, x, y)
-
-        return cls(boundary, (0.0, 1.0), distance, friction, kinks, coulomb=coulomb)
+        return cls(boundary, (0.0, 1.0), partial(_above, height), friction, kinks, coulomb=coulomb)
 
     @classmethod
     def curve(
@@ -165,7 +158,7 @@ class Obstacle:
     def circle(
         cls,
         boundary: str,
-        centre: tuple[float | ca.SX, float | ca.SX],
+        centre: Centre,
         radius: float | ca.SX,
         *,
         inside: bool = False,
@@ -182,16 +175,12 @@ class Obstacle:
         if not all(np.isfinite(value) for value in centre if is_number(value)):
             raise ValueError(f"centre must be finite, got {centre}")
         sign = -1.0 if inside else 1.0
-
-        def distance(x: Expression, y: Expression) -> Expression:
-            return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
-
-        return cls.curve(boundary, distance, friction, coulomb)
+        return cls.curve(boundary, partial(_off_circle, centre, radius, sign), friction, coulomb)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
-        return cls(Place.INTERIOR, (1.0,), lambda x, y: -at(psi, x, y))
+        return cls(Place.INTERIOR, (1.0,), partial(_minus, psi))
 
     def in_words(self) -> str:
         """Where contact is, along which normal and with which friction."""
@@ -264,6 +253,27 @@ class Obstacle:
         if len(self.normal) == 1:
             return ()
         return (self.normal[1], -self.normal[0])
+
+
+# gaps of foundations: functions of a module, so that problems can be pickled
+
+
+def _off_line(n: Vector, point: Centre, x: Expression, y: Expression) -> Expression:
+    return n[0] * (x - point[0]) + n[1] * (y - point[1])
+
+
+def _above(height: Coefficient, x: Expression, y: Expression) -> Expression:
+    return y - at(height, x, y)
+
+
+def _off_circle(
+    centre: Centre, radius: float | ca.SX, sign: float, x: Expression, y: Expression
+) -> Expression:
+    return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
+
+
+def _minus(psi: Coefficient, x: Expression, y: Expression) -> Expression:
+    return -at(psi, x, y)
 
 
 FOOT_STEPS = 5

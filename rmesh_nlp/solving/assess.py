@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from rmesh_nlp.assessment.coulomb import growth
 from rmesh_nlp.assessment.measures import residuals
+from rmesh_nlp.contact.setup_warnings import curve_warnings
 from rmesh_nlp.meshes.geometry import have_same_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import signed_areas
@@ -55,8 +58,20 @@ def assess(
         tolerance=last.tolerance,
         designed=last.problem if final.design else None,
         domain_area_change=_domain_area_change(first, final),
-        warnings=(*given.doubts, *final.warnings, *(() if grown is None else (grown,))),
+        warnings=(*_doubts(first, given, final), *final.warnings, *(() if grown is None else (grown,))),
     )
+
+
+def _doubts(first: Outer, given: State, final: State) -> Iterator[str]:
+    """Signs of a wrong set-up: all of the given mesh, of the final one those that are new.
+
+    Another design has figures of its own; on a mesh that was moved only the kind counts.
+    """
+    yield from (sign.message for sign in (*curve_warnings(first.problem), *given.doubts))
+    known = given.doubts if final.design else [sign.kind for sign in given.doubts]
+    for sign in final.doubts:
+        if (sign if final.design else sign.kind) not in known:
+            yield f"at the end: {sign.message}"
 
 
 def _domain_area_change(first: Outer, final: State) -> float | None:

@@ -17,7 +17,7 @@ from rmesh_nlp.assessment.measures import (
     residuals,
 )
 from rmesh_nlp.contact.penetration import deepest, penetrations
-from rmesh_nlp.contact.setup_warnings import penetration_warnings, setup_warnings
+from rmesh_nlp.contact.setup_warnings import SetupWarning, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.contact.uniqueness import contraction
@@ -101,8 +101,8 @@ class State:
         Quantities that the problem constrains, by their texts.
     warnings : tuple of str
         Foundations that pass into the body, and a contact solution that may be one of several.
-    doubts : tuple of str
-        Of the mesh as given, signs of a wrong set-up.
+    doubts : tuple of SetupWarning
+        Signs of a wrong set-up.
     """
 
     problem: ContactProblem
@@ -128,7 +128,7 @@ class State:
     violation: float = NAN
     constraints: Mapping[str, Constrained] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
+    doubts: tuple[SetupWarning, ...] = ()
 
     @property
     def energy(self) -> float:
@@ -200,7 +200,7 @@ def measured(outer: Outer, q: Array) -> State:
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
         warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),
-        doubts=tuple(warning.message for warning in setup_warnings(at.contact, load)) if is_given else (),
+        doubts=setup_warnings(at.contact, load, nodes, solved),
     )
 
 

@@ -16,8 +16,8 @@ from typing import Any
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.process import PATIENCE_S
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.study.contained import PATIENCE_S
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import RowsFile, keys_of, set_failures_aside, wait_for_workers
 from rmesh_nlp.study.runner import failure

@@ -8,15 +8,23 @@ import numpy as np
 import pytest
 from skfem import MeshTri
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact.penetration import penetrations
-from rmesh_nlp.contact.setup_warnings import SetupWarning, penetration_warnings, setup_warnings
+from rmesh_nlp.contact.setup_warnings import (
+    SetupWarning,
+    curve_warnings,
+    penetration_warnings,
+    setup_warnings,
+)
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.examples import EXAMPLES
-from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.meshes import from_arrays, named
+from rmesh_nlp.meshes.curves import FITTED, Circle, fitted
+from rmesh_nlp.meshes.geometry import counter_clockwise
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     ContactProblem,
+    DesignVariable,
     Dirichlet,
     Laplace,
     Motion,
@@ -49,7 +57,8 @@ def signs(problem: ContactProblem) -> tuple[SetupWarning, ...]:
     """All of a problem, as ``rmesh check`` prints them."""
     model = ContactSolver(problem)
     u, space = model.displacement.values(model.given.u), model.discretisation.space
-    return *setup_warnings(model), *penetration_warnings(penetrations(space, problem.mesh.p, u))
+    passing = penetrations(space, problem.mesh.p, u)
+    return *curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing)
 
 
 WRONG = {
@@ -132,3 +141,73 @@ def test_a_round_contact_boundary_without_a_curve_is_told() -> None:
         quarter,
     ):  # that has a straight contact
         assert "round" not in {warning.kind for warning in signs(right)}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("depth", [0.0, 0.02])
+def test_overlaps_of_a_round_body_are_measured_on_its_arcs(depth: float, order: int) -> None:
+    """The foundation has the body's own radius: every node is as deep as the foundation is too small."""
+    arc = Circle((0.0, 0.0), 1.0)
+    mesh = from_arrays(*quarter_ring(12))
+    problem = ContactProblem(
+        mesh,
+        PlaneStrain.from_young(1000.0, 0.3),
+        (Dirichlet("inner", (0.0, 0.0)),),
+        Obstacle.circle("outer", (0.0, 0.0), 1.0 - depth, inside=True),
+        motion=Motion(curves={"outer": arc}),
+        order=order,
+    )
+    said = [one.message for one in signs(problem) if one.kind == "overlap"]
+    n = 13 if order == 1 else 25
+    assert [f"by up to {depth:.3g} at {n} of {n} nodes" in text for text in said] == [True] * (depth > 0)
+
+
+def quarter_ring(n: int, ratio: float = 1.0) -> tuple[Any, ...]:
+    """Nodes, triangles and edges between radii 0.8 and 1, or ellipses; n edges along each."""
+    angle, grid = np.arange(n + 1) * np.pi / (2 * n), rectangle(n, 1)
+    column, row = np.rint(grid.p * [[n], [1]]).astype(int)
+    p = (0.8 + 0.2 * row) * np.stack([np.cos(angle[column]), ratio * np.sin(angle[column])])
+    names = {"inner": "bottom", "outer": "top"}
+    edges = {new: grid.facets[:, grid.boundaries[old]].T for new, old in names.items()}
+    return p.T, counter_clockwise(p, grid.t).T, edges
+
+
+HEIGHT = DesignVariable("d", 0.01, (0.0, 0.5))
+
+
+@pytest.mark.parametrize(
+    ("ratio", "height", "expected"),
+    [
+        (1.0, -1.0, FITTED),
+        (0.6, -1.0, ("spline",)),
+        (1.0, HEIGHT.symbol, ()),
+    ],  # a circle; an ellipse; refused
+)
+def test_each_curve_that_is_advised_is_accepted(ratio: float, height: Any, expected: tuple[str, ...]) -> None:
+    problem = ContactProblem(
+        from_arrays(*quarter_ring(12, ratio)),
+        PlaneStrain.from_young(1000.0, 0.3),
+        (Dirichlet("inner", (0.0, 0.0)),),
+        Obstacle.graph("outer", height),
+        design=() if expected else (HEIGHT,),
+    )
+    (said,) = curve_warnings(problem)
+    assert tuple(kind for kind in FITTED if repr(kind) in said.message) == expected
+    for kind in expected:
+        curve = fitted(problem.mesh, "outer", kind)
+        there = replace(problem, motion=Motion(curves={"outer": curve}))
+        assert not list(curve_warnings(there))
+
+
+def test_the_final_design_is_warned_of_as_well() -> None:
+    problem = sound(
+        obstacle=Obstacle.graph("bottom", HEIGHT.symbol),
+        motion=Motion(0.0),
+        dirichlet=(Dirichlet("top", (0.0, 0.0)),),
+        design=(HEIGHT,),
+        tractions=(),
+    )
+    record = rm.solve(problem, "nested", objective="square(resultant(bottom) - 50000)").record()
+    said = [text.removeprefix("at the end: ") for text in record["warnings"] if text.startswith("at the end")]
+    assert any(f"overlaps the body by up to {record['design']['d']:.3g}" in text for text in said)
+    assert any("the largest displacement" in text for text in said)

@@ -81,6 +81,20 @@ def test_a_time_limit_and_ctrl_c_keep_the_best_valid_mesh(formulation: Any, prob
     assert len(seen) >= 3
 
 
+@WITH_STEPS
+def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) -> None:
+    """CasADi takes one in its iteration callback for a failed evaluation."""
+
+    class OwnError(Exception):
+        pass
+
+    def fail(step: Step) -> None:
+        raise OwnError(step.iteration)
+
+    with pytest.raises(OwnError):
+        formulation.solve(problem, on_step=fail)
+
+
 @pytest.mark.parametrize(
     ("keyword", "bad", "message"),
     [

@@ -1,8 +1,10 @@
 """Problem files: what they mean, and one line that names file, key, value and what was expected."""
 
+import pickle
 import re
 import sys
 from collections import Counter
+from contextlib import nullcontext
 from pathlib import Path
 from random import Random
 
@@ -289,3 +291,14 @@ def test_names_of_the_design_stand_in_expressions(write):
     assert at.mesh.p[1, middle] == pytest.approx(0.02)
     # distortions compare with the triangles of the first design
     np.testing.assert_array_equal(at.reference, problem.mesh.p[:, problem.triangles])
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_pickled_problem_of_a_file_has_the_same_solution(write, name):
+    """CasADi pickles expressions of design variables in a context of its own only."""
+    problem = load_problem(write(FILES[name]))
+    with ca.global_pickle_context() if problem.design else nullcontext():
+        text = pickle.dumps(problem)
+    with ca.global_unpickle_context() if problem.design else nullcontext():
+        copy = pickle.loads(text)
+    assert ContactSolver(copy.at_design()).given.energy == ContactSolver(problem.at_design()).given.energy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import sys
 import time
@@ -191,3 +192,88 @@ def test_a_set_of_nodes_is_the_boundary_of_the_outer_edges_between_them(tmp_path
     mesh = read_mesh(path)
     assert {*mesh.boundaries} == {"CORNER"}
     assert sorted(mesh.facets[:, mesh.boundaries["CORNER"]].T.tolist()) == [[0, 1], [1, 2]]
+
+
+NAMES = '$PhysicalNames\n4\n1 1 "{curve}"\n1 2 "low"\n2 3 "half"\n2 4 "whole"\n$EndPhysicalNames\n'
+MSH = """$MeshFormat
+4.1 0 8
+$EndMeshFormat
+{names}$Entities
+0 2 2 0
+1 0 0 0 1 0 0 2 1 2 0
+2 1 0 0 1 1 0 1 2 0
+1 0 0 0 1 1 0 2 3 4 0
+2 0 0 0 1 1 0 1 4 0
+$EndEntities
+$Nodes
+1 4 1 4
+2 1 0 4
+1
+2
+3
+4
+0 0 0
+1 0 0
+1 1 0
+0 1 0
+$EndNodes
+$Elements
+4 4 1 4
+1 1 1 1
+1 1 2
+1 2 1 1
+2 2 3
+2 1 2 1
+3 1 2 3
+2 2 2 1
+4 1 3 4
+$EndElements
+"""
+
+
+def test_entities_in_two_groups_of_gmsh_are_in_both(tmp_path: Path) -> None:
+    path = tmp_path / "a.msh"
+    path.write_text(MSH.format(names=NAMES.format(curve="foot")))
+    mesh = read_mesh(path)
+    assert {name: part.size for name, part in mesh.boundaries.items()} == {"foot": 1, "low": 2}
+    assert {name: part.size for name, part in mesh.subdomains.items()} == {"half": 1, "whole": 2}
+    path.write_text(MSH.format(names=""))
+    with pytest.raises(ValueError, match=r"a\.msh: one entity is in the physical groups \[1, 2\]: name all"):
+        read_mesh(path)
+    path.write_text(MSH.format(names=NAMES.format(curve="whole")))
+    with pytest.warns(MeshRepairWarning, match="physical groups have one name, whole"):
+        read_mesh(path)
+
+
+CORNERS = "*NODE\n1, 0, 0\n2, 1, 0\n3, 1, 1\n4, 0, 1\n"
+INP = CORNERS + "*ELEMENT, TYPE=CPS3{0}\n1, 1, 2, 3\n*ELEMENT, type=CPS3{1}\n2, 1, 3, 4\n{2}"
+ONE, TWO = ", ELSET=a", ", elset = b"
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "more", "said"),
+    [
+        (ONE, TWO, "", ""),
+        (ONE, "", "", ""),
+        ("", TWO, "", "ELEMENT blocks without ELSET before others"),
+        (ONE, ONE.lower(), "", "has the set A twice"),
+        (ONE, "", "*ELSET, ELSET=a\n2\n", "has the set A twice"),
+        (ONE, "", "*NSET, NSET=n\n1\n*NSET, NSET=N\n2\n", "has the set N twice"),
+        (ONE, "", CORNERS, "has 2 blocks of"),
+        (ONE, "", "*NSET, NSET=n, ELSET=a\n*SURFACE, NAME=s\na, S1\n", "left out: N, S"),
+    ],
+)
+def test_sets_of_abaqus_are_of_their_elements_or_told(
+    tmp_path: Path, first: str, second: str, more: str, said: str
+) -> None:
+    path = tmp_path / "a.inp"
+    path.write_text(INP.format(first, second, more))
+    if said and "left out" not in said:
+        with pytest.raises(ValueError, match=said):
+            read_mesh(path)
+        return
+    with pytest.warns(MeshRepairWarning, match=said) if said else contextlib.nullcontext():
+        found = read_mesh(path).subdomains
+    assert {name: part.tolist() for name, part in found.items()} == {"a": [0]} | (
+        {"b": [1]} if second else {}
+    )

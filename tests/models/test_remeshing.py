@@ -181,9 +181,9 @@ class TestRounds:
     ) -> MetricStart:
         left, names = list(ends), ["6.1"]
 
-        def remesh(problem: ContactProblem, _: Any, size: int, *__: Any, off: float) -> Any:
+        def remesh(problem: ContactProblem, _: Any, size: int, *__: Any) -> Any:
             assert (problem.name, size) == (names[-1], 9)
-            if isinstance(left[0], BadInputError):
+            if isinstance(left[0], (BadInputError, StoppedError)):
                 raise left.pop(0)
             names.append(f"round {len(names)}")
             return replace(problem, name=names[-1]), 2.0
@@ -217,7 +217,9 @@ class TestRounds:
         with pytest.raises(StoppedError):
             metric_start(Solved.of(signorini(2)), 9, budget)
 
-    @pytest.mark.parametrize("error", [ProblemError("mesh", "not solved"), BadInputError("folds")])
+    @pytest.mark.parametrize(
+        "error", [ProblemError("mesh", "not solved"), BadInputError("folds"), StoppedError()]
+    )
     def test_a_later_one_that_fails_is_given_up(
         self, monkeypatch: pytest.MonkeyPatch, error: Exception
     ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from typing import Any
 
 import casadi as ca
@@ -19,6 +20,7 @@ from rmesh_nlp.problem import (
     PlaneStrain,
     PlaneStress,
     ProblemError,
+    Traction,
     where,
 )
 from rmesh_nlp.problem.coefficients import is_nonzero, on_points
@@ -194,3 +196,47 @@ def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> No
 def test_what_is_no_material_and_no_function_is_refused(make: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("value", [None, "10", (1.0, 2.0), np.ones(2), ca.vertcat(1, 2)])
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        (lambda f: {"tractions": Traction("top", (f, 0.0))}, "component 1 of the traction on 'top'"),
+        (lambda f: {"law": PlaneStrain(1.0, 1.0, (0.0, f))}, "component 2 of the body force"),
+        (lambda f: {"obstacle": Obstacle.graph("bottom", f)}, "the obstacle"),
+        (lambda f: {"obstacle": Obstacle("bottom", friction=f)}, "the friction bound"),
+    ],
+)
+def test_a_coefficient_is_one_number(changes: Any, named: str, value: Any) -> None:
+    parts = {"mesh": rectangle(2, 2), "law": PlaneStrain(1.0, 1.0), "dirichlet": "left"}
+    for given in (lambda x, y: value, *([value] if isinstance(value, str) else [])):
+        with pytest.raises(ProblemError) as error:
+            ContactProblem(**{**parts, "obstacle": Obstacle("bottom"), **changes(given)})
+        assert str(error.value) == f"{named}: one number is needed, got {value!r}"
+
+
+def height(x: Any, y: Any) -> Any:
+    return 0.01 * x**2 - 0.05
+
+
+def level(x: Any, y: Any) -> Any:
+    return y - height(x, y)
+
+
+OBSTACLES = {
+    "graph": Obstacle.graph("bottom", height, coulomb=height),
+    "line": Obstacle.line("bottom", (0.0, -0.05), (0.0, 2.0)),
+    "circle": Obstacle.circle("bottom", (0.5, -10.05), 10.0),
+    "curve": Obstacle.curve("bottom", level),
+    "interior": Obstacle.interior(height),
+}
+
+
+@pytest.mark.parametrize("name", OBSTACLES)
+def test_a_pickled_obstacle_is_the_same(name: str) -> None:
+    points = np.array([[0.1, 0.7], [0.0, 0.2]])
+    obstacle = OBSTACLES[name]
+    copy = pickle.loads(pickle.dumps(obstacle))
+    np.testing.assert_array_equal(copy.distances(points), obstacle.distances(points))
+    np.testing.assert_array_equal(copy.normals(points), obstacle.normals(points))

@@ -188,7 +188,10 @@ class TestRemeshed:
             ("nested", {}, {"remesh": True, **other}, f"combined with {next(iter(other))}")
             for other in ({"starts": 2}, {"seed": 0}, {"start": "given"})
         ),
-        *(("nested", {}, {"remesh": nodes}, "number of nodes of at least 3") for nodes in (2, 7.5, "many")),
+        *(
+            ("nested", {}, {"remesh": nodes}, "number of nodes from 3 to")
+            for nodes in (2, 7.5, "many", 10**12)
+        ),
     ],
 )
 def test_what_does_not_go_together(given, name, changed, options, words) -> None:

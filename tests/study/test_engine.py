@@ -165,7 +165,7 @@ def test_workers_that_outlived_their_client_and_a_missing_extra_are_one_line(tmp
 def test_without_processes_a_study_ends_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "executable", "false")
     assert cli.run(["study", study_file(tmp_path), "--out", str(tmp_path / "out"), "--jobs", "2"]) == 2
-    assert capsys.readouterr().err.endswith("no process for solves could be started: it ended with code 1\n")
+    assert capsys.readouterr().err.endswith("study.contained could be started: it ended with code 1\n")
 
 
 @pytest.mark.slow

@@ -1,0 +1,51 @@
+"""Sides of rounded coordinates are straight, arcs of the same coordinates are not."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from skfem import MeshTri
+
+from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.meshes.shapes import rectangle
+from rmesh_nlp.problem import ContactProblem, Laplace, Obstacle
+from rmesh_nlp.problem.lines import onto_lines, sliding_directions
+
+FORMS = ["%.8g", "%.7g", "%.6f", "%.6g", "%.5f"]
+
+
+def turned(form: str, sagitta: float, n: int, size: float, offset: float = 0.0) -> MeshTri:
+    """A block turned by 20 degrees whose lower side is straight, or an arc, with coordinates as in a file."""
+    grid = rectangle(n, 4, x=(0, 4))
+    x, y = grid.p
+    y = y - 4 * sagitta * x * (1 - x / 4) * (1 - y)
+    a = np.deg2rad(20)
+    p = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]) @ [x, y] * size / 4 + offset
+    return replace(grid, doflocs=np.array([[float(form % v) for v in row] for row in p]))
+
+
+@pytest.mark.parametrize(("size", "offset"), [(4.0, 0.0), (70.0, 10.0)])
+@pytest.mark.parametrize("form", FORMS)
+def test_nodes_of_rounded_straight_sides_slide_along_them(form: str, size: float, offset: float) -> None:
+    mesh = turned(form, 0.0, 16, size, offset)
+    with pytest.warns(MeshRepairWarning, match="on but for rounding"):
+        problem = ContactProblem(mesh, Laplace(1.0), "left", Obstacle("bottom", (1.0,), 1.0))
+    assert np.max(np.abs(problem.mesh.p - mesh.p)) < 1e-5 * size
+    _, tangents = sliding_directions(problem)
+    sides = [np.unique(mesh.facets[:, facets]) for facets in mesh.boundaries.values()]
+    node, count = np.unique(np.concatenate(sides), return_counts=True)
+    np.testing.assert_array_equal(np.any(tangents[:, node] != 0, axis=0), count == 1)  # all but corners
+    assert onto_lines(problem.mesh) is problem.mesh
+
+
+@pytest.mark.parametrize("n", [8, 64, 200])
+@pytest.mark.parametrize("form", ["%.17g", *FORMS])
+@pytest.mark.parametrize("sagitta", [1e-3, -3e-4])
+def test_arcs_are_no_straight_sides(sagitta: float, form: str, n: int) -> None:
+    mesh = turned(form, sagitta, n, 4.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MeshRepairWarning)  # of the other sides
+        found = onto_lines(mesh)
+    bottom = np.unique(mesh.facets[:, mesh.boundaries["bottom"]])
+    np.testing.assert_array_equal(found.p[:, bottom], mesh.p[:, bottom])
