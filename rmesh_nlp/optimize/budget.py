@@ -36,7 +36,8 @@ class Limits(Settings):
     Attributes
     ----------
     seconds : float
-        Of building and solving together, looked at after each iteration.
+        Of building, solving and the assessment together, looked at after each iteration. What the assessment
+        needs is kept for it.
     iterations : int, optional
         Over everything that a formulation runs.
     """
@@ -57,7 +58,7 @@ class Budget:
     """Seconds since it was made, and iterations that are counted, against limits.
 
     Time is split into phases of which exactly one runs at any moment. ``build``: models are built with their
-    derivatives. ``solve``: the solver runs. ``audit``: the assessment measures, for which there is no limit.
+    derivatives. ``solve``: the solver runs. ``audit``: the assessment measures.
 
     Parameters
     ----------
@@ -70,13 +71,15 @@ class Budget:
     ----------
     iterations : int
         Counted so far, by who spends them.
+    kept : float
+        Seconds that what follows the solve will need.
     stopped : Status or None
         INTERRUPTED, TIME_LIMIT or ITERATION_LIMIT, once it is over.
     """
 
     def __init__(self, limits: Limits | None = None, whole: Budget | None = None) -> None:
         self.limits, self._whole = limits or Limits(math.inf), whole
-        self.iterations = 0
+        self.iterations, self.kept = 0, 0.0
         self.stopped: Status | None = None
         self._seconds: dict[Phase, float] = {"build": 0.0, "solve": 0.0, "audit": 0.0}
         self._phase: Phase = "build"
@@ -116,7 +119,7 @@ class Budget:
     @property
     def remaining(self) -> float:
         """Seconds that are left, not negative."""
-        own = max(0.0, self.limits.seconds - self.elapsed)
+        own = max(0.0, self.limits.seconds - self.elapsed - self._seconds["audit"] - self.kept)
         return own if self._whole is None else min(own, self._whole.remaining)
 
     @property

@@ -30,6 +30,9 @@ from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.start import Start, beginning
 
+REFINED = 4
+"""Triangles of a refined mesh for each one, and about how much longer its assessment takes."""
+
 HIGHER = "the mesh is as it was given: the energy of the one that was reached is higher"
 
 
@@ -117,6 +120,9 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     with budget.during("audit"):
         contact, nodes = outer.contact, problem.mesh.p
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
+        if plan.formulation.relocates and not problem.design:  # else the mesh as given is of another problem
+            before, _ = budget.seconds("audit"), outer.initial
+            budget.kept = 2 * (budget.seconds("audit") - before)  # of the final mesh and what compares them
     budget.enter("solve")
     begin, q, start = beginning(outer, plan.start, plan.seed, monitor)
     formulation = plan.formulation
@@ -135,7 +141,8 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
     assessment, certificate, remark, reduced = end.assessment, None, None, None
     budget = monitor.budget
     with budget.during("audit"):
-        if plan.why:
+        budget.kept *= REFINED
+        if plan.why and not budget.is_over():
             reduced = monitor.attempt(lambda: reduced_error(assessment, end.spent.contact_solves))
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
         if certify and budget.stopped is not Status.INTERRUPTED:
