@@ -1,13 +1,16 @@
-"""The inner problem: contact on a fixed mesh, solved exactly by a primal-dual active set.
+"""The inner problem: contact on a fixed mesh, solved exactly for its active set.
 
 At fixed node positions the inner problem is a strictly convex quadratic program,
 
     min 1/2 u^T K u - F^T u + sum_i b_i |t_i . u_i|   with   gap = N u + gamma >= 0,
 
-(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. The active set (which nodes touch, which stick) is
-found by a semismooth Newton method [1]_; when that does not make progress, single least-index changes [2]_
-guarantee that no set is visited for ever. A cold solve begins with the set that solves the problem condensed
-to the displacements of the contact nodes, where factorisations cost little.
+(5.1), (5.8), with Tresca bounds b_i = g omega_i >= 0. A semismooth Newton method [1]_ looks for the active
+set: which nodes touch, which stick. It ends where K is an M-matrix, but may cycle elsewhere, as at order 2,
+and takes a step per layer of nodes. Unless every four steps halve the number of wrong signs, an
+interior-point method (:mod:`rmesh_nlp.contact.interior_point`) goes on: it converges for every convex
+program. A set that it names twice in a row is solved exactly, and is the answer if all signs are right. A
+cold solve begins with the set that solves the problem condensed to the displacements of the contact nodes,
+where factorisations cost little.
 
 A body that contact holds, and not the given displacements alone, has rigid motions Z left. With f the work
 of the load in them and A the change of the gaps, an equilibrium exists if every motion that opens no gap
@@ -16,8 +19,6 @@ press on the foundation prevent every motion: two solutions differ by a rigid mo
 
 .. [1] M. Hintermüller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
    semismooth Newton method, SIAM J. Optim. 13 (2003) 865-888.
-.. [2] J. J. Júdice, F. M. Pires, A block principal pivoting algorithm for large-scale
-   strictly monotone linear complementarity problems, Comput. Oper. Res. 21 (1994) 587-596.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
-from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set, single_change
+from rmesh_nlp.contact.interior_point import interior_point
+from rmesh_nlp.contact.next_set import PATIENCE, holding, next_set
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import magnitude
@@ -77,28 +79,32 @@ def _by_bounds(system: ContactSystem, last: Equilibrium, max_iterations: int) ->
 
 
 def _solved(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Equilibrium:
+    """Newton's method, and the interior-point method where that is too slow or needs a node that pulls."""
     fewest, patience = np.inf, PATIENCE
-    seen: set[bytes] = set()
-    for iteration in range(1, max_iterations + 1):
-        state = system.equilibrium(active)
+    for spent in range(1, max_iterations + 1):
+        state = replace(system.equilibrium(active), iterations=spent)
         proposal, violations = next_set(system, state, active)
         if violations == 0:
-            return replace(state, iterations=iteration)
-        proposal = holding(system, active, state, proposal)
-        if proposal.key() == active.key():  # nodes that pull are needed to hold the body
-            return replace(state, status=Status.CYCLED, iterations=iteration)
-        if violations < fewest:
+            return state
+        active = holding(system, active, state, proposal)
+        if 2 * violations <= fewest:
             fewest, patience = violations, PATIENCE
-            seen.clear()
-        elif patience > 0:
-            patience -= 1
         else:
-            proposal = single_change(active, proposal)
-            if proposal.key() in seen:
-                return replace(state, status=Status.CYCLED, iterations=iteration)
-            seen.add(proposal.key())
-        active = proposal
-    return replace(state, status=Status.ITERATION_LIMIT, iterations=max_iterations)
+            patience -= 1
+        if patience < 0 or active.key() == state.active.key():
+            break
+    named, everywhere = state.active, replace(active, touching=np.ones(system.offset.size, dtype=bool))
+    for guess, force in interior_point(system, state):
+        spent += 1
+        if spent >= max_iterations:  # none is left for the set
+            break
+        before, named = named, holding(system, everywhere, replace(state, normal_force=force), guess)
+        if named.key() == before.key() != state.active.key():
+            spent += 1
+            state = replace(system.equilibrium(named), iterations=spent)
+            if next_set(system, state, named)[1] == 0:
+                return state
+    return replace(state, status=Status.ITERATION_LIMIT, iterations=min(spent, max_iterations))
 
 
 def first_set(system: ContactSystem) -> ActiveSet:

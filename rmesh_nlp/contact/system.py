@@ -155,9 +155,10 @@ class Equilibrium:
     tangential_force : (gaps,) array
         Friction on the body, -b <= force <= b, opposite to the slip.
     status : Status
-        CONVERGED, CYCLED or ITERATION_LIMIT.
+        CONVERGED or ITERATION_LIMIT, with Coulomb friction also CYCLED.
     iterations : int
-        Active sets that were tried, a factorisation each; that of the condensed problem is not counted.
+        Factorisations: of active sets that were tried, and of steps of the interior-point method. Those of
+        the condensed problem are not counted.
     """
 
     u: Array

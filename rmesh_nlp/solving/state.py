@@ -84,7 +84,7 @@ class State:
     sticking_nodes, sliding_nodes : int, optional
         With friction.
     contact : mapping
-        Forces, peak pressure and length of the contact, by contact boundary.
+        Forces, peak pressure and length of the contact, by contact boundary; empty where it is not solved.
     continuous : Admissible, optional
         The displacement that is admissible for the continuous problem, and its energy.
     corrections : mapping of str to float
@@ -166,7 +166,7 @@ def measured(outer: Outer, q: Array) -> State:
     exact = at.energy.start if is_given else at.energy(position)
     point = outer.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
-    continuous = at.continuous(position)
+    continuous, is_solved = at.continuous(position), solved.status is Status.CONVERGED
     displacement = at.contact.displacement.values(solved.u)
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
@@ -191,7 +191,7 @@ def measured(outer: Outer, q: Array) -> State:
         ),
         sticking_nodes=None if sliding is None else rows.size - sliding,
         sliding_nodes=sliding,
-        contact=contact_results(space, nodes, system, solved),
+        contact=contact_results(space, nodes, system, solved) if is_solved else {},
         continuous=continuous,
         corrections=corrections(at.contact, nodes, solved, continuous),
         point=point,

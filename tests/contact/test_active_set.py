@@ -10,25 +10,31 @@ import scipy.sparse as sp
 from skfem import Basis, ElementTriP1, ElementVector, FacetBasis, LinearForm, asm
 from skfem.models.elasticity import linear_elasticity
 
+import rmesh_nlp as rm
 from rmesh_nlp.contact import factorisation
 from rmesh_nlp.contact.active_set import at_rest, first_set, solve
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
 from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Obstacle, PlaneStrain
+from rmesh_nlp.problem import ContactProblem, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.entries import versions
-from support.contact_geometry import block_between_two_foundations, block_sliding_on_a_circle
+from support.contact_geometry import (
+    block_between_two_foundations,
+    block_in_a_corner,
+    block_sliding_on_a_circle,
+)
 from support.problems import sloped_block
 
 
 def random_system(seed: int) -> ContactSystem:
-    """A stiffness that is far from an M-matrix, where block changes alone may cycle."""
+    """A stiffness that is far from an M-matrix."""
     rng, m, n = np.random.default_rng(seed), 24, 10
     A = rng.standard_normal((m, m))
     rows = sp.csr_array((np.ones(2 * n), (np.arange(2 * n), rng.permutation(m)[: 2 * n])), shape=(2 * n, m))
@@ -41,6 +47,28 @@ def random_system(seed: int) -> ContactSystem:
         offset=rng.standard_normal(n),
         slip_bound=rng.random(n),
     )
+
+
+def on_all_unknowns(K: sp.sparray, load: Array, height: Array) -> ContactSystem:
+    """Contact on every unknown of a problem with one component, without friction."""
+    rows = sp.csr_array(sp.eye_array(load.size))
+    return ContactSystem(sp.csc_array(K), load, 0.0, rows, rows[:0], height, np.zeros(0))
+
+
+def string(n: int) -> ContactSystem:
+    """A string over a parabola: its stiffness is an M-matrix, and Newton's method opens a node a step."""
+    x, step = np.linspace(0, 1, n + 2)[1:-1], 1 / (n + 1)
+    K = sp.diags_array([-np.ones(n - 1), 2 * np.ones(n), -np.ones(n - 1)], offsets=[-1, 0, 1]) / step
+    return on_all_unknowns(K, np.full(n, -8 * step), 0.2 + 0.5 * (x - 0.5) ** 2)
+
+
+def beam(n: int) -> ContactSystem:
+    """A beam over an uneven obstacle under a load that turns: Newton's method cycles."""
+    x, step = np.linspace(0, 1, n + 2)[1:-1], 1 / (n + 1)
+    bend = sp.diags_array([np.ones(n - 1), -2 * np.ones(n), np.ones(n - 1)], offsets=[-1, 0, 1]) / step**2
+    rough = 1 + 0.5 * np.random.default_rng(1).standard_normal(n)
+    load = -50 * step * rough * np.sign(np.sin(3 * np.pi * x) + 0.3)
+    return on_all_unknowns(step * bend.T @ bend, load, 0.05 + 0.03 * np.cos(7 * x + 1))
 
 
 def of(make: Callable[..., ContactProblem], *size: object) -> Callable[[], ContactSystem]:
@@ -58,6 +86,8 @@ SYSTEMS = {
     "slope, stick and slip": of(sloped_block),
     "circle, stick and slip": of(block_sliding_on_a_circle),
     "corner of two foundations": of(block_between_two_foundations),
+    "string": lambda: string(200),
+    "beam": lambda: beam(50),
     **{f"random {seed}": (lambda seed=seed: random_system(seed)) for seed in range(3)},
 }
 
@@ -102,6 +132,63 @@ def test_any_start_ends_at_the_same_solution_or_at_the_iteration_limit(system: C
     far_off = ActiveSet(~cold.active.touching, cold.active.sliding)
     limited = solve(system, far_off, max_iterations=1)
     assert (limited.status, limited.iterations) == (Status.ITERATION_LIMIT, 1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_nodes_without_gap_and_force_that_slip_at_no_distance_are_solved_too(seed: int) -> None:
+    """Strict complementarity fails everywhere: in the gaps and in the slips, with friction at its bound."""
+    system, rng = random_system(seed), np.random.default_rng(seed)
+    n, u = system.offset.size, rng.standard_normal(system.load.size)
+    u -= system.tangents.T @ (system.tangents @ u)
+    friction = system.slip_bound * rng.choice([-1, 1], n)
+    load = system.stiffness @ u - system.tangents.T @ friction
+    biactive = replace(system, load=load, offset=-system.normals @ u)
+    sliding = rng.integers(-1, 2, n).astype(np.int8)
+    for start in (None, ActiveSet(rng.random(n) < 0.5, sliding)):
+        state = solve(biactive, start)
+        assert state.status is Status.CONVERGED
+        np.testing.assert_allclose(state.u, u, atol=1e-10)
+
+
+@pytest.mark.parametrize(("system", "at_most"), [(string(2000), 40), (beam(50), 30), (beam(400), 60)])
+@pytest.mark.parametrize("touching", [False, True])
+def test_factorisations_hardly_grow_with_the_mesh(system, at_most: int, touching: bool) -> None:
+    """Newton's method alone takes hundreds for the string, and does not end for the beam."""
+    state = solve(system, ActiveSet(np.full(system.offset.size, touching), np.zeros(0, dtype=np.int8)))
+    assert state.status is Status.CONVERGED
+    assert state.iterations <= at_most
+
+
+def test_units_of_single_unknowns_do_not_matter() -> None:
+    """Interior-point steps are the same with each unknown in a unit of its own."""
+    system, rng = beam(50), np.random.default_rng(0)
+    units = sp.diags_array(10 ** rng.uniform(-4, 4, system.load.size))
+    K, offset = sp.csc_array(units @ system.stiffness @ units), system.offset / units.diagonal()
+    scaled = replace(system, stiffness=K, load=units @ system.load, offset=offset)
+    assert abs(solve(scaled).iterations - solve(system).iterations) <= 2
+
+
+def test_a_node_that_pulls_is_let_go_where_another_one_holds_the_body() -> None:
+    """Newton's method stops with nodes in touch that pull, without which the first guess is a mechanism."""
+    problem = replace(
+        block_in_a_corner(2), tractions=(Traction("top", (-13.0, -108.0)), Traction("right", (-88.0, 2.0)))
+    )
+    state = ContactSolver(problem).given
+    assert state.status is Status.CONVERGED
+    assert np.all(state.normal_force >= 0)
+
+
+def test_a_contact_solve_that_fails_has_no_forces_to_show(monkeypatch: pytest.MonkeyPatch) -> None:
+    def limited(*given: Any) -> Equilibrium:
+        return replace(solve(*given), status=Status.ITERATION_LIMIT)
+
+    problem = EXAMPLES["6.1"](4)
+    assert rm.solve(problem, "fixed").record()["contact"]
+    monkeypatch.setattr("rmesh_nlp.contact.solver.solve", limited)
+    row = rm.solve(problem, "fixed").record()
+    assert (row["status"], row["success"]) == ("iteration_limit", False)
+    assert not row.get("contact")
+    assert row.get("resultant") is None
 
 
 @pytest.mark.parametrize("make", [of(EXAMPLES["6.1"], 8), of(EXAMPLES["6.3"], (12, 6))])
