@@ -20,7 +20,7 @@ from rmesh_nlp.fem.stress import stresses, von_mises
 from rmesh_nlp.io.folder import write_text, write_whole
 from rmesh_nlp.io.vtu import fields_of, file_mesh, three
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.mapping.validity import least_angles
+from rmesh_nlp.mapping.validity import is_upright, least_angles
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user, signed_areas
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
@@ -154,7 +154,7 @@ class Series:
     """Collects the iterates of a formulation and writes them as a PVD series that ParaView plays.
 
     Give it as ``on_step`` to a formulation, then call :meth:`write`. The displacement of each
-    frame is the contact solution on its mesh.
+    frame is the contact solution on its mesh, NaN where elements of an iterate are inverted.
 
     Parameters
     ----------
@@ -189,10 +189,12 @@ class Series:
         entries, active = [], None
         for step in self._chosen():
             nodes = free.positions.values(np.asarray(step.q))
-            system = model.system(nodes, free.design(np.asarray(step.q)) if self.problem.design else None)
-            state = solve(system, active)
-            active = state.active
-            u = space.values(model.displacement.values(state.u))
+            unknowns = np.full(model.n_u, np.nan)
+            if is_upright(self.problem, nodes):
+                design = free.design(np.asarray(step.q)) if self.problem.design else None
+                state = solve(model.system(nodes, design), active)
+                unknowns, active = state.u, state.active
+            u = space.values(model.displacement.values(unknowns))
             file = self._file(step, name)
             points = points_of(space, nodes)
             fields = {

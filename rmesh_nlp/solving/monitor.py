@@ -235,6 +235,8 @@ class Track:
         q, value = np.array(x[: self.outer.n]), f * self._unit
         if is_finite(q) and self.outer.is_valid(self.outer.clipped(q)):
             self._valid = self.outer.clipped(q)
+        else:  # inverted elements have any energy
+            value = NAN
         energy = value if self.outer.objective.is_energy else NAN
         return self._note(iteration, q, energy=energy, objective=value, contact_solves=0, **known)
 

@@ -253,6 +253,17 @@ def test_frames_of_a_series_have_the_mesh_and_the_displacement_at_their_variable
     assert k == 2
 
 
+def test_a_frame_with_inverted_elements_has_no_displacement(membrane, tmp_path) -> None:
+    """All-at-once solvers pass through such meshes, whose stiffness may be singular."""
+    free = MeshMap.of(membrane.problem)
+    inverted = 10 * np.random.default_rng(0).standard_normal(free.n)
+    series = series_of(membrane.problem, [np.zeros(free.n), inverted, np.zeros(free.n)])
+    series.write(tmp_path, "run")
+    fields = [meshio.read(tmp_path / name).point_data for name in series.names("run")[1:]]
+    assert [bool(np.all(np.isnan(field["displacement"]))) for field in fields] == [False, True, False]
+    np.testing.assert_array_equal(fields[0]["displacement"], fields[2]["displacement"])
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_gap_is_the_distance_along_the_normal_to_the_nearer_foundation(order):
     """A body 0.1 above a floor and 0.3 beside a wall, which sinks by 0.03 and moves away by 0.5."""
