@@ -23,10 +23,15 @@ from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
 
-WINDOW, CREEPING = 10, 1e-2
+WINDOW, LONG_WINDOW, CREEPING = 10, 50, 1e-2
 """A descent has met a kink if its last so many iterates had several contact sets, and the best of them is
 below those before by less than this part of the decrease so far: of the violation of constraints, and once
-they hold of the objective."""
+they hold of the objective. An energy has no kinks: it creeps if that goes on for the longer window."""
+
+TRUSTED, SPURIOUS = 20, 2
+"""After the first so many iterations a descent ends where the energy has fallen by more than so many times
+the error of the given mesh. By Theorem 4.1 no mesh gains more than that, so errors of the discretisation
+were exploited. The error is estimated by two contact solves; it is within 6 % on 6.1 with 8 to 32 squares."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +45,22 @@ class Nested(NestedSettings, Formulation):
     """
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        track, creeps = monitor.track(outer), Creeping()
+        track, energy = monitor.track(outer), outer.objective.collapses
+        creeps = Creeping(LONG_WINDOW if energy else WINDOW, is_kinked=not energy)
         is_asked = self.enough is not None or self.iterations is not None
-        may_creep = not (is_asked or outer.objective.collapses) and outer.discretisation.n_contact > 0
+        may_creep = not is_asked and (energy or outer.discretisation.n_contact > 0)
+        why: str | None = None
 
         def watch(iteration: int, at: Array) -> bool:
+            nonlocal why
             point = outer.function(at)
             over = track.exact(iteration, at, point)
-            return (may_creep and creeps(point, *outer.merit(point))) or over
+            if may_creep and creeps(point, *outer.merit(point)):
+                why = "stopped as hardly anything is gained"
+            elif may_creep and outer.objective.is_energy and iteration >= TRUSTED:
+                error, fell = monitor.estimate(outer), outer.at_start.value - point.value
+                why = "stopped as the energy fell by more than its error" if fell > SPURIOUS * error else why
+            return why is not None or over
 
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns
             watch(0, q)
@@ -59,7 +72,9 @@ class Nested(NestedSettings, Formulation):
         end, status, method = result.q, result.status, result.method
         if status is Status.INTERRUPTED:  # it creeps, and its last step may be a long one
             end, status = track.best(end), Status.STALLED
-        if not is_asked:
+        if energy and why is not None:
+            method = f"{method}, {why}"
+        elif not is_asked:
             finish = finished(outer, end, monitor)
             end, method = finish.q, ", then ".join(filter(None, (method, finish.method)))
             if finish.is_stationary:
@@ -69,11 +84,12 @@ class Nested(NestedSettings, Formulation):
 
 
 class Creeping:
-    """Tells that a descent goes to and fro over kinks and does not get on."""
+    """Tells that a descent does not get on; where there are kinks, that it goes to and fro over them."""
 
-    def __init__(self) -> None:
+    def __init__(self, window: int = WINDOW, *, is_kinked: bool = True) -> None:
+        self._window, self._is_kinked = window, is_kinked
         self._best: list[tuple[float, float]] = []
-        self._contact = deque[bytes](maxlen=WINDOW)
+        self._contact = deque[bytes](maxlen=window)
 
     def __call__(self, point: ReducedPoint, violation: float, value: float) -> bool:
         """Take note of an iterate; whether the descent is to stop.
@@ -82,10 +98,10 @@ class Creeping:
         """
         self._best.append(min([(violation, value), *self._best[-1:]]))
         self._contact.append(point.equilibrium.active.key())
-        if len(self._best) <= WINDOW or len(set(self._contact)) == 1:
+        if len(self._best) <= self._window or (self._is_kinked and len(set(self._contact)) == 1):
             return False
         # what counts before constraints hold is their violation, then the objective
-        which = 0 if self._best[-1 - WINDOW][0] > 0 else 1
+        which = 0 if self._best[-1 - self._window][0] > 0 else 1
         first = next(best[1] for best in self._best if best[0] == 0) if which else self._best[0][0]
-        before, now = self._best[-1 - WINDOW][which], self._best[-1][which]
+        before, now = self._best[-1 - self._window][which], self._best[-1][which]
         return before - now <= CREEPING * (first - now)

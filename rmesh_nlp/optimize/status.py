@@ -24,7 +24,7 @@ class Status(str, Enum):
     INFEASIBLE = "infeasible", "Locally infeasible: at a local minimum of the violation."
     VIOLATED = "violated", "A constraint of the problem does not hold."
     UNBOUNDED = "unbounded", "The iterates diverge: the problem may be unbounded."
-    STALLED = "stalled", "No further progress was possible before the tolerance was met."
+    STALLED = "stalled", "Progress ended, or became too slow, before the tolerance was met."
     CYCLED = "cycled", "The active set repeated itself without a solution."
     INACCURATE = (
         "inaccurate",

@@ -317,7 +317,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("rescues", Count, "Of `mpcc`: those after a stage had failed."),
         Entry("newton_steps", Count, "Of `joint`: steps on the reduced energy after Ipopt had stopped near a "
               "stationary point; absent if none."),
-        Entry("outer", Text, "The outer solvers that `nested` used, or what `auto` ran."),
+        Entry("outer", Text, "The outer solvers that `nested` used and why they stopped early, or what "
+              "`auto` ran."),
         Entry("regularisation", float | list[float], "[Without move "
               "limits](without_move_limits.md#how-it-works): weight of the distortion."),
         Entry("distortion", Text, "Its kind."),

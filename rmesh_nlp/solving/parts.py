@@ -77,8 +77,8 @@ class Step:
     ----------
     iteration : int
     energy : float
-        Objective energy at the iterate; meaningful as J only where ``primal_residual`` is small. NaN, as is the
-        objective, where an all-at-once solver passes through invalid elements.
+        Objective energy at the iterate; meaningful as J only where ``primal_residual`` is small. NaN, as is
+        the objective, where an all-at-once solver passes through invalid elements.
     t : float
         Relaxation parameter of the complementarity: finite and positive while a relaxation acts, ``inf``
         where the complementarity is not imposed, 0 where it holds exactly (contact solves, the
