@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
-from rmesh_nlp.fem.contact_pressure import nodal_forces, on_vertices, recovered
+from rmesh_nlp.fem.contact_pressure import is_even, nodal_forces, on_vertices, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
@@ -17,6 +17,11 @@ from rmesh_nlp.problem.data import ContactSet
 CLEAR = 0.01
 """Part of a result below which it got no worse, and of the contact force below which a residual of Coulomb's
 law is small: with edges of a tenth of the contact's length, solutions that partly stick have 5e-4 to 8e-3."""
+
+
+PEAKED = 1.1
+"""Least ratio of a peak at the end of a contact boundary, or at a kink, to the pressure beside it of which is
+said that it may have no limit."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,22 @@ def _vector(
     f_x, f_y = forces[acting] * (n_x, n_y) + friction[acting] * (n_y, -n_x)
     totals = {"force_x": f_x, "force_y": f_y, "moment": x * f_y - y * f_x}
     return {name: float(np.sum(values)) for name, values in totals.items()}
+
+
+def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> Iterator[str]:
+    """A sentence for each peak of the pressure, well above its neighbours, that may have no limit."""
+    for part in space.contact_sets if space.problem.components == 2 else ():
+        on = on_vertices(space, nodes, part, *nodal_forces(space, nodes, part, state.normal_force))
+        pressure = recovered(space, part, on)[: space.n_vertices]
+        top = int(np.argmax(pressure))
+        beside = on.cells[::-1][on.cells == top]
+        if not pressure[top] > PEAKED * np.max(pressure[beside], initial=0.0):
+            continue
+        is_kink = np.any(np.isclose(nodes[0, top], part.obstacle.kinks))
+        if is_kink or (on.ends[top] and not is_even(space, part)[top]):
+            place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
+            text = f"the largest pressure is at {place} {str(part.obstacle.boundary)!r}, where it may have "
+            yield text + "no limit: it can grow with each refinement"
 
 
 def worse(

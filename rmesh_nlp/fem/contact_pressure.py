@@ -7,7 +7,7 @@ the pressure, at order 2 without these errors. The recovered pressure is linear 
 exact if the pressure is linear along a boundary.
 
 At a node whose gap is given and closed, contact and support share one reaction. The force of the contact is
-there that of a pressure which continues linearly beyond the two nodes beside it.
+there that of a pressure which continues from the nodes beside it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, largest_side
@@ -33,7 +34,7 @@ the whole force beyond that vertex in its own. Where it does not fall half an ed
 class End(NamedTuple):
     """A vertex that contact shares with a support, and what follows it along the contact boundary.
 
-    ``vertices`` are up to four, from the shared one on; ``nodes`` one or two contact nodes: vertices, of
+    ``vertices`` are up to five, from the shared one on; ``nodes`` up to three contact nodes: vertices, of
     order 2 edges.
     """
 
@@ -52,35 +53,40 @@ def ends(space: DisplacementSpace, part: ContactSet) -> Iterator[End]:
     for start in shared:
         for second in beside[start]:
             path = [start, second]
-            while len(path) < 4 and len(beside[path[-1]]) == 2:
+            while len(path) < 5 and len(beside[path[-1]]) == 2:
                 path.append(sum(beside[path[-1]]) - path[-2])
             along = np.array(path)
-            nodes = along[1:3] if space.order == 1 else space.nodes_at(along[:-1], along[1:])[:2]
-            known = np.isin(nodes, part.nodes)
-            if known[0]:
-                yield End(path, nodes[: 1 + known[-1]])
+            nodes = along[1:] if space.order == 1 else space.nodes_at(along[:-1], along[1:])
+            known = np.cumprod(np.isin(nodes[:3], part.nodes)).sum()
+            if known:
+                yield End(path, nodes[:known])
 
 
 def force_at_end(order: int, length: Sequence[Expression], force: Sequence[Expression]) -> Expression:
     """The contact force at a shared vertex; a pressure is not to be negative.
 
+    The slope of the stress continues linearly too, but between zero and that of the two nodes next to the
+    vertex: a pressure that levels off does not overshoot.
+
     Parameters
     ----------
     order : int
     length : sequence
-        Of up to three edges from there on.
+        Of up to four edges from there on.
     force : sequence
-        Of the one or two contact nodes beside it, as in :class:`End`.
+        Of up to three contact nodes beside it, as in :class:`End`.
     """
-    first, second, third = (*length, 0, 0)[:3]
+    h, n = (*length, 0, 0, 0, 0), range(len(force))
     if order == 1:
-        size, step = ((first + second) / 2, (second + third) / 2), (first + second) / (first + second + third)
+        size, first = [(h[k] + h[k + 1]) / 2 for k in n], (h[0] + h[1]) / 3
+        apart = [(h[k] + h[k + 1] + h[k + 2]) / 3 for k in n]
     else:
-        size, step = (first / 3, second / 3), first / (2 * (first + second))
-    stress = force[0] / size[0]
-    if len(force) > 1:
-        stress += step * (stress - force[1] / size[1])
-    return first / (1 + order) * stress
+        size, first = [h[k] / 3 for k in n], h[0] / 4
+        apart = [(h[k] + h[k + 1]) / 2 for k in n]
+    stress = [force[k] / size[k] for k in n]
+    slopes = [(stress[k] - stress[k + 1]) / apart[k] for k in n[:-1]] or [0.0]
+    last = ca.fmin(2 * slopes[0] - slopes[-1], ca.fmax(slopes[0], 0))
+    return h[0] / (1 + order) * (stress[0] + first * ca.fmax(last, ca.fmin(slopes[0], 0)))
 
 
 def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Array) -> list[Array]:
@@ -96,7 +102,7 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
             for end in ends(space, part):
                 along = lengths(X, np.stack([end.vertices[:-1], end.vertices[1:]])).tolist()
                 shared = force_at_end(space.order, along, forces[end.nodes].tolist())
-                forces[end.vertices[0]] += shared if number else max(shared, 0.0)
+                forces[end.vertices[0]] += float(shared) if number else max(float(shared), 0.0)
         result.append(forces)
     return result
 
@@ -172,8 +178,7 @@ def recovered(space: DisplacementSpace, part: ContactSet, on: OnVertices) -> Arr
     means, weights = on.means, on.weights
     result = np.append(means, np.zeros(space.n_nodes - means.size))
     if len(on.cells) == 2:
-        even, is_end = np.zeros(space.n_nodes, dtype=bool), on.ends
-        even[part.nodes] = ~may_slip(space, part)
+        even, is_end = is_even(space, part), on.ends
         for own, other in (on.cells, on.cells[::-1]):
             apart = 2 * (weights[own] + weights[other]) - on.size
             step = 2 / (2 - is_end[own]) * (on.size - weights[own]) * (means[other] - means[own]) / apart
@@ -206,6 +211,13 @@ def vertex_pressures(space: DisplacementSpace, X: Array, part: ContactSet, force
     """(vertices of the set,) means of the pressure at vertices without a given gap by forces (gaps,)."""
     means = on_vertices(space, X, part, *nodal_forces(space, X, part, force)).means
     return means[part.nodes[part.nodes < means.size]]
+
+
+def is_even(space: DisplacementSpace, part: ContactSet) -> Mask:
+    """(nodes,) whether a contact boundary that ends here ends in a plane of symmetry."""
+    even = np.zeros(space.n_nodes, dtype=bool)
+    even[part.nodes] = ~may_slip(space, part)
+    return even
 
 
 def may_slip(space: DisplacementSpace, part: ContactSet) -> Mask:

@@ -9,7 +9,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, unlimited_peaks
 from rmesh_nlp.assessment.coulomb import coulomb_residual
 from rmesh_nlp.assessment.measures import (
     ContactResiduals,
@@ -202,7 +202,11 @@ def measured(outer: Outer, q: Array) -> State:
         size=max(abs(audited), size_of(point), natural),
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
-        warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),
+        warnings=(
+            *(warning.message for warning in penetration_warnings(passing)),
+            *_ambiguous(exact),
+            *unlimited_peaks(space, nodes, solved),
+        ),
         doubts=tuple(warning.message for warning in setup_warnings(at.contact, load)) if is_given else (),
     )
 

@@ -147,19 +147,22 @@ def test_values_on_the_refined_mesh_are_in_equilibrium() -> None:
         assert found[f"force_y{suffix}"] == pytest.approx(2, rel=1e-9)
 
 
+def hertz(n: int) -> rm.ContactProblem:
+    """A parabola under half a block, pressed by 0.005."""
+    return rm.ContactProblem(
+        rm.shapes.rectangle(n, n),
+        rm.PlaneStrain.from_young(young=1000, poisson=0.3),
+        (rm.Dirichlet("top", (0.0, -0.005)), rm.Dirichlet("left", (0.0, None))),
+        rm.Obstacle.graph("bottom", lambda x, y: -0.05 * x**2),
+    )
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_length_of_contact_ends_within_an_edge(order: int) -> None:
     """A parabola under a block: half-width 0.2044 and peak 11.644 are those of order 2 with 128 edges."""
     errors = []
     for n in (12, 16, 20):
-        problem = rm.ContactProblem(
-            rm.shapes.rectangle(n, n),
-            rm.PlaneStrain.from_young(young=1000, poisson=0.3),
-            (rm.Dirichlet("top", (0.0, -0.005)), rm.Dirichlet("left", (0.0, None))),
-            rm.Obstacle.graph("bottom", lambda x, y: -0.05 * x**2),
-            order=order,
-        )
-        (found,) = results(problem).values()
+        (found,) = results(replace(hertz(n), order=order)).values()
         errors += [found.contact_length / 0.2044 - 1, (found.peak_pressure / 11.644 - 1)]
     assert np.max(np.abs(errors)) < 0.05
 
@@ -211,3 +214,28 @@ def test_even_pressure_at_planes_of_symmetry_of_a_ring() -> None:
     (found,) = results(problem).values()
     exact = 0.01 / (1.3 / 1000 * (0.4 + 4) / 3)
     assert found.peak_pressure == pytest.approx(exact, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("wide", "words"), [(1.0, "at the end of the contact boundary 'bottom'"), (0.5, "kink")]
+)
+def test_peak_without_a_limit_is_told(wide: float, words: str) -> None:
+    """A punch: the body ends, or the foundation falls away."""
+    mesh = rm.shapes.rectangle(8, 6)
+    boundaries = {"bottom": lambda at: (at[1] == 0) & (at[0] < 0.5)} if wide == 1 else {}
+    steep = rm.Obstacle("bottom", offset=lambda x, y: 0.1 * (x > 0.5), kinks=(0.5,))
+    problem = rm.ContactProblem(
+        mesh.with_boundaries(boundaries) if boundaries else mesh,
+        rm.PlaneStrain.from_young(young=1000, poisson=0.3),
+        (rm.Dirichlet("top", (0.0, -0.001)), rm.Dirichlet("left", (0.0, None))),
+        rm.Obstacle("bottom") if wide == 1 else steep,
+    )
+    assert any(words in text for text in rm.solve(problem, "fixed").record()["warnings"])
+
+
+def test_resolution_is_warned_of_by_one_rule() -> None:
+    """Less than three vertices under pressure, or at order 2 two edges."""
+    for order, n, is_said in ((1, 8, True), (2, 8, True), (1, 16, False), (2, 16, False)):
+        problem = replace(hertz(n), order=order)
+        texts = rm.solve(problem, "fixed").record()["warnings"]
+        assert any("too coarse" in text for text in texts) is is_said
