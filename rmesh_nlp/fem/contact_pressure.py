@@ -26,9 +26,9 @@ from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
 
 BEYOND = (0.0, 0.0736, 0.2735, 0.567, 0.8828, 1.2), (-1.0, -0.5, 0.0, 0.5, 1.0, 0.5)
-"""How far contact reaches beyond its last vertex, in units of the edge there, by the mean pressure of that
-vertex over that of the one before: of a pressure that falls like the root of the distance to the end, with
-the whole force beyond that vertex in its own. Where it does not fall half an edge."""
+"""How far contact reaches beyond its last vertex, in units of the edge before it, by the force of that vertex
+over that of the mean pressure of the one before on this edge: of a pressure that falls like the root of the
+distance to the end, all force beyond the last vertex in its own. Where it does not fall half an edge."""
 
 
 class End(NamedTuple):
@@ -138,14 +138,17 @@ class OnVertices(NamedTuple):
         pressing = self.forces > least
         if len(self.cells) == 3:
             return float(np.sum(self.weights[pressing]))
-        both, means, before = np.all(pressing[self.cells], axis=0), self.means, np.zeros(pressing.size)
-        total = float(np.sum(self.size[both]))
+        both, before = np.all(pressing[self.cells], axis=0), np.zeros((2, pressing.size))
+        total, means = float(np.sum(self.size[both])), self.means
         for last, other in (self.cells, self.cells[::-1]):
-            np.add.at(before, last[both], means[other[both]])
+            np.add.at(before[0], last[both], self.size[both])
+            np.add.at(before[1], last[both], (self.size * means[other])[both])
         for last, other in (self.cells, self.cells[::-1]):
             at = pressing[last] & ~pressing[other]
-            ratio = means[last[at]] / np.maximum(before[last[at]], 1e-300)
-            total += float(np.sum(self.size[at] * np.maximum(np.interp(ratio, *BEYOND), 1 - order)))
+            edge, force = before[:, last[at]]
+            reach = np.interp(self.forces[last[at]] / np.maximum(force, 1e-300), *BEYOND)
+            edge = np.where(edge > 0, edge, self.size[at])
+            total += float(np.sum(np.minimum(np.maximum(reach, 1 - order) * edge, self.size[at])))
         return total
 
 
