@@ -3,7 +3,7 @@
 What other folders use of its modules:
 
 - ``admissible``: Admissible, admissible
-- ``contact_results``: contact_results, ContactResult, worse
+- ``contact_results``: contact_results, ContactResult, unlimited_peaks, worse
 - ``coulomb``: coulomb_residual, growth
 - ``energy``: friction_energy, load_vector
 - ``error_reduction``: by_certificate, error_reduction, ErrorReduction, on_refined, SLOWEST

@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.fem.contact_pressure import is_even, nodal_forces, on_vertices, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
+from rmesh_nlp.problem.data import ContactSet
 
 CLEAR = 0.01
 """Part of a result below which it got no worse, and of the contact force below which a residual of Coulomb's
 law is small: with edges of a tenth of the contact's length, solutions that partly stick have 5e-4 to 8e-3."""
+
+
+PEAKED = 1.1
+"""Least ratio of a peak at the end of a contact boundary, or at a kink, to the pressure beside it of which is
+said that it may have no limit."""
 
 
 @dataclass(frozen=True)
@@ -28,15 +35,22 @@ class ContactResult:
     tangential_force : float
         Sum of the friction on the body along the tangents, in N/m.
     peak_pressure : float
-        Largest nodal force over the share omega_i of its node, in N/m^2.
+        Largest value of the recovered pressure, in N/m^2.
     contact_length : float
-        Of the boundary at nodes that press, in m; of an interior obstacle an area.
+        Of the boundary where it presses, in m; of an interior obstacle an area.
+    force_x, force_y : float or None
+        Force of the foundation on the body, pressure and friction, in N/m; None for a scalar problem.
+    moment : float or None
+        Of that force about the origin, in N, positive counter-clockwise.
     """
 
     normal_force: float
     tangential_force: float
     peak_pressure: float
     contact_length: float
+    force_x: float | None = None
+    force_y: float | None = None
+    moment: float | None = None
 
 
 def contact_results(
@@ -46,26 +60,56 @@ def contact_results(
 
     Foundations after the first one on the same boundary have their number behind its name.
     """
-    force, results = state.normal_force, dict[str, ContactResult]()
-    friction = state.tangential_force if state.tangential_force.size else np.zeros(force.size)
-    if not force.size:
+    results = dict[str, ContactResult]()
+    if not state.normal_force.size:
         return results
-    weights = space.weights(nodes)
-    least = ROUNDING * max(system.force_scale, np.max(force))
+    least = ROUNDING * max(system.force_scale, np.max(state.normal_force))
     for part in space.contact_sets:
-        boundary, rows = part.obstacle.boundary, part.rows
+        boundary = part.obstacle.boundary
         name = boundary.value if isinstance(boundary, Place) else str(boundary)
         if name in results:
             name = f"{name} {part.number + 1}"
-        pressing = force[rows] > least
-        normal, along = (float(np.sum(forces[rows])) for forces in (force, friction))
+        forces, rubbing = nodal_forces(space, nodes, part, state.normal_force, state.tangential_force)
+        normal, along = float(np.sum(forces)), float(np.sum(rubbing))
+        on = on_vertices(space, nodes, part, forces)
         results[name] = ContactResult(
             normal_force=normal,
             tangential_force=along if abs(along) > ROUNDING * normal else 0.0,
-            peak_pressure=float(np.max(force[rows] / weights[rows], initial=0.0)),
-            contact_length=float(np.sum(weights[rows][pressing])),
+            peak_pressure=float(np.max(recovered(space, part, on))),
+            contact_length=on.length(space.order, least),
+            **_vector(space, nodes, part, forces, rubbing),
         )
     return results
+
+
+def _vector(
+    space: DisplacementSpace, nodes: Array, part: ContactSet, forces: Array, friction: Array
+) -> dict[str, float]:
+    """Force and moment of normal and tangential forces at nodes; none of a scalar problem."""
+    if space.problem.components == 1:
+        return {}
+    acting = np.flatnonzero((forces != 0) | (friction != 0))
+    x, y = points = space.points(nodes)[:, acting]
+    n_x, n_y = part.obstacle.normals(points)
+    f_x, f_y = forces[acting] * (n_x, n_y) + friction[acting] * (n_y, -n_x)
+    totals = {"force_x": f_x, "force_y": f_y, "moment": x * f_y - y * f_x}
+    return {name: float(np.sum(values)) for name, values in totals.items()}
+
+
+def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> Iterator[str]:
+    """A sentence for each peak of the pressure, well above its neighbours, that may have no limit."""
+    for part in space.contact_sets if space.problem.components == 2 else ():
+        on = on_vertices(space, nodes, part, *nodal_forces(space, nodes, part, state.normal_force))
+        pressure = recovered(space, part, on)[: space.n_vertices]
+        top = int(np.argmax(pressure))
+        beside = on.cells[::-1][on.cells == top]
+        if not pressure[top] > PEAKED * np.max(pressure[beside], initial=0.0):
+            continue
+        is_kink = np.any(np.isclose(nodes[0, top], part.obstacle.kinks))
+        if is_kink or (on.ends[top] and not is_even(space, part)[top]):
+            place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
+            text = f"the largest pressure is at {place} {str(part.obstacle.boundary)!r}, where it may have "
+            yield text + "no limit: it can grow with each refinement"
 
 
 def worse(

@@ -1,6 +1,6 @@
 """How far a solution is from Coulomb's law along whole contact edges; the solver imposes it at nodes.
 
-Let p and tau be the pressure and the tangential stress of the record, v the slip and b = g + F max(p, 0) the
+Let p and tau be the nodal forces over the weights of their nodes, v the slip and b = g + F max(p, 0) the
 bound. The law ``|tau| <= b``, slip against tau, and only where ``|tau| = b``, is one equation,
 
     r(tau, v) = tau + proj_[-b, b](c v - tau) = 0    for any c > 0

@@ -5,6 +5,7 @@ What other folders use of its modules:
 - ``assembly``: Assembled, element_values, Sums
 - ``bernstein``: functions, SIDES, size, slopes, to_coefficients
 - ``constraints``: boundary_of, checked, constraint_rows, ConstraintRows, is_constrained
+- ``contact_pressure``: contact_stresses, is_even, nodal_forces, on_vertices, recovered, vertex_pressures
 - ``contact_terms``: bound_force_groups, contact_force_groups, friction, gap_field, gaps, gradient_group,
   identity_group, slip_field, slips
 - ``distortion``: DISTORTIONS

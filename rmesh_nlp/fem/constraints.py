@@ -1,7 +1,7 @@
 """Constraints on the outer problem: quantities within bounds, as rows of sums over elements.
 
 The value of a :class:`rmesh_nlp.Constraint` is that of an objective, or ``max-pressure(NAME)``: then there is
-a row ``lambda_i <= P omega_i`` for each contact node of the boundary, with a derivative where the largest
+a row ``F_v <= P omega_v`` for each contact vertex of the boundary, with a derivative where the largest
 pressure has none. Where a displacement is given on a contact boundary, designs must leave it admissible. All
 rows are in units of their bounds.
 """
@@ -9,17 +9,17 @@ rows are in units of their bounds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, largest_side
-from rmesh_nlp.fem.contact_terms import bounds, given_gaps, gradient_group
-from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields
+from rmesh_nlp.fem.contact_terms import given_gaps
+from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional, as_row
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.fem.pressure import LARGEST, contact_on
+from rmesh_nlp.fem.pressure import LARGEST, contact_on, vertex_groups
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import is_number
 from rmesh_nlp.problem.design import Constraint, at_design
@@ -148,19 +148,10 @@ def _unit(constraint: Constraint) -> float:
 def _pressure_rows(
     fields: Fields, boundary: str, level: float | ca.SX, first: int
 ) -> tuple[list[ElementGroup], int, float]:
-    """Rows ``lambda_i - P omega_i`` numbered from ``first``, how many, and their unit."""
-    space, forces = fields.space, fields.forces
-    assert forces is not None
-    part = contact_on(space, boundary)
-    weights = space.weights(space.problem.mesh.p)[part.rows]
+    """Rows ``F_v - P omega_v`` numbered from ``first``, how many, and their unit."""
+    space = fields.space
     size = float(level if is_number(level) else at_design(level, space.problem.start))
+    weights = space.weights(space.problem.mesh.p)[contact_on(space, boundary).rows]
     unit = np.mean(weights) * (abs(size) or 1.0)
-    normal = forces.normal.component(part.number)
-    value, rows = ca.SX.sym("lambda"), first + np.arange(part.nodes.size)[None]
-    function = ca.Function("pressure", [value], [0, value / unit])
-    groups = [fields.group(function, [normal.at(part.nodes[None])], rows)]
-    shift = first - int(forces.normal.index[part.number, part.nodes[0]])
-    for bound in bounds(fields, part, level, forces.normal):
-        group = gradient_group(bound, shift, -unit)
-        groups.append(replace(group, rows=np.where(np.isin(group.rows, rows), group.rows, NONE)))
-    return groups, part.nodes.size, unit
+    groups = vertex_groups(fields, boundary, lambda share, force: (force - level * share) / unit, first)
+    return groups, sum(group.size for group in groups), unit

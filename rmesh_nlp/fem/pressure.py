@@ -1,28 +1,31 @@
 """Outer objectives of contact forces: quantities of the pressure on a contact boundary.
 
-The pressure at a contact node is its force over its share of the boundary, ``p_i = lambda_i / omega_i``, with
-the weights of (5.9), which move with the nodes. Integrals over the boundary are sums with the same weights,
-so that a pressure that is constant has exactly its own integral. Nodes whose displacement is given have no
-pressure and no part in the boundary.
+The pressure at a contact vertex is the mean ``F_v / omega_v`` of :mod:`rmesh_nlp.fem.contact_pressure`: the
+force there, of order 2 with half of those at the edges beside it, over half the length of these edges, which
+move with the nodes. Integrals over the boundary are sums with the same weights, so that a pressure that is
+constant has exactly its own integral. Vertices whose gap is given have no part in them, but in ``resultant``.
+The values of a record differ from these means by a step along the boundary, at its ends and where lengths of
+edges differ.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import ROUNDING, Expression, Mask
-from rmesh_nlp.fem.bernstein import size
+from rmesh_nlp.evaluation import Expression, Index
+from rmesh_nlp.fem.contact_pressure import ends, force_at_end, may_slip
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
-from rmesh_nlp.fem.fields import ElementGroup, Fields, Forces
+from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Forces
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.meshes.geometry import lengths
+from rmesh_nlp.problem.coefficients import OPEN
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
 
@@ -32,21 +35,30 @@ __all__ = ["contact_length", "largest_pressure", "level_pressure", "peak_pressur
 def level_pressure(boundary: str, *, name: str = "level pressure") -> Objective:
     """The integral of ``(p - mean p)^2``, the mean over the contact boundary: zero for a uniform pressure.
 
-    It is ``sum lambda_i^2 / omega_i - (sum lambda_i)^2 / sum omega_i``.
+    It is ``sum F_v^2 / omega_v - (sum F_v)^2 / sum omega_v``.
     """
 
     def quantity(on: Fields) -> Functional:
-        squares = _groups(on, boundary, lambda share, force: force**2 / share)
-        total = _groups(on, boundary, lambda _, force: force)
-        length = _groups(on, boundary, lambda share, _: share)
+        squares = vertex_groups(on, boundary, lambda share, force: force**2 / share)
+        total = vertex_groups(on, boundary, lambda _, force: force)
+        length = vertex_groups(on, boundary, lambda share, _: share)
         return Functional(squares, (total, length), lambda s: -(s[0] ** 2) / s[1])
 
     return Term(name, quantity, minimised_only=True).alone
 
 
 def resultant(boundary: str, *, name: str = "resultant") -> Objective:
-    """The integral of the contact pressure: the sum of all normal forces on a contact boundary, in N/m."""
-    return _sum(name, boundary, lambda _, force: force)
+    """The integral of the contact pressure, in N/m: of all normal forces, and those at shared vertices.
+
+    At a vertex that contact shares with a support the pressure continues from the nodes beside it
+    (:func:`rmesh_nlp.fem.contact_pressure.force_at_end`).
+    """
+
+    def quantity(on: Fields) -> list[ElementGroup]:
+        part, normal = contact_on(on.space, boundary), ca.SX.sym("lambda")
+        return _integral(on, part, part.nodes, [_forces_on(on, boundary).normal], normal, normal)
+
+    return Term(name, quantity).alone
 
 
 def shear(boundary: str, *, name: str = "shear") -> Objective:
@@ -61,10 +73,8 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
         if not part.obstacle.frictional:
             raise ValueError(f"{name}: contact on {boundary!r} is without friction")
         minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
-        function = ca.Function("shear", [minus, plus], [plus - minus, NO_ROWS])
-        free = part.nodes[_may_slip(on.space, part)]
-        local = (field.component(part.number).at(free[None]) for field in forces[1:])
-        return [on.group(function, list(local))]
+        free = part.nodes[may_slip(on.space, part)]
+        return _integral(on, part, free, forces[1:], ca.vertcat(minus, plus), plus - minus)
 
     return Term(name, quantity).alone
 
@@ -79,7 +89,7 @@ def level_name(boundary: str) -> str:
 
 
 def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Objective:
-    """The largest pressure at a contact node; minimised by the level that it stays below.
+    """The largest pressure at a contact vertex; minimised by the level that it stays below.
 
     On a problem without that level it is the largest value itself.
     """
@@ -89,7 +99,7 @@ def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Object
         if design is not None and level in design.names:
             function = ca.Function("level", [symbol(level)], [symbol(level), NO_ROWS])
             return Functional([on.group(function, [design.of((level,), 1)])])
-        groups = _groups(on, boundary, lambda share, force: force / share)
+        groups = vertex_groups(on, boundary, lambda share, force: force / share)
         each = [[group.some(np.array([k]))] for group in groups for k in range(group.size)]
         return Functional([], tuple(each), lambda s: reduce(ca.fmax, ca.vertsplit(s)))
 
@@ -99,8 +109,9 @@ def largest_pressure(boundary: str, *, name: str = "largest pressure") -> Object
 def contact_length(boundary: str, reference: float, *, name: str = "contact length") -> Objective:
     """The length on which the body presses, smoothed: the integral of ``p^2 / (p^2 + P^2)``.
 
-    As the reference pressure P tends to 0 it rises to the length of contact of a record, the sum of omega_i
-    over all nodes that press. It is continuously differentiable where a node begins to press.
+    As the reference pressure P tends to 0 it rises to the sum of omega_v over all vertices that press, up to
+    half an edge from the length of contact of a record at either end. It is continuously differentiable where
+    a node begins to press.
 
     Parameters
     ----------
@@ -119,7 +130,7 @@ def peak_pressure(
 ) -> Objective:
     """The peak of the contact pressure, smoothed: the mean of ``(pressure / reference)^exponent``.
 
-    The mean is over the length of the contact boundary on the initial mesh, with the weights omega_i.
+    The mean is over the length of the contact boundary on the initial mesh, with the weights omega_v.
     ``reference * value**(1 / exponent)`` lies between the mean and the peak; it is not taken as the
     objective itself, since the minimisers are the same.
 
@@ -147,36 +158,61 @@ def peak_pressure(
         def value(share: Expression, force: Expression) -> Expression:
             return share / length * (force / (share * reference)) ** exponent
 
-        return _groups(on, boundary, value)
+        return vertex_groups(on, boundary, value)
 
     return Term(name, quantity).alone
 
 
-def _sum(name: str, boundary: str, value: Callable[[Expression, Expression], Expression]) -> Objective:
-    return Term(name, lambda on: _groups(on, boundary, value)).alone
-
-
-def _groups(
-    on: Fields, boundary: str, value: Callable[[Expression, Expression], Expression]
+def _integral(
+    on: Fields, part: ContactSet, nodes: Index, forces: Sequence[Field], symbols: ca.SX, force: ca.SX
 ) -> list[ElementGroup]:
-    """The sum of ``value(omega_i, lambda_i)`` over the nodes of a contact boundary."""
-    part, groups = contact_on(on.space, boundary), []
-    normal = _forces_on(on, boundary).normal.component(part.number)
-    for patch in patches(on.space, part):
-        X, force = ca.SX.sym("X", 2, len(patch.vertices)), ca.SX.sym("lambda")
-        share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in patch.cells) / size(on.space.order, 2)
-        function = ca.Function("at_node", [ca.vec(X), force], [ca.SX(value(share, force)), NO_ROWS])
-        local = on.positions.at(patch.vertices), normal.at(part.nodes[None, patch.rows])
-        groups.append(on.group(function, local))
+    """The sum of ``force(symbols)`` over contact nodes (n,), and of that at shared vertices.
+
+    ``symbols`` are the values of ``forces`` at a node.
+    """
+    fields = [field.component(part.number) for field in forces]
+    function = ca.Function("force", ca.vertsplit(symbols), [force])
+    at_node = ca.Function("force", ca.vertsplit(symbols), [force, NO_ROWS])
+    groups = [on.group(at_node, [field.at(nodes[None]) for field in fields])]
+    for end in ends(on.space, part):
+        X = ca.SX.sym("X", 2, len(end.vertices))
+        columns = [ca.SX.sym("lambda", end.nodes.size) for _ in fields]
+        along = [ca.norm_2(X[:, k + 1] - X[:, k]) for k in range(len(end.vertices) - 1)]
+        beside = [function(*values) for values in zip(*map(ca.vertsplit, columns), strict=True)]
+        shared = force_at_end(on.space.order, along, beside)
+        shared = ca.fmax(shared, 0) if len(fields) == 1 else shared
+        at_end = ca.Function("force_at_end", [ca.vec(X), *columns], [shared, NO_ROWS])
+        local = [field.at(end.nodes[:, None]) for field in fields]
+        groups.append(on.group(at_end, [on.positions.at(np.array(end.vertices)[:, None]), *local]))
     return groups
 
 
-def _may_slip(space: DisplacementSpace, part: ContactSet) -> Mask:
-    """(nodes,) Whether some displacement along the tangent is free."""
-    given, _ = space.given()
-    obstacle = space.problem.first_obstacles[part.number]
-    normals = obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
-    return np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > ROUNDING), axis=0)
+def _sum(name: str, boundary: str, value: Callable[[Expression, Expression], Expression]) -> Objective:
+    return Term(name, lambda on: vertex_groups(on, boundary, value)).alone
+
+
+def vertex_groups(
+    on: Fields, boundary: str, value: Callable[[Expression, Expression], Expression], row: int | None = None
+) -> list[ElementGroup]:
+    """The sum of ``value(omega_v, F_v)`` over the vertices of a contact boundary; rows from ``row`` on."""
+    part, groups = contact_on(on.space, boundary), []
+    normal = _forces_on(on, boundary).normal.component(part.number)
+    for patch in patches(on.space, part):
+        if patch.at_edge:
+            continue
+        first, *others = patch.vertices
+        edges = [on.space.nodes_at(first, other) for other in others] if on.space.order == 2 else []
+        X, force = ca.SX.sym("X", 2, 1 + len(others)), ca.SX.sym("lambda", 1 + len(edges))
+        share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in patch.cells) / 2
+        total = ca.dot(ca.DM([1, *([0.5] * len(edges))]), force)
+        of_vertex, rows = ca.SX(value(share, total)), None
+        if row is not None:
+            rows, row = row + np.arange(first.size)[None], row + first.size
+        values = [of_vertex, NO_ROWS] if rows is None else [0, of_vertex]
+        function = ca.Function("at_vertex", [ca.vec(X), force], values, OPEN)
+        local = on.positions.at(patch.vertices), normal.at(np.stack([first, *edges]))
+        groups.append(on.group(function, local, rows))
+    return groups
 
 
 def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:

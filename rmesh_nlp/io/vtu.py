@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.evaluation import Array, Index, is_finite
+from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
@@ -21,7 +22,7 @@ from rmesh_nlp.models.residual import Multipliers
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.state import State, nodal_stress
+from rmesh_nlp.solving.state import State
 
 CELLS = {3: "triangle", 6: "triangle6"}  # what VTU files call elements, by their number of nodes
 SCALARS = ("pressure", "tangential_stress", "friction_bound", "gap")  # at nodes, of either mesh
@@ -149,8 +150,8 @@ def fields_of(solution: Solution) -> Fields:
     else:  # another mesh was made for the solution
         solver = ContactSolver(problem)
         solved = solver.solve(X)
-        forces = (nodal_stress(solver, X, f) for f in (solved.normal_force, solved.tangential_force))
-        before = state_of(problem, X, space.values(solver.displacement.values(solved.u)), *forces)
+        stresses = contact_stresses(space, X, solved.normal_force, solved.tangential_force)
+        before = state_of(problem, X, space.values(solver.displacement.values(solved.u)), *stresses)
     return Fields(space.elements, before, _of_state(final), mobility, multipliers=multipliers)
 
 

@@ -7,6 +7,7 @@ import scipy.sparse as sp
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.constraints import boundary_of
+from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.models.kkt_model import ContactPoint
 from rmesh_nlp.models.kkt_point import KKTConditions
@@ -42,11 +43,10 @@ class ReducedConstraints:
             if boundary is None:
                 value = (reached * self.rows.unit)[rows[0]]
                 used[text] += 1
-            else:  # rows are forces less the level times the weights
+            else:
                 part, nodes = contact_on(parts.space, boundary), parts.mesh_map.positions.values(point.q)
-                weights, rows = parts.space.weights(nodes)[part.rows], rows[: part.rows.size]
-                value = upper + np.max((reached * self.rows.unit)[rows] / weights)
-                used[text] += rows.size
+                pressures = vertex_pressures(parts.space, nodes, part, point.equilibrium.normal_force)
+                value, used[text] = np.max(pressures), used[text] + pressures.size
             values.append((text, float(value), lower, upper))
         return values
 

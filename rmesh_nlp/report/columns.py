@@ -50,7 +50,8 @@ def of(*names: str) -> tuple[Column, ...]:
     return tuple(Column(entry.heading, entry.name, entry.digits) for entry in entries)
 
 
-RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length")
+VECTOR = ("force_x", "force_y", "moment")
+RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length", *VECTOR)
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 

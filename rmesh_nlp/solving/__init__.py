@@ -14,6 +14,6 @@ What other folders use of its modules:
 - ``plan``: COMPARED, compared, example_objective, Plan
 - ``plotting``
 - ``solution``: Solution
-- ``state``: nodal_stress, State
+- ``state``: State
 - ``summary``: contact_rows
 """

@@ -15,10 +15,10 @@ from rmesh_nlp.certificate.equilibration import Guess
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
-from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
@@ -27,7 +27,7 @@ from rmesh_nlp.problem.body import Body
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.parts import Bounds, Certificate
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.state import State, nodal_stress
+from rmesh_nlp.solving.state import State
 
 POLYGON = (
     "a body with curves is certified as the polygon of its mesh, whose error is larger than that of "
@@ -154,7 +154,6 @@ def _consistent(bracket: Bracket) -> Bracket:
 def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements: int | None) -> Bounds:
     """Bounds of the work of a load on the exact solution, on which it does not act."""
     parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
-    solver = ContactSolver(parts)
 
     def under(s: float) -> ContactProblem:
         scaled = tuple(lambda x, y, part=part: s * part(x, y) for part in load.value)
@@ -168,8 +167,8 @@ def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements:
 
     def upper(s: float) -> float:
         state = solve(moved(s), exact.state.active)
-        forces = state.normal_force, state.tangential_force
-        guess = Guess(field.values(state.u), *(nodal_stress(solver, nodes, force) for force in forces))
+        stresses = contact_stresses(parts.space, nodes, state.normal_force, state.tangential_force)
+        guess = Guess(field.values(state.u), *stresses)
         bracket = refined_bracket(under(s), nodes, guess, refinements)
         return -bracket.lower if set(bracket.lower_faults) <= set(known.lower_faults) else np.inf
 

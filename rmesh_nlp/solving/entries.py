@@ -89,7 +89,7 @@ def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
         return value
 
     return (
-        Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure at a node of {where}.",
+        Entry(f"peak_pressure{suffix}", Number, f"Largest contact pressure on {where}.",
               on("peak_pressure", max), unit="force/length^2", heading="peak|pressure",
               digits=".4g"),
         Entry(f"resultant{suffix}", Number,
@@ -210,8 +210,10 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         *_contact("_refined", "its refinement", "reduced_error.contact"),
         Entry("contact", dict[str, dict[str, Number]],
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
-              "tangents), `peak_pressure` and `contact_length` on the final mesh; with `_initial` on the "
-              "given one, and with `_refined` where its refinement was solved.",
+              "tangents), `peak_pressure`, `contact_length`, and of an elastic body `force_x`, `force_y` and "
+              "`moment` (about the origin, counter-clockwise) of the foundation on the body, pressure and "
+              "friction together; on the final mesh, with `_initial` on the given one, and with "
+              "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
               "assessment.final.sticking_nodes"),
@@ -232,7 +234,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: _own_design(s, lambda one: list(one.bounds))),
         Entry("constraints", dict[str, dict[str, Number]], "What is constrained, by its text: `value` at the "
               "end, `lower`, `upper` (null: none), `violation` over the largest bound. Of "
-              "`max-pressure(NAME)` the largest pressure at a node.",
+              "`max-pressure(NAME)` the largest mean pressure of a vertex.",
               lambda s: {text: one.record() for text, one in s.constraints.items()} or None),
     ),
     "Work": (

@@ -12,6 +12,7 @@ import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on, level_name
 from rmesh_nlp.problem import Constraint, ContactProblem
@@ -28,10 +29,10 @@ def with_levels(problem: ContactProblem, objective: Objective) -> ContactProblem
         return problem
     solver = ContactSolver(problem.at_design())
     space, forces = solver.discretisation.space, solver.given.normal_force
-    pressure = forces / space.weights(solver.problem.mesh.p)
     levels, constraints = [], []
     for boundary in dict.fromkeys(boundaries):
-        peak = float(np.max(pressure[contact_on(space, boundary).rows]))
+        part = contact_on(space, boundary)
+        peak = float(np.max(vertex_pressures(space, solver.problem.mesh.p, part, forces)))
         if not peak > 0:
             said = f"nothing presses on {boundary!r} at the start: begin with a design that is in contact"
             raise BadInputError(f"{LARGEST}({boundary}): {said}")

@@ -159,6 +159,9 @@ class Solution(Shown):
     def contact(self) -> dict[str, dict[str, float]]:
         """Forces, peak pressure and length of the contact, by contact boundary and name of the result.
 
+        ``force_x``, ``force_y`` and ``moment`` (about the origin) are those of the foundation on the body,
+        pressure and friction together.
+
         On the final mesh, with ``_initial`` on the given one, and with ``_refined`` where its refinement was
         solved.
         """
@@ -171,9 +174,9 @@ class Solution(Shown):
         return {
             boundary: {
                 name + suffix: getattr(of[boundary], name)
-                for name in vars(result)
+                for name, value in vars(result).items()
                 for suffix, of in meshes.items()
-                if boundary in of
+                if boundary in of and value is not None
             }
             for boundary, result in final.items()
         }

@@ -9,7 +9,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible
-from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
+from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, unlimited_peaks
 from rmesh_nlp.assessment.coulomb import coulomb_residual
 from rmesh_nlp.assessment.measures import (
     ContactResiduals,
@@ -22,6 +22,7 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.contact.uniqueness import contraction
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping.validity import least_area_ratio
@@ -72,7 +73,8 @@ class State:
     displacement : (components, nodes) array
         Its values in units of length, at the vertices and of order 2 at the middles of edges.
     pressure : (nodes,) array
-        Likewise: contact pressure in N/m^2, >= 0, zero off the contact boundary: nodal force over omega_i.
+        Likewise: contact pressure in N/m^2, >= 0, zero off the contact boundary, recovered from nodal forces
+        (:mod:`rmesh_nlp.fem.contact_pressure`).
     tangential_stress : (nodes,) array
         Friction on the body in N/m^2, along the tangent; zero without friction.
     residuals : ContactResiduals
@@ -168,6 +170,7 @@ def measured(outer: Outer, q: Array) -> State:
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
     continuous, is_solved = at.continuous(position), solved.status is Status.CONVERGED
     displacement = at.contact.displacement.values(solved.u)
+    pressure, tangential = contact_stresses(space, nodes, solved.normal_force, solved.tangential_force)
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
     audited, passing = _audited(at, position, solved, continuous), penetrations(space, nodes, displacement)
@@ -182,8 +185,8 @@ def measured(outer: Outer, q: Array) -> State:
         min_area_ratio=ratio,
         equilibrium=solved,
         displacement=space.values(displacement),
-        pressure=nodal_stress(at.contact, nodes, solved.normal_force),
-        tangential_stress=nodal_stress(at.contact, nodes, solved.tangential_force),
+        pressure=pressure,
+        tangential_stress=tangential,
         residuals=residuals(system, solved),
         penetration=deepest(passing),
         coulomb_residual=coulomb_residual(
@@ -199,7 +202,11 @@ def measured(outer: Outer, q: Array) -> State:
         size=max(abs(audited), size_of(point), natural),
         violation=outer.merit(point)[0],
         constraints=_constrained(outer, point),
-        warnings=(*(warning.message for warning in penetration_warnings(passing)), *_ambiguous(exact)),
+        warnings=(
+            *(warning.message for warning in penetration_warnings(passing)),
+            *_ambiguous(exact),
+            *unlimited_peaks(space, nodes, solved),
+        ),
         doubts=setup_warnings(at.contact, load, nodes, solved),
     )
 
@@ -262,19 +269,3 @@ def _constrained(outer: Outer, point: ReducedPoint) -> dict[str, Constrained]:
             bounds = constrained.get(text, Constrained(value, lower, upper))
             constrained[text] = Constrained(value, max(lower, bounds.lower), min(upper, bounds.upper))
     return constrained
-
-
-def nodal_stress(model: ContactSolver, nodes: Array, force: Array) -> Array:
-    """(nodes,) contact forces over the weights omega_i of their nodes, in N/m^2; zero off the contact set.
-
-    At order 2 these are the values at the nodes' points of a pressure that is quadratic on each edge. Its
-    coefficients by ``M p = lambda``, M the mass matrix of the nodes that press, oscillate: forces at vertices
-    and at edges err by turns, which the solution multiplies. Errors in the mean square of division and
-    solution: Example 6.1 with n = 16 3.7 % and 11 %, Hertz with 16 edges over the half-width 1.2 % and 1.8 %.
-    """
-    space = model.discretisation.space
-    stress = np.zeros(space.n_nodes)
-    if force.size:
-        # a node may meet two foundations
-        np.add.at(stress, model.contact_nodes, force / space.weights(nodes))
-    return stress

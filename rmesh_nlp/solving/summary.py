@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
-from rmesh_nlp.evaluation import difference
+from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
@@ -100,7 +100,9 @@ def contact_rows(solution: Any) -> Rows:
     named = {"peak_pressure": units.stress, "contact_length": units.length}
     meshes = {"_initial": "given", "": "relocated", "_refined": "refined"}
     for boundary, results in solution.contact.items():
-        for name in (name for name in results if f"{name}_initial" in results):
+        for name in ("normal_force", "tangential_force", "peak_pressure", "contact_length"):
+            if f"{name}_initial" not in results:
+                continue
             values = {mesh: results[name + end] for end, mesh in meshes.items() if name + end in results}
             if name != "tangential_force" or any(values.values()):
                 figures = {mesh: figure(value) for mesh, value in values.items()}
@@ -109,6 +111,12 @@ def contact_rows(solution: Any) -> Rows:
                     said = figures["relocated"]
                 unit = bracketed(named.get(name, units.line_force))
                 rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
+        if "force_x" in results:
+            least = ROUNDING * results["normal_force"]
+            vector = (results[name] for name in ("force_x", "force_y", "moment"))
+            x, y, moment = (figure(value if abs(value) > least else 0.0) for value in vector)
+            label = f"{boundary}: force on the body{bracketed(units.line_force)}"
+            rows.append((label, f"({x}, {y}), moment {moment}"))
     return rows
 
 

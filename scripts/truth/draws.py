@@ -156,6 +156,34 @@ def jumps(number: int) -> Data:
     return replace(data, name=f"jumps {number}", jumps=places, **how)
 
 
+def shared(number: int) -> Data:
+    """A random block whose contact boundary begins or ends, at a node, where a support fixes the gap."""
+    rng = np.random.default_rng([number, 60])
+    nx, ny, kind = 2 * int(rng.integers(5, 10)), int(rng.integers(4, 8)), int(rng.integers(4))
+    mesh = block(nx, ny, 2, rng)
+    bottom, split = mesh.boundaries["bottom"], 2 / nx * int(rng.integers(nx // 4, 3 * nx // 4))
+    is_held = mesh.p[0, mesh.facets[:, bottom]].mean(axis=0) < split
+    names = {**mesh.boundaries, "held": bottom[is_held], "free": bottom[~is_held]}
+    body = Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0, 0.4))
+    push, tilt = (_number(rng, -1, 1) for _ in range(2))
+    held: tuple[dict[str, tuple[float | None, ...]], ...] = (
+        {"held": (None, 0.0), "left": (0.0, None)},  # the plane of symmetry of a crack that closes
+        {"held": (0.0, 0.0)},  # glued: the stress is singular at the end
+        {"left": (0.0, 0.0)},  # the corner of a clamped side
+        {"left": (0.0, 0.0), "right": (None, 0.0)},
+    )
+    return Data(
+        f"shared {number}",
+        replace(mesh, _boundaries=names),
+        (body,),
+        Foundation("free" if kind < 2 else "bottom", "height", 0.0),
+        held[kind],
+        {"top": (push, f"-5-4*{tilt}*(x-1)")},
+        formulation="fixed",
+        certify=True,
+    )
+
+
 def _curved(rng: np.random.Generator, family: str, pressed: bool) -> Data:
     material = (Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.2, 0.4)),)
     g, k, shape = _number(rng, 1, 5), _number(rng, 1, 6), rng.integers(4)
@@ -243,6 +271,7 @@ def _round(steel: tuple[Material, ...]) -> Iterator[Data]:
 KINDS: dict[str, Callable[[int], Data]] = {
     "random": random,
     "jumps": jumps,
+    "shared": shared,
     "aimed": lambda number: aimed()[number],
 }
 """Problems by kind, of a seed or a number."""

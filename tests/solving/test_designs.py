@@ -17,7 +17,7 @@ from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
-from support.designs import BOW, DESIGNS, H0, LIMITED, E, F, block
+from support.designs import BOW, DESIGNS, H0, LIMITED, E, F, block, largest_mean
 from support.orders import ORDERS
 from support.taylor import difference_order, taylor_order
 
@@ -83,8 +83,8 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     found = rm.solve(problem, formulation, objective="max-pressure(bottom)")
     record = found.record()
     assert found.status is Status.CONVERGED
-    assert record["objective_value"] == pytest.approx(record["peak_pressure"], rel=1e-6)
-    assert record["objective_initial"] == pytest.approx(record["peak_pressure_initial"], rel=1e-9)
+    assert record["objective_value"] == pytest.approx(largest_mean(found.problem), rel=1e-6)
+    assert record["objective_initial"] == pytest.approx(largest_mean(problem.at_design()), rel=1e-9)
     assert record["peak_pressure"] < 0.9 * record["peak_pressure_initial"]
     assert set(record["design"]) == {"h0", "bow"}
     assert record["resultant"] >= 100 * (1 - 1e-6)

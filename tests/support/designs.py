@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 import rmesh_nlp as rm
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.problem import Constraint, ContactProblem, DesignVariable, Shape
 
@@ -82,3 +84,11 @@ LIMITED = (
     Constraint("max-pressure(bottom)", (-np.inf, 200.0)),
     Constraint("body(ux**2)", (-np.inf, 1e-4)),
 )
+
+
+def largest_mean(problem: ContactProblem) -> float:
+    """The largest mean pressure of a vertex in the contact solution."""
+    solver = ContactSolver(problem)
+    space, force = solver.discretisation.space, solver.given.normal_force
+    means = (vertex_pressures(space, problem.mesh.p, part, force) for part in space.contact_sets)
+    return float(max(np.max(values) for values in means))
