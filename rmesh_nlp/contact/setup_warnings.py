@@ -112,7 +112,7 @@ def _contact(
         text = f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
         text += "displacement may be what is meant, or a longer contact boundary"
         yield SetupWarning("all-touching", text)
-    elif touching.sum() <= (FEW - 1) * space.order and problem.components == 2:
+    elif touching.sum() <= (FEW - 1) * problem.order and problem.components == 2:
         text = f"only {touching.sum()} of {n} nodes of {name} touch the foundation: the mesh is too coarse "
         yield SetupWarning("unresolved", text + "there for pressures")
 
