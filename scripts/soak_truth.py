@@ -3,6 +3,7 @@
     python scripts/soak_truth.py --count 500 --jobs 2 --out soak        random problems, one a seed
     python scripts/soak_truth.py --kind jumps --count 200               the same with data that jump
     python scripts/soak_truth.py --kind shared --order 2 --count 30     contact beside supports
+    python scripts/soak_truth.py --kind graded --order 2 --count 30     ten local refinements at a corner
     python scripts/soak_truth.py --kind aimed --out soak                problems made to be exploited
 
 The package makes problems, solves them, and gives mesh, displacement and record. Everything else is done

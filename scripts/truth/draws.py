@@ -11,6 +11,7 @@ from skfem import MeshTri
 
 import rmesh_nlp as rm
 from truth.data import Data, Foundation, Material, Text
+from truth.reference import refined
 
 Way = tuple[str, dict[str, Any]]
 JOINT, NESTED, MPCC, AUTO, FIXED = (("joint", {}), ("nested", {}), ("mpcc", {}), ("auto", {}), ("fixed", {}))
@@ -184,6 +185,17 @@ def shared(number: int) -> Data:
     )
 
 
+def graded(number: int) -> Data:
+    """A random block refined ten times at one of its corners, whose contact boundary is straight or wavy."""
+    rng = np.random.default_rng([number, 70])
+    data = _elastic(rng, ("friction", "waves")[rng.integers(2)], False)
+    mesh, corner = data.mesh, np.array([[2.0 * rng.integers(2)], [float(rng.integers(2))]])
+    for _ in range(10):
+        at = int(np.argmin(np.linalg.norm(mesh.p - corner, axis=0)))
+        mesh = refined(data, mesh, np.flatnonzero(np.any(mesh.t == at, axis=0)))
+    return replace(data, name=f"graded {number}", mesh=mesh, formulation="fixed", certify=True)
+
+
 def _curved(rng: np.random.Generator, family: str, pressed: bool) -> Data:
     material = (Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.2, 0.4)),)
     g, k, shape = _number(rng, 1, 5), _number(rng, 1, 6), rng.integers(4)
@@ -272,6 +284,7 @@ KINDS: dict[str, Callable[[int], Data]] = {
     "random": random,
     "jumps": jumps,
     "shared": shared,
+    "graded": graded,
     "aimed": lambda number: aimed()[number],
 }
 """Problems by kind, of a seed or a number."""
