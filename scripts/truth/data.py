@@ -16,7 +16,20 @@ import rmesh_nlp as rm
 Text = str | float
 """A coefficient: a number, or a text such as "8*(1+0.9*sin(pi*x))"."""
 
-FUNCTIONS = ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "arctan", "fabs", "fmax", "fmin")
+FUNCTIONS = ("arctan2", "sin", "cos", "tan", "exp", "log", "sqrt", "tanh", "arctan", "fabs", "fmax", "fmin")
+
+
+class Hidden(str):
+    """A text for the check, whose jumps and kinks are said, and ``given``, the same one for the package."""
+
+    given: str
+
+    @classmethod
+    def of(cls, template: str, plain: str, disguise: str) -> Hidden:
+        """Both by a template with one ``{}``."""
+        text = cls(template.format(plain))
+        text.given = template.format(disguise)
+        return text
 
 
 def formula(text: Text, library: ModuleType = np) -> Callable[[Any, Any], Any]:
@@ -29,7 +42,7 @@ def formula(text: Text, library: ModuleType = np) -> Callable[[Any, Any], Any]:
 
 def coefficient(text: Text) -> Any:
     """A number, or a function for the package."""
-    return formula(text, ca) if isinstance(text, str) else float(text)
+    return formula(getattr(text, "given", text), ca) if isinstance(text, str) else float(text)
 
 
 def values(text: Text, points: np.ndarray) -> np.ndarray:
@@ -117,7 +130,8 @@ class Data:
 
     ``held`` and ``tractions`` map names of boundaries to one entry per component (None: free), ``circles``
     to centre and radius of the curve that a boundary is on; its nodes slide along it. Displacements are of
-    ``order`` 1 or 2. Loads may jump at ``jumps``, values of x.
+    ``order`` 1 or 2. Loads may jump at ``jumps``, values of x. A quantity is the integral of ``weight`` times
+    the last component of the displacement along the top.
     """
 
     name: str
@@ -135,6 +149,7 @@ class Data:
     certify: bool = False
     order: int = 1
     jumps: tuple[float, ...] = ()
+    weight: Hidden | None = None
 
     @property
     def components(self) -> int:

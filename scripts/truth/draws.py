@@ -10,7 +10,7 @@ import numpy as np
 from skfem import MeshTri
 
 import rmesh_nlp as rm
-from truth.data import Data, Foundation, Material, Text
+from truth.data import Data, Foundation, Hidden, Material, Text
 from truth.reference import refined
 
 Way = tuple[str, dict[str, Any]]
@@ -196,6 +196,77 @@ def graded(number: int) -> Data:
     return replace(data, name=f"graded {number}", mesh=mesh, formulation="fixed", certify=True)
 
 
+STEPS = (
+    "(1-arctan2(1e-30,x-{0})/pi)",
+    "(0.5+arctan(1/(1e-9*(x-{0})))/pi)",
+    "(0.5+arctan(1e12*(x-{0}))/pi)",
+    "(0.5+0.5*tanh(1e9*(x-{0})))",
+    "(0.5+0.5*(x-{0})/sqrt((x-{0})**2+1e-24))",
+    "(0.5+0.5*(x-{0})/fabs(x-{0}))",
+    "(0.5+0.5*sqrt((x-{0})**2)/(x-{0}))",
+    "1/(1+exp(-1e9*(x-{0})))",
+    "fmin(fmax(1e10*(x-{0}),0),1)",
+    "arctan2(1e-30,({0}-x)*(2+sin(3*x)))/pi",
+    "where(arctan(1e9*(x-{0}))>0,1,0)",
+    "(0.5+0.5*cos(arctan2(1e-30,x-{0})))",
+    "where((x-{0})/fabs(x-{0})>0,1,0)",
+    "where(fabs(fabs(x-{0}-5)-5)<2*(x-{0}),1,0)",
+    "fmin(exp(1e9*(x-{0})),1)**2",
+)
+"""Texts of ``where(x > {0}, 1, 0)`` for x in (0, 2), but for a width of 1e-9."""
+
+KINKS = (
+    "sqrt((x-{0})**2)",
+    "((x-{0})**2)**0.5",
+    "(x-{0})*arctan(1e10*(x-{0}))*2/pi",
+    "(x-{0})*tanh(1e8*(x-{0}))",
+    "sqrt((x-{0})**2+1e-20)",
+    "(x-{0})**2/fabs(x-{0})",
+    "(3-fabs(fabs(x-{0})-3))",
+)
+"""Texts of ``fabs(x - {0})``."""
+
+
+def hidden(number: int) -> Data:
+    """A random problem of order 1 or 2 whose jumps and kinks hide in other functions, beside nodes."""
+    rng = np.random.default_rng([number, 41])
+    nx, ny = (int(k) for k in rng.integers(3, 7, 2))
+    places: list[float] = []
+
+    def disguised(template: str, plain: str, disguises: tuple[str, ...]) -> Hidden:
+        places.append(2 * float(rng.integers(nx) + rng.choice([1, 2, 3, 32, 61, 62, 63]) / 64) / nx)
+        disguise = str(rng.choice(disguises))
+        return Hidden.of(template, plain.format(places[-1]), disguise.format(places[-1]))
+
+    def stepped(low: float, high: float) -> Text:
+        first, last = _number(rng, low, high), _number(rng, low, high)
+        if rng.integers(3) == 0:
+            return disguised(f"{first}+{last - first}*{{}}", "fabs(x-{0})", KINKS)
+        return disguised(f"{first}+{last - first}*{{}}", "where(x>{0},1,0)", STEPS)
+
+    few = [rng.integers(2) == 0 for _ in range(4)]
+    if rng.integers(3) == 0:
+        source = stepped(-4, -0.5) if few[0] else -1.0
+        wave = f"0.05+0.01*(1+sin({_number(rng, 3, 9)}*y))"
+        top = stepped(-2, 2) if few[1] or not few[0] else -0.5
+        material, foundation = Material("laplace", (source,)), Foundation("right", "offset", wave)
+        data = Data(
+            "hidden", block(nx, ny, 2, rng), (material,), foundation, {"left": (0.0,)}, {"top": (top,)}
+        )
+    else:
+        steel = Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.0, 0.4))
+        bend = _number(rng, 0, 0.01)
+        kinks = disguised(f"-0.003-{bend}*{{}}", "fabs(x-{0})", KINKS) if few[0] else -0.003
+        foundation = Foundation("bottom", "height", kinks, stepped(0.1, 5) if few[1] else 0.0)
+        down = stepped(-9, -1) if few[2] or not (few[0] or few[1]) else -5.0
+        mesh, tops = block(nx, ny, 2, rng), {"top": (_number(rng, -3, 3), down)}
+        data = Data("hidden", mesh, (steel,), foundation, {"left": (0.0, 0.0)}, tops)
+    weight = disguised("{}", "where(x>{0},1,0)", STEPS) if few[3] else None
+    order, (name, options) = int(rng.integers(1, 3)), (FIXED, FIXED, JOINT)[rng.integers(3)]
+    how = {"limits": 0.02, "formulation": name, "options": options, "certify": True, "order": order}
+    return replace(data, name=f"hidden {number}", jumps=tuple(sorted(places)), weight=weight, **how)
+
+
 def _curved(rng: np.random.Generator, family: str, pressed: bool) -> Data:
     material = (Material("plane-strain", (0.0, 0.0), 1000.0, _number(rng, 0.2, 0.4)),)
     g, k, shape = _number(rng, 1, 5), _number(rng, 1, 6), rng.integers(4)
@@ -285,6 +356,7 @@ KINDS: dict[str, Callable[[int], Data]] = {
     "jumps": jumps,
     "shared": shared,
     "graded": graded,
+    "hidden": hidden,
     "aimed": lambda number: aimed()[number],
 }
 """Problems by kind, of a seed or a number."""

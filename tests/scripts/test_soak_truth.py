@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -14,8 +15,8 @@ import rmesh_nlp as rm
 import soak_truth as soak
 from truth.body import Body
 from truth.contact import accurate_loads, equilibrium, friction, least
-from truth.data import Data, Foundation, Material
-from truth.draws import aimed, block, disc, ring
+from truth.data import Data, Foundation, Hidden, Material, formula, values
+from truth.draws import KINKS, STEPS, aimed, block, disc, ring
 from truth.reference import doubt, reference, refined
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -161,9 +162,9 @@ def test_displacements_and_certificates_are_checked() -> None:
     """Against J* = -1 of a mesh with the error 0.02 and a solution with an energy norm error of 0.3."""
     row = {"J": -1.0, "bar": 1e-4, "errors": [0.02, 0.02], "success": True, "claimed": None, "audited": []}
     row |= {"own": [{"J": -0.98, "norm": 0.3}] * 2, "energies": [-0.98] * 2, "fine_error": 1e-4}
-    row["resultant"] = 5.0
+    row |= {"resultant": 5.0, "quantity": 1.0}
     sound = {"energy_lower_bound": -1.05, "energy_upper_bound": -0.98, "error_bound": 0.4, "percent": True}
-    sound |= {"guaranteed_lower": True, "guaranteed_upper": True, "forces": [(4.5, 5.5)]}
+    sound |= {"guaranteed_lower": True, "guaranteed_upper": True, "forces": [(4.5, 5.5)], "quantity": []}
     assert soak.found_faults({**row, "certificate": sound}) == []
     made = soak.certificate(rm.solve(rm.EXAMPLES["6.1"](n=2), "fixed"))
     assert set(made) - {"why"} == set(sound)
@@ -171,6 +172,7 @@ def test_displacements_and_certificates_are_checked() -> None:
     assert soak.found_faults({**row, "own": [{"J": -0.98}, {"J": -0.9}]}) == ["worse displacement"]
     for change, fault in (
         ({"energy_lower_bound": -0.99}, "lower bound"),
+        ({"quantity": [(1.1, 1.2)]}, "quantity bounds"),
         ({"energy_upper_bound": -1.01}, "upper bound"),
         ({"error_bound": 0.2}, "error bound"),
         ({"forces": [(5.2, math.inf)]}, "force bounds"),
@@ -200,3 +202,13 @@ def test_a_soak_goes_on_where_it_ended(tmp_path: Path, capsys: pytest.CaptureFix
     soak.main(arguments)
     assert (tmp_path / "random.jsonl").read_text() == rows
     assert "1 solves" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("plain", "disguises"), [("where(x>{0},1,0)", STEPS), ("fabs(x-{0})", KINKS)])
+def test_hidden_jumps_and_kinks_are_what_the_check_knows(plain: str, disguises: tuple[str, ...]) -> None:
+    x = np.append(np.linspace(0.01, 1.99, 34), [0.6999, 0.7001])
+    points = np.stack([x, 0 * x])
+    for disguise in disguises:
+        text = Hidden.of("1+2*{}", plain.format(0.7), disguise.format(0.7))
+        given = np.array([float(formula(text.given, ca)(*point)) for point in points.T])
+        np.testing.assert_allclose(given, values(text, points), atol=1e-4)
