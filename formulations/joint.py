@@ -124,7 +124,7 @@ class Joint(Formulation):
         )
         begin = outer.relocation.split(outer.energy.unknowns(q, contact.equilibrium.u))
         result = solver(program.unknowns(*begin), monitor=track)
-        track.with_violations(result.history["inf_pr"])
+        track.with_violations(result.history.get("inf_pr", []))
         return program, result
 
 
