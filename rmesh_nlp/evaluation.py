@@ -15,6 +15,10 @@ ROUNDING = 1e-9
 """Difference of two computed numbers that counts as none: of energies over their size, of lengths over an
 edge, of areas over the initial ones, of angles in radians."""
 
+PROVED = 1e-10
+"""Relative difference that is none where a bound is guaranteed: of forces in equilibrium, of the measures of
+the domain, of a switch at a node, which is zero, of a part that is empty, and of an integral."""
+
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Mask = NDArray[np.bool_]

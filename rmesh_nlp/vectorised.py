@@ -35,6 +35,9 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_SIN: np.sin,
     ca.OP_COS: np.cos,
     ca.OP_TAN: np.tan,
+    ca.OP_TANH: np.tanh,
+    ca.OP_ATAN: np.arctan,
+    ca.OP_ATAN2: np.arctan2,
     ca.OP_EXP: np.exp,
     ca.OP_LOG: np.log,
     ca.OP_FABS: np.abs,
@@ -52,6 +55,8 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_LE: np.less_equal,
     ca.OP_EQ: np.equal,
     ca.OP_NE: np.not_equal,
+    ca.OP_AND: np.logical_and,
+    ca.OP_OR: np.logical_or,
     ca.OP_IF_ELSE_ZERO: lambda condition, a, out: np.copyto(out, np.where(condition != 0, a, 0.0)),
 }
 

@@ -7,7 +7,7 @@ What other folders use of its modules:
 - ``coulomb``: coulomb_residual, growth
 - ``energy``: friction_energy, load_vector
 - ``error_reduction``: by_certificate, error_reduction, ErrorReduction, on_refined, SLOWEST
-- ``integrals``: over_edges, over_triangles
+- ``integrals``: over_edges, over_triangles, RULES
 - ``measures``: ContactResiduals, corrections, residuals
-- ``parts``: edge_parts, PROVED
+- ``parts``: edge_parts, refined, triangle_parts
 """

@@ -16,14 +16,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
-from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.assessment.tightening import Springs, tightened
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, magnitude, numbers_of
+from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, magnitude, numbers_of
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place

@@ -2,7 +2,8 @@
 
 Triangles and edges are split where a coefficient jumps or kinks (:mod:`rmesh_nlp.assessment.parts`). A cell
 is a piece of a part, in the coordinates (r, s) of its apex, or along the edge. On each one Gauss's rules of
-two orders are compared. Where they differ higher orders are tried, then the cell is cut.
+two orders are compared. Where they differ, or where it is not proved that a coefficient is resolved
+(:mod:`rmesh_nlp.problem.enclosures`), higher orders are tried, then the cell is cut.
 """
 
 from __future__ import annotations
@@ -13,10 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.assessment.parts import AlongEdges, edge_parts, triangle_parts
+from rmesh_nlp.assessment.parts import AlongEdges, EdgeParts, TriangleParts, edge_parts, triangle_parts
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
+from rmesh_nlp.problem.enclosures import resolved
 from rmesh_nlp.vectorised import CHUNK
 
 Integrand = Callable[[Index, Array, Array], Array]
@@ -36,16 +38,20 @@ place nine."""
 DEPTH = 9
 """Last stage: times that a cell may be halved in each direction, and one."""
 
+DEEPEST = 40
+"""The same where a coefficient is not resolved, although the rules agree, on ``CHUNK`` cells at most."""
+
 
 VANISHING = 1e-6
 """Size of a row, as a part of the largest one, that is worth no finer rule: it may be all rounding."""
 
 
 class Integral(NamedTuple):
-    """Integrals (rows, owners), what they may be wrong by, and whether the integrands' switches are located.
+    """Integrals (rows, owners), what they may be wrong by, and whether that is certain.
 
-    Where one jumps or kinks inside of an element or edge two rules may agree and both be wrong; where that
-    is known with certainty each part is integrated by itself.
+    Two rules that agree may both be wrong. It is certain that they are not where the switches of coefficients
+    are located with certainty, and coefficients are resolved by the rule on each cell between these, up to
+    cells on which what they vary by is worth nothing.
     """
 
     value: Array
@@ -77,8 +83,8 @@ def over_triangles(
         where, det = body.points(element, barycentric)
         return np.einsum("amk,mk->am", integrand(element, barycentric, where), weights * det)
 
-    sums = _adaptive(on_cells, parts.owner.size, 2, points)
-    return Integral(*_by_owner(sums, parts.owner, elements.size), parts.is_certain)
+    vertices = body.points(elements[parts.owner], parts.corners.transpose(0, 2, 1))[0]
+    return _integral(on_cells, parts, elements.size, vertices, coefficients, points)
 
 
 def over_edges(
@@ -101,25 +107,26 @@ def over_edges(
         where, speed = edges.at(owner, s)
         return np.einsum("amk,mk->am", integrand(owner, s, where), np.outer(width, w) * speed)
 
-    sums = _adaptive(on_cells, parts.owner.size, 1, None)
-    return Integral(*_by_owner(sums, parts.owner, edges.size), parts.is_certain)
+    vertices = edges.at(parts.owner, np.stack([begin, parts.end], axis=1))[0]
+    return _integral(on_cells, parts, edges.size, vertices, coefficients)
 
 
-def _by_owner(sums: tuple[Array, Array], owner: Index, size: int) -> tuple[Array, Array]:
-    if owner.size == size:
-        return sums
-    total, doubt = (np.array([np.bincount(owner, row, size) for row in rows]) for rows in sums)
-    return total, doubt
-
-
-def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None) -> tuple[Array, Array]:
-    """The sums over the cells of each of ``size`` owners, which begin as one unit cell each, and doubts."""
-    total, doubt = np.zeros((2, 1, size))
-    if size == 0:
-        return total, doubt
-    owner, low, width = np.arange(size), np.zeros((directions, size)), np.ones(size)
+def _integral(
+    on_cells: OnCells,
+    parts: EdgeParts | TriangleParts,
+    size: int,
+    vertices: Array,
+    coefficients: Iterable[Coefficient],
+    points: int | None = None,
+) -> Integral:
+    """The sums over the cells of parts with vertices (2, parts, 2 or 3), by the ``size`` owners of these."""
+    count, directions = vertices.shape[1], vertices.shape[2] - 1
+    total, doubt = np.zeros((2, 1, count))
+    owner, low, width = np.arange(count), np.zeros((directions, count)), np.ones(count)
     corners = np.stack(np.meshgrid(*([(0, 1)] * directions), indexing="ij")).reshape(directions, -1, 1)
-    for depth in range(DEPTH + 1):
+    sizes = {each: 0.0 for each in coefficients if callable(each) and points is None}
+    is_certain = parts.is_certain
+    for depth in range(DEEPEST + 1 if count else 0):
         lower, higher = HIGHER if depth == 1 else RULES
         fine, wrong = _in_chunks(on_cells, owner, low, width, points or higher), np.zeros(1)
         if points is None:
@@ -129,9 +136,19 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
             scale = np.maximum(scale, VANISHING * np.max(scale))
         wrong = np.broadcast_to(wrong, fine.shape)
         split = np.any(wrong > ROUNDING * scale, axis=0) & (depth < DEPTH)
+        place, part = vertices[:, owner, :1], 1.0
+        for i, along in enumerate(low[..., None] + width[:, None] * corners.reshape(directions, 1, -1)):
+            part = part * along
+            place = place + part * np.diff(vertices[:, owner, i : i + 2])
+        for coefficient in sizes:
+            is_seen, most = resolved(coefficient, place, higher, sizes[coefficient], width**directions)
+            sizes[coefficient] = most
+            if depth == 0 or (np.count_nonzero(~is_seen) <= CHUNK and depth < DEEPEST):
+                split |= ~is_seen
+            is_certain &= bool(np.all(is_seen | split))
         total, doubt = (
-            sums + np.array([np.bincount(owner[~split], row[~split], size) for row in parts])
-            for sums, parts in ((total, fine), (doubt, wrong))
+            sums + np.array([np.bincount(owner[~split], row[~split], count) for row in rows])
+            for sums, rows in ((total, fine), (doubt, wrong))
         )
         if not np.any(split):
             break
@@ -141,7 +158,11 @@ def _adaptive(on_cells: OnCells, size: int, directions: int, points: int | None)
         width = width[split] / 2
         low = (low[:, None, split] + corners * width).reshape(directions, -1)
         owner, width = np.tile(owner[split], 2**directions), np.tile(width, 2**directions)
-    return total, doubt
+    if count != size:
+        total, doubt = (
+            np.array([np.bincount(parts.owner, row, size) for row in rows]) for rows in (total, doubt)
+        )
+    return Integral(total, doubt, is_certain)
 
 
 def _in_chunks(on_cells: OnCells, owner: Index, low: Array, width: Array, order: int) -> Array:

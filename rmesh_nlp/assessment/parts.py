@@ -1,7 +1,8 @@
 """Parts of triangles and edges on which coefficients are smooth: between the zeros of their switches.
 
 A switch (:mod:`rmesh_nlp.problem.switches`) that is affine is zero at one point of a straight edge, and on
-one line through a straight triangle, which is split along it. Others are sampled: an edge is split where
+one line through a straight triangle, which is split along it; so is one that is affine on each of the parts
+that switches before it make. Others are sampled: an edge is split where
 their sign changes between samples, a triangle is refined there, and then split along the chord. Polynomials
 along straight edges are followed with certainty, by the signs of their Bernstein coefficients.
 """
@@ -15,8 +16,8 @@ from functools import partial
 import numpy as np
 from scipy.special import comb
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
-from rmesh_nlp.fem.bernstein import SIDES, to_coefficients
+from rmesh_nlp.evaluation import PROVED, ROUNDING, Array, Index, Mask, magnitude
+from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.problem.body import Body, Edges
 from rmesh_nlp.problem.coefficients import Coefficient
 from rmesh_nlp.problem.switches import switches
@@ -31,9 +32,10 @@ SAMPLES = 32
 """Pieces of an edge between whose ends the sign of a switch that is no polynomial is compared. Triangles are
 refined around the zeros of such a switch until their edges are such pieces."""
 
-PROVED = 1e-10
-"""Relative difference that is none where a bound is guaranteed: of forces in equilibrium, of the measures of
-the domain, of a switch at a node, which is zero, and of a part that is empty."""
+INSIDE = 1 / 24 + 7 / 8 * np.hstack([np.eye(3), [[1 / 2, 0, 1 / 2], [1 / 2, 1 / 2, 0], [0, 1 / 2, 1 / 2]]])
+"""Barycentric coordinates (3, 6) of points inside of a triangle by which a quadratic function is known."""
+
+TO_QUADRATIC = np.linalg.inv(functions(2, INSIDE).T)
 
 
 @dataclass(frozen=True)
@@ -59,65 +61,71 @@ class TriangleParts:
     is_certain: bool
 
 
-def _switches_of(coefficients: Iterable[Coefficient]) -> tuple[list[OnPoints], bool]:
-    """All switches of coefficients, and whether there can be no others."""
+def _switches_of(coefficients: Iterable[Coefficient]) -> list[OnPoints]:
+    """All switches of coefficients."""
     switching = [each for each in map(switches, coefficients) if each is not None]
-    functions: list[OnPoints] = [
+    return [
         (partial(each, number), degree) for each in switching for number, degree in enumerate(each.degrees)
     ]
-    return functions, all(each.are_all for each in switching)
 
 
 def edge_parts(
     edges: Edges, coefficients: Iterable[Coefficient], others: Iterable[AlongEdges] = ()
 ) -> EdgeParts:
     """The pieces of edges between the zeros of coefficients' switches, and of ``others``."""
-    owner, begin = np.arange(edges.size), np.zeros(edges.size)
-    switched, is_certain = _switches_of(coefficients)
+    owner, begin, end, is_certain = np.arange(edges.size), np.zeros(edges.size), np.ones(edges.size), True
 
     def along(switch: Callable[[Array], Array], rows: Index, s: Array) -> Array:
         return switch(edges.at(rows, s)[0])
 
     functions: list[AlongEdges] = [
         *others,
-        *((partial(along, switch), degree if edges.are_straight else None) for switch, degree in switched),
+        *(
+            (partial(along, switch), degree if edges.are_straight else None)
+            for switch, degree in _switches_of(coefficients)
+        ),
     ]
     for function, degree in functions if edges.size else ():
-        rows, s, certain = _zeros_along(function, edges.size, degree)
-        owner, begin, is_certain = np.append(owner, rows), np.append(begin, s), is_certain and certain
-    order = np.lexsort((begin, owner))
-    owner, begin = owner[order], begin[order]
-    end = np.append(begin[1:], 1.0)
-    end[np.append(np.diff(owner) > 0, True)] = 1.0
-    kept = end > begin
-    return EdgeParts(owner[kept], begin[kept], end[kept], is_certain)
+        rows, zeros, certain = _zeros_along(function, owner, begin, end, degree)
+        owner, begin, is_certain = np.append(owner, rows), np.append(begin, zeros), is_certain and certain
+        order = np.lexsort((begin, owner))
+        owner, begin = owner[order], begin[order]
+        end = np.append(begin[1:], 1.0)
+        end[np.append(np.diff(owner) > 0, True)] = 1.0
+        kept = end > begin
+        owner, begin, end = owner[kept], begin[kept], end[kept]
+    return EdgeParts(owner, begin, end, is_certain)
 
 
 def _zeros_along(
-    value: Callable[[Index, Array], Array], size: int, degree: int | None
+    value: Callable[[Index, Array], Array], owner: Index, begin: Array, end: Array, degree: int | None
 ) -> tuple[Index, Array, bool]:
-    """Edges and places of changes of sign, and whether there are certainly no others.
+    """Edges and places of changes of sign on parts of edges, and whether there are certainly no others.
 
-    ``degree`` is that of a polynomial along each edge: of its pieces those are halved that may have several
+    ``degree`` is that of a polynomial along each part: of its pieces those are halved that may have several
     zeros.
     """
     inner, pieces = max(degree or 1, 1), 1 if degree is not None else SAMPLES
-    rows, low = np.repeat(np.arange(size), pieces), np.tile(np.arange(pieces) / pieces, size)
-    width, share, to_bernstein = 1 / pieces, np.linspace(0, 1, inner + 1), _to_bernstein(inner)
+    rows, width = np.repeat(owner, pieces), np.repeat(end - begin, pieces) / pieces
+    low = np.repeat(begin, pieces) + width * np.tile(np.arange(pieces), begin.size)
+    inside = 0.0 if degree is None else PROVED  # at the ends others may jump
+    share, to_bernstein = np.clip(np.linspace(0, 1, inner + 1), inside, 1 - inside), _to_bernstein(inner)
     at, begin, end, scale = rows[:0], low[:0], low[:0], 0.0
-    while rows.size and width > ROUNDING:
-        values = value(rows, low[:, None] + width * share)
+    while rows.size and np.max(width) > ROUNDING:
+        values = value(rows, low[:, None] + np.outer(width, share))
         scale = max(scale, magnitude(values))
-        values = np.where(np.abs(values) <= PROVED * scale, 0.0, values)
+        values = np.where(np.abs(values) <= 2 * PROVED * scale, 0.0, values)
         coefficients = values @ to_bernstein.T
         none, single = _one_sign(coefficients), _one_sign(np.diff(coefficients, axis=1))
         # a piece that begins at a zero is a part of its own
-        for chosen, last in ((~none & single, low + width), ((values[:, 0] == 0) & (low > 0), low)):
-            at, begin = np.append(at, rows[chosen]), np.append(begin, low[chosen])
-            end = np.append(end, last[chosen])
-        open_ones = ~(none | single)
-        width = width / 2
-        rows, low = np.tile(rows[open_ones], 2), np.append(low[open_ones], low[open_ones] + width)
+        starts = (values[:, 0] == 0) & (low > 0)
+        for chosen, first, last in ((~none & single, share[0], share[-1]), (starts, 0, 0)):
+            at, begin = np.append(at, rows[chosen]), np.append(begin, (low + first * width)[chosen])
+            end = np.append(end, (low + last * width)[chosen])
+        is_open = ~(none | single)
+        width = np.tile(width[is_open] / 2, 2)
+        rows, low = np.tile(rows[is_open], 2), np.tile(low[is_open], 2)
+        low[rows.size // 2 :] += width[rows.size // 2 :]
     first = np.sign(value(at, begin[:, None])[:, 0]) if at.size else begin
     while np.any(end - begin > np.finfo(float).eps):
         middle = (begin + end) / 2
@@ -141,25 +149,26 @@ def triangle_parts(body: Body, elements: Index, coefficients: Iterable[Coefficie
     owner, corners = np.arange(elements.size), np.zeros((3, 3, elements.size))
     for turn in range(3):
         corners[(body.apex[elements] + turn) % 3, turn, owner] = 1.0
-    switched, is_certain = _switches_of(coefficients)
+    is_certain = True
+    for switch, degree in _switches_of(coefficients):
 
-    def on_parts(switch: Callable[[Array], Array], owner: Index, barycentric: Array) -> Array:
-        """Values (points, parts) at barycentric coordinates (3, points, parts)."""
-        return switch(body.points(elements[owner], barycentric.transpose(0, 2, 1))[0]).T
+        def quadratic(owner: Index, corners: Array, switch: Callable[[Array], Array] = switch) -> Array:
+            """Bernstein coefficients (6, parts) by values inside of parts: on their sides others may jump."""
+            values = switch(body.points(elements[owner], np.einsum("ipm,pk->imk", corners, INSIDE))[0])
+            return TO_QUADRATIC @ values.T
 
-    for switch, degree in switched:
-        value = partial(on_parts, switch)
-        tiny = PROVED * magnitude(value(owner, corners))
+        tiny = PROVED * magnitude(quadratic(owner, corners))
         bends = body.is_curved[elements] | (degree is None or degree > 1)
         width = 1.0
         while np.any(bends) and width > 1 / SAMPLES:
-            meets = bends[owner] & _have_two_signs(value(owner, _with_middles(corners)), tiny)
-            owner, corners = _refined(owner, corners, meets)
+            owner, corners = refined(
+                owner, corners, bends[owner] & _have_two_signs(quadratic(owner, corners), tiny)
+            )
             width = width / 2
-        quadratic = to_coefficients(2, 3) @ value(owner, _with_middles(corners))
+        values = quadratic(owner, corners)
         is_certain &= degree is not None and degree <= 2
-        is_certain &= not np.any(bends[owner] & _have_two_signs(quadratic, tiny))
-        owner, corners = _cut(owner, corners, quadratic[:3], tiny)
+        is_certain &= not np.any(bends[owner] & _have_two_signs(values, tiny))
+        owner, corners = _cut(owner, corners, values[:3], tiny)
     return TriangleParts(owner, corners, np.abs(np.linalg.det(corners.transpose(2, 0, 1))), is_certain)
 
 
@@ -167,15 +176,10 @@ def _have_two_signs(values: Array, tiny: float) -> Mask:
     return (np.min(values, axis=0) < -tiny) & (np.max(values, axis=0) > tiny)
 
 
-def _with_middles(corners: Array) -> Array:
-    """(3, 6, parts) corners and the middles of sides."""
-    middles = [(corners[:, a] + corners[:, b]) / 2 for a, b in SIDES[3]]
-    return np.concatenate([corners, np.stack(middles, axis=1)], axis=1)
-
-
-def _refined(owner: Index, corners: Array, chosen: Mask) -> tuple[Index, Array]:
+def refined(owner: Index, corners: Array, chosen: Mask) -> tuple[Index, Array]:
     """Some of the parts in four similar ones."""
-    a, b, c, ab, bc, ca = _with_middles(corners[:, :, chosen]).transpose(1, 0, 2)
+    a, b, c = corners[:, :, chosen].transpose(1, 0, 2)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     four = [np.stack(part, axis=1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))]
     return (
         np.concatenate([owner[~chosen], *[owner[chosen]] * 4]),

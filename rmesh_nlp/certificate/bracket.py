@@ -28,7 +28,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
-from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.conditions import Conditions, conditions_of
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
@@ -36,7 +35,7 @@ from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import PROVED, Array
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion

@@ -15,20 +15,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.assessment.parts import PROVED, edge_parts
+from rmesh_nlp.assessment.integrals import RULES
+from rmesh_nlp.assessment.parts import edge_parts, refined, triangle_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
 from rmesh_nlp.certificate.polynomials import lowered, powers
 from rmesh_nlp.certificate.skeleton import Skeleton
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, numbers_of
+from rmesh_nlp.contact.standoff import LATTICES, SAMPLES
+from rmesh_nlp.evaluation import PROVED, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
+from rmesh_nlp.problem.enclosures import resolved
 
-SAMPLE_POINTS = np.stack([np.linspace(1, 0, 33), np.linspace(0, 1, 33)])
-"""Barycentric coordinates (2, 33) of the points of an edge at which coefficients are looked at."""
+SAMPLED = np.clip(np.linspace(0, 1, 33), PROVED, 1 - PROVED)
+"""Places (33,) along a piece of an edge at which coefficients are looked at."""
 
 
 class ContactPart(NamedTuple):
@@ -91,12 +94,15 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     axes = np.zeros((contact.size, n, n))
     for part in parts:
         obstacle = part.obstacle
+        edges = Edges(skeleton.body, part.edges)
         gap = integrals(obstacle.offset, skeleton, part.edges, 2, problem.order)
         offset[:, part.place] = lowered(gap.moments, degree)
         offset_doubt[:, part.place] = lowered(gap.doubt, degree)
-        is_certain &= gap.is_certain
+        _, places, _, is_seen = _samples(obstacle.offset, edges)
+        begin, end = places[:, [0, -1]].T
+        is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
+        is_certain &= gap.is_certain and is_seen and not np.any(is_narrow)
         if n == 2:
-            edges = Edges(skeleton.body, part.edges)
             below, known = _linear_below(obstacle.friction, edges)
             friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
             is_certain &= known
@@ -118,12 +124,16 @@ def _given_displacement(
                 continue
             part = integrals(coefficient, skeleton, edges, 2, problem.order)
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
-            samples = _samples(coefficient, Edges(skeleton.body, edges))
-            at_nodes = samples[[0, -1, len(samples) // 2][: problem.order + 1]]
-            shares = functions(problem.order, SAMPLE_POINTS).T @ to_coefficients(problem.order, 2)
+            sides, own = Edges(skeleton.body, edges), np.array([0, 1, 1 / 2])[: problem.order + 1]
+            at_nodes = on_points(
+                coefficient, sides.at(np.arange(edges.size), np.tile(own, (edges.size, 1)))[0]
+            )
+            owner, s, values, is_seen = _samples(coefficient, sides)
+            own = to_coefficients(problem.order, 2) @ at_nodes[owner].T
+            values -= np.sum(functions(problem.order, np.stack([1 - s, s])) * own[:, :, None], axis=0)
             doubt = np.max(part.doubt, initial=doubt)
-            error = np.max(np.abs(samples - shares @ at_nodes), initial=error)
-            is_certain &= part.is_certain
+            error = max(error, magnitude(values))
+            is_certain &= part.is_certain and is_seen
     scale = max(magnitude(given), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
 
@@ -135,7 +145,24 @@ def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[I
         raise NotCertifiableError("there are two obstacles in the interior")
     elements = np.arange(skeleton.areas.size if obstacles else 0)
     gap = integrals(offset, skeleton, elements, 3, degree)
-    return Inside(sign, elements, gap.moments, gap.doubt), gap.is_certain
+    is_certain = gap.is_certain and (not obstacles or _is_seen_inside(offset, skeleton, elements))
+    return Inside(sign, elements, gap.moments, gap.doubt), is_certain
+
+
+def _is_seen_inside(offset: Coefficient, skeleton: Skeleton, elements: Index) -> bool:
+    """Whether no ridge or needle of an obstacle hides between the points at which gaps are looked at.
+
+    Each sixteenth of a part is resolved, and no part is narrower than twice their distance on a mesh that is
+    twice as coarse, unless it ends at a vertex, beside which there is one kink only.
+    """
+    parts = triangle_parts(skeleton.body, elements, (offset,))
+    owner, corners = parts.owner, parts.corners
+    longest = np.max(np.linalg.norm(np.roll(corners, 1, axis=1) - corners, axis=0), axis=0)
+    is_narrow = (parts.share < longest / LATTICES[-1]) & (np.max(corners, axis=(0, 1)) < 1 - PROVED)
+    for _ in range(2):
+        owner, corners = refined(owner, corners, np.full(owner.size, True))
+    points = skeleton.body.points(elements[owner], corners.transpose(0, 2, 1))[0]
+    return not np.any(is_narrow) and bool(np.all(resolved(offset, points, RULES[1])[0]))
 
 
 def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:
@@ -162,10 +189,17 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
     return tuple(parts)
 
 
-def _samples(coefficient: Coefficient, edges: Edges) -> Array:
-    """(points, edges) values at the ``SAMPLE_POINTS`` of edges."""
-    s = np.broadcast_to(SAMPLE_POINTS[1], (edges.size, SAMPLE_POINTS.shape[1]))
-    return on_points(coefficient, edges.at(np.arange(edges.size), s)[0]).T
+def _samples(coefficient: Coefficient, edges: Edges) -> tuple[Index, Array, Array, bool]:
+    """Values (k, 33) on pieces of edges, just inside of their ends: also their edges and places (k, 33).
+
+    The last value says whether nothing hides between them.
+    """
+    parts = edge_parts(edges, (coefficient,))
+    places = np.outer(parts.begin, 1 - SAMPLED) + np.outer(parts.end, SAMPLED)
+    points = edges.at(parts.owner, places)[0]
+    cells, values = np.stack([points[..., :-1], points[..., 1:]], axis=-1), on_points(coefficient, points)
+    is_seen = not callable(coefficient) or np.all(resolved(coefficient, cells, RULES[1])[0])
+    return parts.owner, places, values, parts.is_certain and bool(is_seen)
 
 
 def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
@@ -174,16 +208,15 @@ def _linear_below(friction: Coefficient, edges: Edges) -> tuple[Array, bool]:
     On an edge where the bound jumps or kinks it is a constant. The second value says whether it is known
     where it does.
     """
-    samples = _samples(friction, edges)
-    ends = samples[[0, -1]]
-    excess = np.max(SAMPLE_POINTS.T @ ends - samples, axis=0)
-    scale = PROVED * np.max(np.abs(samples), axis=0)
-    ends = np.maximum(ends - np.where(excess > scale, excess, 0.0), 0.0)
-    parts = edge_parts(edges, (friction,))
-    inner = ROUNDING * (parts.end - parts.begin)
-    s = np.stack([parts.begin + inner, parts.end - inner], axis=1)
-    values = on_points(friction, edges.at(parts.owner, s)[0])
-    least = np.min(samples, axis=0)
-    np.minimum.at(least, parts.owner, np.min(values, axis=1))
-    is_split = np.bincount(parts.owner, minlength=least.size) > 1
-    return np.where(is_split, np.maximum(least, 0.0), ends), parts.is_certain
+    owner, _, values, is_certain = _samples(friction, edges)
+    # between two samples it is below its chord by an eighth of the second difference
+    values -= np.pad(np.maximum(np.diff(values, 2), 0.0) / 8, ((0, 0), (1, 1)), "edge")
+    steepest = np.max(np.abs(np.diff(values)), axis=1) * SAMPLED.size
+    values -= 2 * PROVED * steepest[:, None]  # samples are inside of the ends
+    least, ends = np.full(edges.size, np.inf), np.zeros((2, edges.size))
+    np.minimum.at(least, owner, np.min(values, axis=1))
+    ends[:, owner] = values[:, [0, -1]].T
+    excess = np.max(ends[:, owner].T @ np.stack([1 - SAMPLED, SAMPLED]) - values, axis=1)
+    ends[:, owner] -= np.where(excess > PROVED * np.max(np.abs(values), axis=1), excess, 0.0)
+    is_constant = (np.bincount(owner, minlength=edges.size) > 1) | np.any(ends < 0, axis=0)
+    return np.where(is_constant, np.maximum(least, 0.0), ends), is_certain

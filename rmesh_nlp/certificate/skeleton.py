@@ -7,9 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rmesh_nlp.assessment.parts import PROVED
 from rmesh_nlp.certificate.polynomials import raised
-from rmesh_nlp.evaluation import Array, Index, magnitude
+from rmesh_nlp.evaluation import PROVED, Array, Index, magnitude
 from rmesh_nlp.meshes.geometry import lengths, signed_areas
 from rmesh_nlp.problem import ContactProblem, Motion, Place
 from rmesh_nlp.problem.body import Body

@@ -8,7 +8,7 @@ What other folders use of its modules:
 - ``sensitivity``: TangentResponse, weakly_active
 - ``setup_warnings``: curve_warnings, penetration_warnings, setup_warnings, SetupWarning
 - ``solver``: coefficients, ContactSolver, Directions
-- ``standoff``: Cells, cells_of
+- ``standoff``: Cells, cells_of, LATTICES, SAMPLES
 - ``system``: ActiveSet, ContactSystem, Equilibrium, OwnState
 - ``uniqueness``: contraction
 """

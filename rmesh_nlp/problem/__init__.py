@@ -8,6 +8,7 @@ What other folders use of its modules:
 - ``contact_problem``: locally_refined, refined, renumbered
 - ``data``: ContactSet, ProblemData
 - ``design``: at_design, Constraint, Level, names_in, RESERVED, substituted, symbol
+- ``enclosures``: resolved
 - ``laws``: Elastic, energy_density, Laplace, Law, LOCKING
 - ``lines``: bent, element_zones, line_facets, on_curve, sliding_directions
 - ``motion``: Relative, Where

@@ -104,11 +104,11 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
 
 
 def evaluated(function: ca.Function, points: NDArray) -> Array:
-    """Values (outputs, ...) of a function of x and y at points (2, ...)."""
+    """Values (outputs, ...) of a function of x and y, or more, at points (2 or more, ...)."""
     if points.size == 0:
         return np.zeros((function.size1_out(0), *points.shape[1:]))
-    x, y = points.reshape(2, 1, -1)
-    return columnwise(function, x.size)([x, y])[0].reshape(-1, *points.shape[1:])
+    rows = points.reshape(len(points), 1, -1)
+    return columnwise(function, rows.shape[2])([*rows])[0].reshape(-1, *points.shape[1:])
 
 
 @once

@@ -10,7 +10,7 @@ from skfem.quadrature import get_quadrature_line, get_quadrature_tri
 
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import Coefficient
-from rmesh_nlp.problem.switches import affine_switches, degree_of_pieces, switches
+from rmesh_nlp.problem.switches import affine_switches, degree_of_pieces, polynomial_degree, switches
 
 TRACTION_DEGREE = 4
 """Least degree of the Gauss rule for tractions, exact for cubic ones times P1 and quadratic ones times P2; a
@@ -45,7 +45,8 @@ def _degree(coefficient: Coefficient) -> int | None:
     """Of the pieces of a coefficient between affine switches."""
     degree = degree_of_pieces(coefficient)
     switching = None if degree is None else switches(coefficient)
-    return degree if switching is None or (switching.are_all and set(switching.degrees) == {1}) else None
+    is_affine = switching is None or set(map(polynomial_degree, switching.functions)) == {1}
+    return degree if is_affine else None
 
 
 def is_split(coefficients: Sequence[Coefficient], rule: str | int, corners: int) -> bool:

@@ -1,8 +1,8 @@
 """Where a coefficient jumps or kinks: on the zeros of functions that stand in its graph.
 
-Coefficients are graphs of operations. All of them are smooth but comparisons, ``where``, ``abs``, ``sign``,
-the smaller and the larger of two, and roundings; each of these jumps or kinks where a function of position is
-zero, its switch.
+Coefficients are graphs of operations. Comparisons, ``where``, ``abs``, ``sign``, smaller and larger ones of
+two and roundings jump or kink where a function of position is zero, their switch. Whether the rest is smooth
+is for :mod:`rmesh_nlp.problem.enclosures` to prove.
 """
 
 from __future__ import annotations
@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, at, evaluated, once
 
-DIFFERENCE = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
+COMPARED = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE)
+DIFFERENCE = (*COMPARED, ca.OP_FMIN, ca.OP_FMAX)  # of the two arguments
 ITSELF = (ca.OP_FABS, ca.OP_SIGN, ca.OP_IF_ELSE_ZERO)  # the first argument
 ROUNDED = (ca.OP_FLOOR, ca.OP_CEIL)  # at every whole number
-LOGICAL = (ca.OP_LT, ca.OP_LE, ca.OP_EQ, ca.OP_NE, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
-UNKNOWN = (ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_CALL)  # they may jump, and it is not said where
+LOGICAL = (*COMPARED, ca.OP_NOT, ca.OP_AND, ca.OP_OR)
+UNKNOWN = {ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN, ca.OP_CALL}  # they may jump, and it is not said where
 
 
 HIGH = 8
@@ -40,16 +41,13 @@ class Switches:
     Attributes
     ----------
     functions : tuple of casadi.Function
-        ``(x, y) -> value`` of each.
+        ``(x, y) -> value`` of each, from the innermost to the outermost.
     degrees : tuple of int or None
-        Of each in x and y together; None if it is no polynomial.
-    are_all : bool
-        Whether there can be no others: False if an operation of the graph may jump where it does not say.
+        Of each in x and y together between the zeros of those before; None if it is no polynomial there.
     """
 
     functions: tuple[ca.Function, ...]
     degrees: tuple[int | None, ...]
-    are_all: bool
 
     def __call__(self, number: int, points: NDArray) -> Array:
         """Values (...) of one at ``points`` (2, ...)."""
@@ -63,11 +61,17 @@ def switches(coefficient: Coefficient) -> Switches | None:
         return None
     position = [*POSITION]
     graph = ca.Function("coefficient", position, [ca.densify(at(coefficient, *position))], OPEN)
-    each, are_all = _switches_of(graph)
-    if not each and are_all:
+    each = _switches_of(graph)
+    if not each:
         return None
     functions = tuple(ca.Function("switch", graph.sx_in(), [ca.densify(one)], OPEN) for one in each)
-    return Switches(functions, tuple(map(polynomial_degree, functions)), are_all)
+    return Switches(functions, tuple(map(_degree_between_switches, functions)))
+
+
+def _degree_between_switches(function: ca.Function) -> int | None:
+    """Degree of a switch between the zeros of its own switches; None if these are not known."""
+    inner = switches(function)
+    return degree_of_pieces(function) if inner is None or None not in inner.degrees else None
 
 
 def polynomial_degree(coefficient: Coefficient) -> int | None:
@@ -87,7 +91,10 @@ def degree_of_pieces(coefficient: Coefficient) -> int | None:
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return None  # a function of MX alone, or one that the assembly refuses with a reason
     for degree in range(HIGH):
-        if ca.Function("count", [point], [derivatives], OPEN).n_nodes() > LARGEST_EXPRESSION:
+        graph = ca.Function("count", [point], [derivatives], OPEN)
+        if graph.n_nodes() > LARGEST_EXPRESSION or UNKNOWN & set(
+            map(graph.instruction_id, range(graph.n_instructions()))
+        ):
             return None
         derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))
         derivatives = ca.vertcat(*{hash(e): e for e in ca.vertsplit(derivatives) if e.nnz()}.values())
@@ -100,18 +107,17 @@ def affine_switches(coefficients: Iterable[Coefficient]) -> list[ca.Function]:
     """The affine ones of all switches of coefficients, each once."""
     (x, y), each = POSITION, dict[str, ca.Function]()
     for known in filter(None, map(switches, coefficients)):
-        for function, degree in zip(known.functions, known.degrees, strict=True):
-            if degree == 1:
+        for function in known.functions:
+            if polynomial_degree(function) == 1:
                 each.setdefault(str(function(x, y)), function)
     return list(each.values())
 
 
-def _switches_of(graph: ca.Function) -> tuple[list[ca.SX], bool]:
-    """The switches in a graph as expressions of its inputs, each once, and whether these are all."""
-    each, are_all, expressions = dict[str, ca.SX](), True, graph.instructions_sx()
+def _switches_of(graph: ca.Function) -> list[ca.SX]:
+    """The switches in a graph as expressions of its inputs, each once."""
+    each, expressions = dict[str, ca.SX](), graph.instructions_sx()
     for k in range(graph.n_instructions()):
         operation, expression = graph.instruction_id(k), expressions[k]
-        are_all &= operation not in UNKNOWN
         if operation in DIFFERENCE:
             switch = expression.dep(0) - expression.dep(1)
         elif operation in ITSELF and expression.dep(0).op() not in LOGICAL:
@@ -122,4 +128,4 @@ def _switches_of(graph: ca.Function) -> tuple[list[ca.SX], bool]:
             continue
         if not switch.is_constant():
             each.setdefault(str(switch), switch)
-    return list(each.values()), are_all
+    return list(each.values())

@@ -26,6 +26,7 @@ from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstac
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from support.orders import ORDERS
+from support.rules import coarsen
 from truth.draws import aimed
 
 LAW = PlaneStrain.from_young(1000.0, 0.3)
@@ -74,6 +75,33 @@ def test_what_jumps_along_a_line_leaves_no_doubt() -> None:
     step = lambda x, y: ca.if_else(x + 0.3 * y > 0.77, -3.0, 0.0)  # noqa: E731
     load = replace(block(jump), law=PlaneStrain.from_young(1000.0, 0.3, (0.0, step)))
     assert admissible(load).doubt < 1e-12
+
+
+def waves(phase: float) -> ContactProblem:
+    load = Traction("top", (lambda x, y: 1 + 3 * ca.sin(40 * x + phase),))
+    return ContactProblem(rectangle(12, 6, x=(0, 2)), Laplace(0.0), ("bottom",), tractions=load)
+
+
+def test_what_coarse_rules_miss_is_within_the_doubt(monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = [waves(phase) for phase in (0.0, 1.5, 3.0, 4.5)]
+    least = [admissible(problem).energy for problem in problems]
+    coarsen(monkeypatch)
+    found = [admissible(problem) for problem in problems]
+    assert all(one.energy + one.doubt >= exact for one, exact in zip(found, least, strict=True))
+    assert any(one.energy < exact - 0.03 for one, exact in zip(found, least, strict=True))
+
+
+def test_doubts_of_loads_up_and_down_do_not_cancel(monkeypatch: pytest.MonkeyPatch) -> None:
+    coarsen(monkeypatch)
+
+    def doubt(left: float, right: float) -> float:
+        wave = lambda x, y: ca.sin(48 * x) ** 2 * ca.if_else(x < np.pi / 4, left, right)  # noqa: E731
+        load = Traction("top", (wave,))
+        mesh = rectangle(12, 1, x=(0, np.pi / 2), y=(0, 0.2))
+        return admissible(ContactProblem(mesh, Laplace(0.0), ("bottom",), tractions=load)).doubt
+
+    assert doubt(1.0, 0.0) > 0.001
+    assert doubt(1.0, -1.0) > 1.5 * doubt(1.0, 0.0)
 
 
 def test_gaps_of_order_2_hold_between_the_nodes_and_no_more() -> None:

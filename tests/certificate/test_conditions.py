@@ -76,8 +76,13 @@ def test_a_friction_bound_is_not_exceeded_where_it_is_low_between_samples() -> N
         {"obstacle": Obstacle("bottom", (0.0, 1.0), 0.1, friction=lambda x, y: 1 + HIDDEN(x, y))},
         {"dirichlet": (Dirichlet("left", (0.0, lambda x, y: 0.1 * HIDDEN(y, x))),)},
         {"tractions": (Traction("top", (0.0, HIDDEN)),)},
+        # between the points at which they are looked at
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: 0.1 - ca.exp(-1e10 * (x - 0.703) ** 2))},
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), lambda x, y: ca.fmin(0.1, 1e5 * ca.fabs(x - 0.703)))},
+        {"obstacle": Obstacle("bottom", (0.0, 1.0), 0.1, lambda x, y: 1.1 + ca.atan2(-1e-30, x - 0.703) / 3)},
+        {"dirichlet": (Dirichlet("left", (0.0, lambda x, y: ca.exp(-1e10 * (y - 0.703) ** 2))),)},
     ],
-    ids=["gap", "friction", "support", "traction"],
+    ids=["gap", "friction", "support", "traction", "needle", "ridge", "cut", "given needle"],
 )
 def test_where_one_coefficient_may_jump_at_an_unknown_place_nothing_is_certain(changes) -> None:
     assert conditions_of(plate(), on(plate())).is_certain
@@ -100,12 +105,13 @@ def test_data_on_edges_by_hand() -> None:
     np.testing.assert_allclose(found.friction, 1 + np.stack([a, b]))
     s = np.linspace(0, 1, 33)
     along = np.stack([1 - s, s]).T
-    for shape in (lambda x: x * x, lambda x: x * (1 - x)):  # a bound that bends is not exceeded, nor by far
+    # a bound that bends is not exceeded, nor by far
+    for shape in (lambda x: x * x, lambda x: x * (1 - x), lambda x: 300 * (x / 2) ** 20):
         rough = replace(problem.obstacles[0], friction=lambda x, y, shape=shape: 3 + shape(x))
         excess = along @ conditions_of(plate(obstacle=rough), skeleton).friction
         excess -= 3 + shape(along @ np.stack([a, b]))
-        assert np.max(excess) <= 1e-12
-        assert np.min(np.max(excess, axis=0)) > -1e-12
+        assert np.max(excess) <= 1e-10 * 3
+        assert np.min(np.max(excess, axis=0)) > -1e-2
     # edges whose displacement is given along the normal are not in contact
     named = part_named(problem.mesh)
     for given, gone in (((0.0, None), []), ((None, 0.0), named.boundaries["part"])):
