@@ -61,7 +61,7 @@ class MPCCSolver:
         former: list[dict[float, float]] = []
         for x in islice(chain([given], moved_starts(self.mpcc, given, options.seed)), options.starts):
             run = Run(self.nlps, parameters, weight, watchers, budget)
-            result, path = self._one(run, x, None if ends else start, former)
+            result, path = self._one(run, self.mpcc.start(x, parameters), None if ends else start, former)
             ends.append(result if path.joined is None else ends[path.joined])
             former.append(path.levels if result.success else {})
             if budget.is_over():

@@ -47,10 +47,12 @@ def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_orig
     assert np.median(np.abs(drawn[::2, 1] - 700)) > 100
 
 
-def test_start_of_a_mixed_problem_is_completed_with_zeros():
-    """-1 <= y <= 2 _|_ x - p."""
+def test_start_of_a_mixed_problem_is_consistent():
+    """-1 <= y <= 2 _|_ x - p: the new unknowns are the parts of x - p, of moved starts too."""
     mpcc = MPCC.mixed(XY, x**2 + y**2, None, x - p, y, lbH=-1, ubH=2, p=p)
-    assert list(mpcc.start([1, 0], p=3)) == [1, 0, 0, 0]
+    assert list(mpcc.start([1, 0], p=3)) == [1, 0, 0, 2]
+    assert list(mpcc.start([4, 0], p=3)) == [4, 0, 1, 0]
+    assert [own.size for own in islice(moved_starts(mpcc, mpcc.start([1, 0], p=3), 0), 3)] == [2] * 3
     assert solve(mpcc, [1, 0], p=3, starts=2).success
 
 
