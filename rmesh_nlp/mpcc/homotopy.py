@@ -51,13 +51,6 @@ class Path:
         return end.solved
 
 
-def ran_out(paths: Sequence[Path]) -> bool:
-    """Whether an error or a missing bound ended one of the paths, and not a violation."""
-    ends = {path.finish.status for path in paths if path.finish is not None}
-    over = {Status.UNBOUNDED, Status.EVALUATION_ERROR}
-    return bool(over & {*ends, *(path.failure for path in paths)})
-
-
 def follow(
     run: Run,
     path: Path,

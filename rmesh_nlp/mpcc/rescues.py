@@ -15,7 +15,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.finish import finish
-from rmesh_nlp.mpcc.homotopy import Path, follow, ran_out
+from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lpec import nearest_branch, steepness
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.run import Run
@@ -46,7 +46,7 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
             paths[-1].failure = status
     moved = (run.lifted.start(mpcc.start(x, p), p) for x in moved_starts(mpcc, x0, options.seed))
     for k in range(options.moves):
-        if any(path.ended for path in paths) or (run.is_infeasible and not ran_out(paths)):
+        if any(path.ended for path in paths) or run.is_infeasible:
             return
         paths.append(Path())
         run.rescues += 1

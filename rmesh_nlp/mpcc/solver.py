@@ -23,6 +23,7 @@ from rmesh_nlp.mpcc.run import Run, Watchers
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 
+_APART = 1e-3  # of t0, from which a start is followed that joins a former one at once
 Progress = Callable[[str], None] | bool
 
 
@@ -83,8 +84,11 @@ class MPCCSolver:
             if first is not None:
                 paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))
             if not any(path.ended for path in paths):
-                paths.append(main)
                 follow(run, main, z0, first, former)
+                if main.joined is not None and len(main.levels) == 1:
+                    main = Path()
+                    follow(run, main, z0, first, former, t0=_APART * run.options.t0)
+                paths.append(main)
             if not former:
                 rescue(run, paths, given, z0)
             if main.joined is None:

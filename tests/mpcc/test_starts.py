@@ -79,6 +79,11 @@ def test_best_of_several_starts_says_what_they_reached_and_no_trajectory_is_foll
     assert (late.status, late.history, late.ends) == (Status.TIME_LIMIT, (), ())
 
 
+def test_starts_that_are_all_alike_at_the_first_t_are_followed_from_a_smaller_one():
+    """At t = 1 both arms have one relaxed minimum, (1, 1.05) or nearly."""
+    assert [end.f for end in solve(ARMS, [1.5, 0], starts=6).reached] == pytest.approx([0.8975, 1.0])
+
+
 def test_rescue_from_a_moved_start_where_the_given_one_leads_nowhere():
     """log(x) is not defined between the bounds next to the given start: Ipopt gives up at once."""
     mpcc = MPCC(XY, (x - 2) ** 2 + y, ca.log(x - 0.5), x, y, lbg=-5, lbx=0, ubx=9)
