@@ -119,12 +119,14 @@ def _sum(values: Array, lower: Array, upper: Array) -> float:
 
 
 def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:
-    """Seeded random starts of the user's own unknowns without end, within the bounds.
+    """Seeded random starts without end, within the bounds; those of ``mixed`` leave out what it adds.
 
+    The answers of a lower level to random x are few, so its variables are drawn as well.
     An unknown is uniform between its bounds where these are near each other, else normal around x0 and, in
     turn, around 0: a given start may itself be far away from everything.
     """
-    n, random = mpcc.n_own, np.random.default_rng(seed)
+    n = mpcc.n_own if mpcc.lower_level is None else mpcc.n_x
+    random = np.random.default_rng(seed)
     x0, lower, upper = x0[:n], mpcc.lbx[:n], mpcc.ubx[:n]
     for centre in itertools.cycle((x0, np.zeros_like(x0))):
         unit = 1 + np.abs(centre)
