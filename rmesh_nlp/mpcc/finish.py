@@ -67,18 +67,20 @@ def finish(run: Run, z: Array, *, search: bool, warm: Warm = None) -> Finish:
     return settled(run, result or run.branch(z, zero))
 
 
-def settled(run: Run, result: NLPResult) -> Finish:
-    """Descend over the branches from the solution of one, if it is exact."""
-    return pivot(run, labelled(run, result.x, result.f, result.status, result.lam_g))
-
-
 def proved(run: Run, result: NLPResult) -> Finish:
     """The end of a branch; solved if its own multipliers prove S, without a linear program."""
     return labelled(run, result.x, result.f, result.status, result.lam_g, search=False)
 
 
 def labelled(
-    run: Run, z: Array, f: float, status: Status, lam_rows: Array | None = None, *, search: bool = True
+    run: Run,
+    z: Array,
+    f: float,
+    status: Status,
+    lam_rows: Array | None = None,
+    *,
+    search: bool = True,
+    is_last: bool = True,
 ) -> Finish:
     """The end of a branch; an exact one is labelled, unless f falls without end in it."""
     if not run.exact(z):
@@ -88,21 +90,38 @@ def labelled(
         return Finish(z, f, status)
     options = run.options
     lin = linearise(run.lifted, z, run.p, options.activity, options.corner)
-    label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows, search)
+    label = stationarity(run.lifted, lin, options.stationarity, run.budget, lam_rows, search, is_last)
     return Finish(z, f, label.status, label, lin)
 
 
+def settled(run: Run, result: NLPResult) -> Finish:
+    """Descend over the branches from the solution of one, if it is exact."""
+    return pivot(run, labelled(run, result.x, result.f, result.status, result.lam_g, is_last=False))
+
+
 def pivot(run: Run, point: Finish) -> Finish:
-    """Descend over the branches, from one that is not B-stationary to the one its LPEC names."""
-    while (direction := point.stationarity.direction) is not None:
-        if point.pivots == run.options.max_pivots:
-            return replace(point, status=Status.ITERATION_LIMIT)
-        better = run.branch(point.z, direction.zero)
-        if not (run.exact(better.x) and is_below(better.f, point.f)):
+    """Descend over the branches, from one that is not B-stationary to the one its LPEC names.
+
+    Each is solved from the multipliers of the one before. Of the points along which f falls only the last is
+    labelled. A branch that is only as low counts where it is stationary.
+    """
+    most = run.options.max_pivots
+    while (direction := point.stationarity.direction) is not None and point.pivots < most:
+        own = point.stationarity.multipliers
+        better = run.branch(point.z, direction.zero, warm=None if own is None else (own.z, own.rows))
+        if own is not None and not (better.converged and run.exact(better.x)):
+            better = run.branch(point.z, direction.zero)
+        if not run.exact(better.x) or is_below(point.f, better.f):
             break
-        lower = labelled(run, better.x, better.f, better.status, better.lam_g)
+        lower = labelled(run, better.x, better.f, better.status, better.lam_g, is_last=False)
+        if not (lower.solved or is_below(better.f, point.f)):
+            break
         point = replace(lower, pivots=point.pivots + 1)
-    return point
+    if direction is None:
+        return point
+    last = labelled(run, point.z, point.f, Status.CONVERGED)
+    status = Status.ITERATION_LIMIT if point.pivots == most else last.status
+    return replace(last, pivots=point.pivots, status=status)
 
 
 def _by_signs(run: Run, z: Array, zero: Mask, warm: Warm) -> NLPResult | None:

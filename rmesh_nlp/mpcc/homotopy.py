@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Mask, is_finite
-from rmesh_nlp.mpcc.finish import Finish, finish, proved
+from rmesh_nlp.mpcc.finish import Finish, finish, proved, settled
 from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.optimize.solver import NLPResult
@@ -17,6 +18,9 @@ from rmesh_nlp.optimize.status import Status
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
 _GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 _FREE = 1e-6  # relative change of the objective in which pairs cost nothing
+_SLOPES, _ABOVE = 3.0, 1e-2  # a step may end above the last by so many of its slopes and this share of f
+_SMALL = 5.0  # members whose means have a larger product are large for t = 1
+_LARGE = 10.0  # times the product of the means: most pairs are free
 
 
 @dataclass(eq=False)
@@ -47,13 +51,6 @@ class Path:
         return end.solved
 
 
-def ran_out(paths: Sequence[Path]) -> bool:
-    """Whether a limit, an error or a missing bound ended one of the paths, and not a violation."""
-    ends = {path.finish.status for path in paths if path.finish is not None}
-    over = {Status.UNBOUNDED, Status.ITERATION_LIMIT, Status.EVALUATION_ERROR}
-    return bool(over & {*ends, *(path.failure for path in paths)})
-
-
 def follow(
     run: Run,
     path: Path,
@@ -61,30 +58,40 @@ def follow(
     first: Warm = None,
     former: Sequence[Mapping[float, float]] = (),
     dependent: bool = False,
+    t0: float | None = None,
 ) -> None:
     """Follow the relaxed solutions from t0 to t_final, finish exactly, keep all in ``path``.
 
-    Where the pairs cost nothing at t0, to first order, they hold nothing up, and the next step is the
-    last. Where a step fails, the finish begins at the one before. ``first`` are multipliers for the
-    first step, ``former`` the levels of trajectories that this one may join; ``dependent``
-    relaxations reckon with equations that follow from each other.
+    A step that fails, or ends above what the slope of the last objective in t allows, has left the path: it
+    is done once more from the multipliers of the last, and the lower end counts. Where both fail, the finish
+    begins at the one before. Where the pairs cost nothing at t0, to first order, they hold nothing up, and
+    the next step is the last. ``first`` are multipliers for the first step, ``former`` the levels of
+    trajectories that this one may join; ``dependent`` relaxations reckon with equations that follow from
+    each other.
     """
     options = run.options
-    t, t_final = options.t0, options.t_final
-    z, warm, lam, is_first = z0, first, None, True
+    t0, t_final = t0 or options.t0, options.t_final
+    t, z, warm, lam, allowed = t0, z0, first, None, np.inf
     sides: Mask | None = None
+    near: Finish | None = None
     while True:
-        result = run.relaxed(z, t, warm, first=is_first, dependent=dependent)
+        ends = [_step(run, z, t, warm, first=lam is None, dependent=dependent)]
+        if lam is None:
+            ends += _from_above(run, z, t, ends[0], dependent)
+        elif warm is None and not ends[0].is_on(allowed):
+            ends.append(_step(run, z, t, lam))
+        result, objective, product = min(ends, key=lambda end: (not end.result.converged, end.objective))
         if not result.converged:
             path.relaxed, path.failure = path.relaxed or result, result.status
             break
-        path.relaxed, product, objective = result, run.steps[-1].product, run.steps[-1].objective * run.p[-1]
-        path.levels[t] = objective
+        path.relaxed, path.levels[t] = result, objective
         matches = (k for k, levels in enumerate(former) if is_same(objective, levels.get(t, np.inf)))
         path.joined = next(matches, None)
         if path.joined is not None:
             return
-        if t == options.t0 and run.cost(result, t) <= _FREE * abs(objective):
+        cost = run.cost(result, t)
+        is_free = cost <= _FREE * abs(objective)
+        if t == t0 and is_free:
             last = run.relaxed(result.x, t_final, (result.lam_x, result.lam_g), last=True)
             if last.converged and _at_the_limit(run.objective(last.x), objective):
                 path.relaxed = result = last
@@ -95,14 +102,65 @@ def follow(
             break
         is_settled = before is not None and _settled(before, sides)
         if is_settled and t <= options.crossover * (1 + ROUNDING):
-            near = proved(run, run.branch(result.x, sides, warm=lam))
-            if near.solved and path.keep(near) and _at_the_limit(near.f, objective):
+            branch = run.branch(result.x, sides, warm=lam)
+            near, earlier = proved(run, branch), near
+            is_end = near.solved and _at_the_limit(near.f, objective)
+            again = earlier is not None and near.lin is not None and is_same(near.f, earlier.f)
+            if again and not near.solved:  # without the signs of S f is lower by sqrt(t) on the path
+                near = settled(run, branch)
+                is_end = near.solved
+            if path.keep(near) and is_end:
                 return
-        z, is_first, warm = result.x, False, lam if options.warm_duals else None
+        # pairs that cost nothing yet do not say what they will cost
+        allowed = np.inf if is_free else _allowed(objective, cost)
+        z, warm = result.x, lam if options.warm_duals else None
         t = _next(t, options.factor, product, t_final)
     z = path.relaxed.x
-    if is_finite(z) and (path.finish is None or path.failure is None):
+    is_violated = lam is None and path.failure is Status.INFEASIBLE
+    if is_finite(z) and not is_violated and (path.finish is None or path.failure is None):
         path.keep(finish(run, z, search=lam is not None, warm=lam))
+
+
+class _End(NamedTuple):
+    """A relaxed solution, its weighted objective and the largest product of its pairs."""
+
+    result: NLPResult
+    objective: float
+    product: float
+
+    def is_on(self, allowed: float) -> bool:
+        """Whether nothing is gained by a second try: at most as high as ``allowed``, or at a violation."""
+        is_low = self.result.converged and self.objective <= allowed
+        return is_low or self.result.status is Status.INFEASIBLE
+
+
+def _step(run: Run, z: Array, t: float, warm: Warm = None, **how: bool) -> _End:
+    result = run.relaxed(z, t, warm, **how)
+    return _End(result, run.steps[-1].objective * run.p[-1], run.steps[-1].product)
+
+
+def _from_above(run: Run, z: Array, t: float, end: _End, dependent: bool) -> list[_End]:
+    """The relaxed solution at t by way of a larger one, where t is small in the unit of the products.
+
+    That is the mean of G times the mean of H where the first relaxation ended: forces of 10 N and lengths of
+    0.5 m have products of 5, and t = 1 is a narrow valley, which the start may lie in the wrong one of.
+    """
+    G, H = end.result.x[run.lifted.pairs]
+    size = float(np.mean(G) * np.mean(H)) if G.size and end.result.converged else 0.0
+    cost = run.cost(end.result, t) if size > _SMALL else 0.0
+    if cost <= _FREE * abs(end.objective):
+        return []
+    above = _step(run, z, _LARGE * size * t, first=True, dependent=dependent)
+    if above.result.converged:
+        above = _step(run, above.result.x, size * t, dependent=dependent)
+    if not above.result.converged or end.objective <= _allowed(above.objective, size * cost):
+        return []
+    return [_step(run, above.result.x, t, dependent=dependent)]
+
+
+def _allowed(objective: float, cost: float) -> float:
+    """The highest end of a step down from ``objective`` that is still on the path."""
+    return objective + _SLOPES * cost + _ABOVE * abs(objective)
 
 
 def _next(t: float, factor: float, product: float, t_final: float) -> float:

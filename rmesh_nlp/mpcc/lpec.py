@@ -123,12 +123,19 @@ def descent(
 
 
 def nearest_branch(
-    lifted: Lifted, z: Array, p: Array, radius: float, slope: Array, budget: Budget | None = None
+    lifted: Lifted,
+    z: Array,
+    p: Array,
+    radius: float,
+    slope: Array,
+    budget: Budget | None = None,
+    relaxed: bool = False,
 ) -> tuple[Array, Mask] | None:
     """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
     Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
-    (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds.
+    (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds. ``relaxed`` steps need
+    not be complementary: a linear program, whose least violation is at most that of all branches.
     """
     _, values, jacobian = lifted.linearise(z, p)
     nlp, m = lifted.nlp, lifted.nlp.n_g
@@ -147,9 +154,12 @@ def nearest_branch(
     direction = _milp(
         np.append(slope, elastic + weight), rows, np.append(lower, elastic),
         np.append(upper, elastic + np.inf), lifted, zero[0],
-        np.flatnonzero(is_open), members, budget,
+        np.flatnonzero(is_open), members, budget, relaxed,
     )  # fmt: skip
-    return None if direction is None else (z + radius * direction.step, direction.zero)
+    if direction is None:
+        return None
+    trial = z + radius * direction.step
+    return trial, lifted.smaller(trial) if relaxed else direction.zero
 
 
 def limits(budget: Budget | None) -> dict[str, float]:
@@ -186,6 +196,7 @@ def _milp(
     pairs: Index,
     members: Array,
     budget: Budget | None,
+    relaxed: bool = False,
 ) -> Direction | None:
     """One binary y per pair: ``m_G + d_G <= (m_G + 1) y`` and ``m_H + d_H <= (m_H + 1) (1 - y)``.
 
@@ -210,7 +221,7 @@ def _milp(
     with _unprinted():
         answer = milp(
             np.append(cost, np.zeros(k)),
-            integrality=np.append(np.zeros(n), np.ones(k)),
+            integrality=np.append(np.zeros(n), np.full(k, not relaxed)),
             bounds=Bounds(np.append(lower, np.zeros(k)), np.append(upper, np.ones(k))),
             constraints=constraints,
             options={"node_limit": nodes, **limits(budget)},

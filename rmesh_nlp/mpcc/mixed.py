@@ -40,11 +40,13 @@ class PlainPairs(NamedTuple):
     """Expressions that vanish."""
     unknowns: list[Symbolic]
     """``up``, ``down`` of each pair with both bounds on one side."""
+    values: list[Symbolic]
+    """The other members of these pairs, ``up - down``."""
 
 
 def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) -> PlainPairs:
     """Rewrite mixed pairs; raises ValueError if the bounds of a pair make no complementarity."""
-    plain = PlainPairs([], [], [], [])
+    plain = PlainPairs([], [], [], [], [])
     for i, (first, second) in enumerate(pairs):
         n_first, n_second = (int(np.isfinite(member[1:]).sum()) for member in (first, second))
         if n_first + n_second not in (0, 2):
@@ -69,6 +71,7 @@ def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) ->
             plain.G.extend([up, down])
             plain.H.extend([value - lower, upper - value])
             plain.unknowns.extend([up, down])
+            plain.values.append(partner)
     return plain
 
 

@@ -42,8 +42,8 @@ class Options(Settings):
     t0, factor, t_final : float
         Homotopy: t starts at ``t0`` and is multiplied by ``factor`` down to ``t_final``.
     moves : int
-        Where neither the homotopy nor phase I finds a stationary point: homotopies from so many moved
-        starts, that reckon with equations that follow from each other.
+        Where neither the homotopy nor phase I finds a stationary point: so many homotopies with other t0,
+        then from moved starts, that reckon with equations that follow from each other.
     starts, seed : int
         The lowest of so many starts: the given one and seeded random ones. A trajectory is left as soon as it
         has the objective of a former one at the same t. Limits hold for all starts together.

@@ -240,7 +240,14 @@ class MPCC:
         longer = replace(given, G=None, H=None).extended(
             x=plain.unknowns, g=plain.rows, G=plain.G, H=plain.H, lbx=0, lbg=0, ubg=0
         )
-        return replace(longer, n_added=len(plain.unknowns))
+        parts = ca.Function("parts", [given.x, given.p], [ca.vertcat(*plain.values)])
+
+        def completion(own: Array, p: Array) -> Array:
+            """``up`` and ``down`` whose difference is the other member."""
+            values = np.asarray(parts(own, p).full()).ravel()
+            return np.maximum(np.column_stack([values, -values]), 0.0).ravel()
+
+        return replace(longer, n_added=len(plain.unknowns), completion=completion if plain.values else None)
 
 
 def _numbers(name: str, value: object) -> Array:

@@ -1,8 +1,9 @@
-"""What is tried while no stationary point is found: phase I, then homotopies from moved starts.
+"""What is tried while no stationary point is found: phase I, then homotopies from other t0 and moved starts.
 
 Phase I begins at the point nearest to a solution so far. Where it shows a minimum of the violation, that is
-the answer. Else homotopies that reckon with dependent equations come last, and from elsewhere, as the cause
-may be the start itself: functions that are not defined beside it, or a valley that leads to a violation.
+the answer. Else homotopies that reckon with dependent equations come last, with smaller and larger t0, and
+from elsewhere, as the cause may be the start itself: functions that are not defined beside it, or a valley
+that leads to a violation.
 """
 
 from __future__ import annotations
@@ -14,83 +15,99 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.mpcc.finish import finish
-from rmesh_nlp.mpcc.homotopy import Path, follow, ran_out
-from rmesh_nlp.mpcc.lpec import nearest_branch
+from rmesh_nlp.mpcc.homotopy import Path, follow
+from rmesh_nlp.mpcc.lpec import nearest_branch, steepness
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
 _STEPS = 80
-_SHRINK = 0.25  # of the trust region
-_FLAT = 1e-4  # decrease of the violation, in units of itself or per length, that is none
+_SHRINK = 0.1  # of the trust region
+_SEEN = 1e-6  # violation in units of a step that linear programs tell from zero, see ``steepness``
+_LEVEL = 1e-2  # part of the violation whose decrease over the length of the point is none
+_FLAT = 1e-4  # the same for what Ipopt finds on a branch, and for a violation that is closed
 _NEAR = 20.0  # bounds are near if they are no further apart than this, in units of 1 + |x0|
+_SHARES = (1e-2, 1e2, 1.0)  # of t0, in turn: what repeats a failure is no rescue
+_SAME = 2  # homotopies from the given start, the first ones
 _SPREADS = (-1.0, 1.5)  # exponents of ten of the distance of random starts, in the same units
 
 
 def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
     """Add a path for each attempt to ``paths`` until one has ended, or the violation has a minimum."""
-    if any(path.ended for path in paths):
-        return
-    paths.append(Path())
-    run.rescues += 1
-    z, status = phase_one(run, z0 if run.nearest is None else run.nearest[0])
-    if status is Status.CONVERGED:
-        paths[-1].keep(finish(run, z, search=False))
-    else:
-        paths[-1].failure = status
-    if status is Status.INFEASIBLE and not ran_out(paths):
-        run.is_infeasible = True
-        return
-    for x in itertools.islice(moved_starts(run.lifted.source, x0, run.options.seed), run.options.moves):
-        if any(path.ended for path in paths):
-            break
+    mpcc, p, options = run.lifted.source, run.p[:-1], run.options
+    if not any(path.ended for path in paths):
         paths.append(Path())
         run.rescues += 1
-        follow(run, paths[-1], run.lifted.start(x, run.p[:-1]), dependent=True)
+        z, status = phase_one(run, z0 if run.nearest is None else run.nearest[0])
+        run.is_infeasible = status is Status.INFEASIBLE
+        if status is Status.CONVERGED:
+            paths[-1].keep(finish(run, z, search=False))
+        else:
+            paths[-1].failure = status
+    moved = (run.lifted.start(mpcc.start(x, p), p) for x in moved_starts(mpcc, x0, options.seed))
+    for k in range(options.moves):
+        if any(path.ended for path in paths) or run.is_infeasible:
+            return
+        paths.append(Path())
+        run.rescues += 1
+        z = z0 if k < _SAME else next(moved)
+        t0 = max(_SHARES[k % len(_SHARES)] * options.t0, options.t_final)
+        follow(run, paths[-1], z, dependent=True, t0=t0)
 
 
 def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     """Look for a feasible complementary point near ``z``, on the lower one of branches that do as well.
 
-    A linear program with equilibrium constraints (LPEC) names the branch that lowers the sum of the
-    violations of all rows most within a trust region, and Ipopt minimises that sum on the branch. The region
-    shrinks where the branch does not keep what the linearisation promised. Where no branch lowers it, the
-    point is a local minimum of the violation to first order: "locally infeasible" rests on it. A solver that
-    stops at a violation proves nothing. The LPEC is that of MPECopt: A. Nurkanovic and S. Leyffer, A globally
-    convergent method for computing B-stationary points of mathematical programs with equilibrium constraints,
-    arXiv 2501.13835, 2025.
+    Ipopt minimises the sum of the violations of all rows on the branch next to ``z``. Where a linear program
+    without complementarity does not lower the sum within a trust region, no branch does: the point is a
+    local minimum of the violation to first order, and "locally infeasible" rests on it. Else a linear program
+    with equilibrium constraints (LPEC) names the branch that lowers it most, the first time the one with the
+    lower objective of those that do as well. The region shrinks where the branch does not keep what the
+    linearisation promised. A solver that stops at a violation proves nothing. The LPEC is that of MPECopt:
+    A. Nurkanovic and S. Leyffer, A globally convergent method for computing B-stationary points of
+    mathematical programs with equilibrium constraints, arXiv 2501.13835, 2025.
 
     CONVERGED: the point is feasible and complementary; INFEASIBLE: a local minimum of a positive violation,
     to first order; STALLED: neither was shown.
     """
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)
-    z[lifted.pairs[lifted.smaller(z)]] = 0.0
-    size = 1.0 + magnitude(z)
-    tolerance, radius, only_violation = run.options.feasibility * size, size, False
-    for _ in range(_STEPS):
-        gradient, rows, jacobian = lifted.linearise(z, run.p)
-        if not all(is_finite(part) for part in (z, gradient, rows, jacobian.data)):
+    own = lifted.smaller(z)
+    z[lifted.pairs[own]] = 0.0
+    radius, tried = 1.0 + magnitude(z), np.zeros_like(own)
+    for k in range(_STEPS):
+        excess, (gradient, rows, jacobian) = run.excess(z), lifted.linearise(z, run.p)
+        if not all(is_finite(part) for part in (excess, gradient, rows, jacobian.data)):
             break
-        violation = _sum(rows, nlp.lbg, nlp.ubg)
-        slope = 0.0 * gradient if only_violation else gradient
-        near = nearest_branch(lifted, z, run.p, radius, slope, run.budget)
-        if near is None:
+        if excess <= 1.0:
+            return z, Status.CONVERGED
+        violation, slope = _sum(rows, nlp.lbg, nlp.ubg), gradient * (k == 0)
+        steep = steepness(jacobian)
+        seen = _sum(rows / steep, nlp.lbg / steep, nlp.ubg / steep)
+        size, radius = 1.0 + magnitude(z), min(radius, seen / _SEEN)
+        if seen <= _SEEN or radius <= _SEEN * size:  # too small to show anything
             break
-        trial, zero = near
-        decrease = violation - _sum(rows + jacobian @ (trial - z), nlp.lbg, nlp.ubg)
-        if decrease <= _FLAT * min(violation, radius):
-            if only_violation:
-                return z, Status.INFEASIBLE if violation > tolerance else Status.CONVERGED
-            only_violation = True  # a minimum of the violation is shown without the objective
-            continue
-        if not np.isfinite(run.excess(trial)):  # the functions are not defined there
-            radius *= _SHRINK
-            continue
-        least = run.least_violation(trial, zero)
-        if least.f <= tolerance:
-            return least.x, Status.CONVERGED
-        if violation - least.f > _FLAT * violation:
+        for relaxed in (True, False):
+            near = nearest_branch(
+                lifted, z, run.p, radius, 0.0 * slope if relaxed else slope, run.budget, relaxed
+            )
+            if near is None:
+                return z, Status.STALLED
+            trial, zero = near
+            rest = _sum(rows + jacobian @ (trial - z), nlp.lbg, nlp.ubg)
+            falls = (violation - rest) * max(1.0, size / radius)
+            level = _LEVEL * min(violation, size)
+            if falls <= level and (relaxed or k > 0):  # it cannot rise: then the program was too coarse
+                return z, Status.INFEASIBLE if falls >= -level else Status.STALLED
+            if rest > _FLAT * violation:  # no branch closes it: one after the other from here on
+                trial, zero = (z, own) if k == 0 else near
+                break
+        is_lower = False
+        # the functions may not be defined there, and z may be the least of this branch already
+        if np.isfinite(run.excess(trial)) and np.any(zero != tried):
+            least, tried = run.least_violation(trial, zero), zero
+            is_lower = is_finite(least.x) and least.f <= (1 - _FLAT) * violation
+        if is_lower:
             z = least.x
         else:
             radius *= _SHRINK
@@ -102,17 +119,20 @@ def _sum(values: Array, lower: Array, upper: Array) -> float:
 
 
 def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:
-    """Seeded random starts without end, within the bounds.
+    """Seeded random starts without end, within the bounds; those of ``mixed`` leave out what it adds.
 
+    The answers of a lower level to random x are few, so its variables are drawn as well.
     An unknown is uniform between its bounds where these are near each other, else normal around x0 and, in
     turn, around 0: a given start may itself be far away from everything.
     """
-    lower, upper, random = mpcc.lbx, mpcc.ubx, np.random.default_rng(seed)
+    n = mpcc.n_own if mpcc.lower_level is None else mpcc.n_x
+    random = np.random.default_rng(seed)
+    x0, lower, upper = x0[:n], mpcc.lbx[:n], mpcc.ubx[:n]
     for centre in itertools.cycle((x0, np.zeros_like(x0))):
         unit = 1 + np.abs(centre)
         near = (upper - lower) <= _NEAR * unit
-        share = random.uniform(size=x0.size)
+        share = random.uniform(size=n)
         spread = 10.0 ** random.uniform(*_SPREADS)
-        around = np.clip(centre + spread * unit * random.normal(size=x0.size), lower, upper)
+        around = np.clip(centre + spread * unit * random.normal(size=n), lower, upper)
         inside = np.where(near, lower, 0.0) + share * np.where(near, upper - lower, 0.0)
         yield np.where(near, inside, around)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Mask, is_finite
+from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.result import Iterate, Step, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
@@ -73,10 +73,18 @@ class Run:
             self.limit = stop.status
 
     def relaxed(self, z: Array, t: float, warm: Warm = None, **how: bool) -> NLPResult:
-        """Solve the relaxation at ``t`` from ``z``; ``how`` as :meth:`Options.relaxed`."""
+        """Solve the relaxation at ``t`` from ``z``; ``how`` as :meth:`Options.relaxed`.
+
+        What stopped at a feasible point before it converged is acceptable: a smaller t may settle it.
+        """
         nlp, _ = self.nlps.relaxed
         solver = self.nlps.solver(nlp, self.options.relaxed(warm is not None, **how))
-        return self.solve("relaxed", t, solver, z, warm, p=np.append(self.p, t))
+        result = self.solve("relaxed", t, solver, z, warm, p=np.append(self.p, t))
+        if result.status in (Status.ITERATION_LIMIT, Status.STALLED):
+            apart = np.abs(np.clip(result.g, nlp.lbg, nlp.ubg) - result.g)
+            if np.max(apart, initial=0.0) <= self.options.feasibility * (1 + magnitude(result.x)):
+                return replace(result, status=Status.ACCEPTABLE)
+        return result
 
     def branch(
         self,
@@ -181,6 +189,8 @@ class Run:
         A row is allowed its tolerance times its largest term ``|J_ij z_j|`` (at least 1), as rounding is.
         """
         lifted, options = self.lifted, self.options
+        if not is_finite(z):
+            return np.inf
         _, nonzeros = lifted.jacobian(z, self.p)
         row_of, column_of = lifted.pattern
         scale = np.ones(lifted.source.n_g + 2 * lifted.source.n_pairs)

@@ -23,6 +23,7 @@ from rmesh_nlp.mpcc.run import Run, Watchers
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 
+_APART = 1e-3  # of t0, from which a start is followed that joins a former one at once
 Progress = Callable[[str], None] | bool
 
 
@@ -61,7 +62,7 @@ class MPCCSolver:
         former: list[dict[float, float]] = []
         for x in islice(chain([given], moved_starts(self.mpcc, given, options.seed)), options.starts):
             run = Run(self.nlps, parameters, weight, watchers, budget)
-            result, path = self._one(run, x, None if ends else start, former)
+            result, path = self._one(run, self.mpcc.start(x, parameters), None if ends else start, former)
             ends.append(result if path.joined is None else ends[path.joined])
             former.append(path.levels if result.success else {})
             if budget.is_over():
@@ -83,8 +84,11 @@ class MPCCSolver:
             if first is not None:
                 paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))
             if not any(path.ended for path in paths):
-                paths.append(main)
                 follow(run, main, z0, first, former)
+                if main.joined is not None and len(main.levels) == 1:
+                    main = Path()
+                    follow(run, main, z0, first, former, t0=_APART * run.options.t0)
+                paths.append(main)
             if not former:
                 rescue(run, paths, given, z0)
             if main.joined is None:

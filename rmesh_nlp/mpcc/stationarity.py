@@ -79,12 +79,14 @@ def stationarity(
     budget: Budget | None = None,
     lam_rows: Array | None = None,
     search: bool = True,
+    is_last: bool = True,
 ) -> Stationarity:
     """Label a linearised point and look for descent over its branches.
 
     ``tolerance`` is that of the Lagrangian gradient and of descent, in units of ``max(1, |gradient f|)``.
     ``lam_rows``, multipliers of the rows at the end of a solve, decide if they prove S; else linear programs
-    do, or nothing without ``search``.
+    do, or nothing without ``search``. A point along which a branch descends is labelled only if it
+    ``is_last``.
     """
     if not (is_finite(lin.gradient) and is_finite(lin.jacobian.data)):
         return UNLABELLED
@@ -93,15 +95,23 @@ def stationarity(
         return Stationarity("S", proof, True)
     if not search:
         return UNLABELLED
-    label, multipliers = strongest(lifted, lin, tolerance, budget)
-    if label == "S":  # S implies B
-        return Stationarity(label, multipliers, True)
+    programs, zero = _MultiplierLP(lifted, lin, tolerance, budget), tolerance * lin.scale
+    weak = programs.solve({})
+    least = weak if weak is None or weak[1] <= zero else programs.solve({}, (1.0,)) or weak
+    if least is not None and least[1] <= zero:
+        return Stationarity("S", least[0], True)  # S implies B
+    direction, is_b = None, None
     # one linear program first: most of the branches along which f falls are named by the signs
-    for signs in (None,) if multipliers is None else (multipliers.pairs, None):
+    for signs in (None,) if weak is None else (weak[0].pairs, None):
         direction = descent(lifted, lin, budget, signs)
-        if direction is not None and direction.decrease < -tolerance * lin.scale:
-            return Stationarity(label, multipliers, False, direction)
-    return Stationarity(label, multipliers, None if direction is None else True)
+        is_b = None if direction is None else direction.decrease >= -zero
+        if is_b is False:
+            break
+    own = None if weak is None else weak[0]
+    label = "none" if programs.decided else ""
+    if weak is not None and (is_last or is_b is not False):
+        label, own = _weaker(programs, weak, zero)
+    return Stationarity(label, own, is_b, None if is_b is not False else direction)
 
 
 class _MultiplierLP:
@@ -156,22 +166,12 @@ class _MultiplierLP:
         return self.columns.scattered(values), float(answer.fun)
 
 
-def strongest(
-    lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None = None
-) -> tuple[str, Multipliers | None]:
-    """The strongest of S, M, C, W for which multipliers exist; ``"none"`` if there are none at all.
+def _weaker(programs: _MultiplierLP, weak: tuple[Multipliers, float], zero: float) -> tuple[str, Multipliers]:
+    """The strongest of M, C, W for which multipliers exist; ``weak`` ones do, for W.
 
-    A linear program that fails numerically decides nothing: the label is then weaker, or empty. Where the
-    search of a stronger one ran out of nodes it is ``"at least C"`` or ``"at least W"``.
+    A linear program that fails numerically decides nothing: the label is then weaker. Where the search of a
+    stronger one ran out of nodes it is ``"at least C"`` or ``"at least W"``.
     """
-    programs = _MultiplierLP(lifted, lin, tolerance, budget)
-    zero = tolerance * lin.scale
-    weak = programs.solve({})
-    if weak is None:
-        return "none" if programs.decided else "", None
-    least = weak if weak[1] <= zero else programs.solve({}, (1.0,)) or weak
-    if least[1] <= zero:
-        return "S", least[0]
     word = ""
     for name, pieces in _PIECES.items():
         multipliers, complete = _search(programs, weak, pieces, zero)

@@ -1,15 +1,16 @@
 """The exact finish: which branches it visits, what it accepts, and how it says where it ended."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.mpcc.finish import Finish, finish, is_below, pivot, proved
-from rmesh_nlp.mpcc.lpec import Direction
-from rmesh_nlp.mpcc.stationarity import Stationarity
+from rmesh_nlp.mpcc import stationarity as module
+from rmesh_nlp.mpcc.finish import finish, is_below, labelled, pivot, proved
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import ON_H, XY, ended, run_of, x, y
+from support.scripted_run import XY, ended, run_of, x, y
 
 
 def test_wrong_branch_is_left_by_the_descent():
@@ -19,9 +20,30 @@ def test_wrong_branch_is_left_by_the_descent():
     assert (end.solved, end.pivots) == (True, 1)
     assert end.z == pytest.approx([1, 0], abs=1e-8)
     assert [is_below(f, 4.0) for f in (4.0 - 1e-9, 4.0 - 1e-8)] == [False, True]  # by more than rounding
-    descends = Stationarity("C", None, None, Direction(-1.0, np.zeros(2), ON_H))
-    last = Finish(np.zeros(2), 4.0, Status.STALLED, descends, pivots=run.options.max_pivots)
-    assert pivot(run, last).status is Status.ITERATION_LIMIT
+
+
+def test_only_the_last_point_of_a_descent_is_labelled(monkeypatch):
+    """Along two pairs from (0, 0.5, 0, 0.5) to (1, 0, 1, 0)."""
+    v, asked = ca.SX.sym("v", 4), []
+    own = module._weaker
+    monkeypatch.setattr(module, "_weaker", lambda *a: asked.append(1) or own(*a))
+    f = (v[0] - 1) ** 2 + (v[1] + 1) ** 2 + (v[2] - 1) ** 2 + (v[3] + 1) ** 2
+    run = run_of(MPCC(v, f, None, v[[0, 2]], v[[1, 3]]))
+    end = finish(run, np.array([0.0, 0.5, 0.0, 0.5]), search=False)
+    assert (end.solved, end.stationarity.label, not asked) == (True, "S", True)
+    assert end.z == pytest.approx([1, 0, 1, 0], abs=1e-8)
+    run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y), max_pivots=1)
+    point = labelled(run, np.zeros(2), 2.0, Status.CONVERGED, is_last=False)
+    assert point.stationarity.direction is not None
+    left = pivot(run, replace(point, pivots=1))  # no pivot is left
+    assert (left.status, left.stationarity.label, bool(asked)) == (Status.ITERATION_LIMIT, "W", True)
+
+
+def test_branch_that_is_hardly_lower_counts_where_it_is_stationary():
+    """f falls by 4e-10 from the origin to (0, 2e-6)."""
+    run = run_of(MPCC(XY, (x + 1) ** 2 + 100 * (y - 2e-6) ** 2, None, x, y))
+    end = finish(run, np.array([0.1, 0.0]), search=False)
+    assert (end.solved, end.pivots) == (True, 1)
 
 
 def test_branch_along_which_the_objective_falls_without_end_has_no_label():

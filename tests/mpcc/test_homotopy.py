@@ -1,12 +1,13 @@
 """The paths of the relaxations: which t follows which, and when they end."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import solve
+from rmesh_nlp.mpcc import MPCC, solve
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.optimize.status import Status
-from support.scripted_run import START, Answer, ScriptedRun, two_minima
+from support.scripted_run import START, XYW, Answer, ScriptedRun, two_minima, w, x, y
 
 S = Status
 TENTHS = [10.0**-k for k in range(9)]
@@ -54,13 +55,13 @@ def failing_below(status, t):
         (settled(0.9995), {}, TENTHS[:3], None),
         (settled(0.998), {}, TENTHS, None),
         (settled(), {"weight": 100.0}, TENTHS[:3], None),
-        # a step that fails is the last; the finish begins at the one before
+        # a step that fails twice is the last; the finish begins at the one before
         (failing_below(S.STALLED, 9), {}, [1.0], S.STALLED),
-        (failing_below(S.ITERATION_LIMIT, 1), {}, TENTHS[:2], S.ITERATION_LIMIT),
+        (failing_below(S.ITERATION_LIMIT, 1), {}, [1.0, 0.1, 0.1], S.ITERATION_LIMIT),
         (failing_below(S.INFEASIBLE, 0.5e-2), {}, TENTHS[:4], S.INFEASIBLE),
         # an exact point that was already there is kept
-        (lambda call: settled(0.9)(call) if call.t > 0.5e-2 else Answer(status=S.STALLED), {}, TENTHS[:4],
-         S.STALLED),
+        (lambda call: settled(0.9)(call) if call.t > 0.5e-2 else Answer(status=S.STALLED), {},
+         [*TENTHS[:4], 1e-3], S.STALLED),
     ],
 )  # fmt: skip
 def test_path_goes_down_and_ends(answers, options, ts, failure):
@@ -89,6 +90,59 @@ def test_last_t_is_the_next_where_pairs_cost_nothing_and_the_end_is_as_low(cost,
     assert run.ts == pytest.approx(ts)
     assert path.finish.f == pytest.approx(1.0)
     assert [call.warm is not None for call in run.calls] == [call.is_leap for call in run.calls]
+
+
+@pytest.mark.parametrize(("again", "kept"), [(0.9, 0.9), (2.0, 1.5), (None, 1.5)])
+def test_step_that_leaves_the_path_is_done_once_more_from_the_multipliers(again, kept):
+    """From 1 f may rise by three times 1e-3 and a hundredth; a second end counts if it is lower."""
+
+    def answer(call):
+        if call.t != 0.1:
+            return restless(call)
+        if call.warm is None:
+            return Answer((1.0, 0.5), objective=1.5, product=0.1)
+        return Answer(objective=again, product=0.1) if again else Answer(status=S.STALLED)
+
+    run, path = followed(lambda call: settled()(call) if call.t == 1.0 else answer(call))
+    assert run.ts[:4] == pytest.approx([1.0, 0.1, 0.1, 0.01])
+    assert [call.warm is not None for call in run.calls[:4]] == [False, False, True, False]
+    assert path.levels[0.1] == kept
+    run, _ = followed(lambda call: settled(1.0 + 0.012 * (call.t == 0.1))(call))
+    assert run.ts == pytest.approx(TENTHS[:3])
+
+
+@pytest.mark.parametrize(
+    ("x", "above", "ts", "level"),
+    [
+        (
+            (16.0, 0.5),
+            6.0,
+            [1.0, 80.0, 8.0, 1.0, 0.1],
+            6.2,
+        ),  # 20 is no end of a path from 6
+        ((16.0, 0.5), 19.0, [1.0, 80.0, 8.0, 0.1], 20.0),
+        ((8.0, 0.5), 6.0, [1.0, 0.1], 20.0),  # products of 4 are not large for t = 1
+    ],
+)
+def test_first_t_is_reached_from_above_where_it_is_small_for_the_members(x, above, ts, level):
+    ends = iter([Answer(x, objective=20.0, cost=0.1, product=1.0), *[Answer(x, objective=above)] * 2,
+                 Answer(x, objective=6.2, product=1.0)])  # fmt: skip
+    run, path = followed(lambda call: next(ends) if call.t >= 1 else Answer(status=S.INFEASIBLE))
+    assert (run.ts, path.levels[1.0]) == (pytest.approx(ts), level)
+
+
+def test_limit_of_an_nlp_ends_no_path():
+    """Each relaxation stops after two iterations, feasible and not settled."""
+    result = solve(two_minima(), [0.5, 0.6], ipopt_relaxed={"max_iter": 2})
+    assert (result.success, result.counts["rescues"]) == (True, 0)
+    assert {step.status for step in result.history if step.phase == "relaxed"} >= {S.ITERATION_LIMIT}
+
+
+def test_minimum_without_the_signs_of_s_is_found_before_the_last_t():
+    """x + y - z over z <= 4 x, z <= 4 y: the origin is a minimum and M-stationary."""
+    result = solve(MPCC(XYW, x + y - w, ca.vertcat(w - 4 * x, w - 4 * y), x, y, ubg=0), 1.0)
+    assert (result.success, result.stationarity) == (True, "M")
+    assert min(step.t for step in result.history if step.phase == "relaxed") > 1e-5
 
 
 def test_without_a_point_a_path_has_no_end_else_a_step_starts_at_the_one_before():

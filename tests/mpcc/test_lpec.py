@@ -128,6 +128,28 @@ def test_feasible_point_is_found_over_all_branches(mpcc, start, known):
     assert z[[*known]] == pytest.approx([*known.values()], abs=1e-7)
 
 
+EMPTY = MPCC(XY, x, ca.vertcat(x + y, x + 2 * y), x, y, lbg=[3, -np.inf], ubg=[np.inf, 2.5])
+"""Not even without complementarity feasible: 3 <= x + y <= x + 2 y <= 2.5."""
+
+
+@pytest.mark.parametrize("far", [1.0, 1e9])
+def test_linear_program_certifies_what_is_infeasible_without_complementarity(monkeypatch, far):
+    """Also from far away, where a tolerance in units of the point would allow the violation."""
+    given = []
+    own = lpec.milp
+    monkeypatch.setattr(lpec, "milp", lambda *a, **k: given.append(k["integrality"]) or own(*a, **k))
+    _, (z, status) = end_of(EMPTY, (far, 0))
+    assert (status, z[1]) == (Status.INFEASIBLE, 0)
+    assert 2.5 <= z[0] <= 3
+    assert far > 1 or not np.any(np.concatenate(given))
+
+
+def test_violation_too_small_for_linear_programs_is_no_certificate():
+    """x + 1e5 y = 1e-4 x^2 far out: rows with entries of 1e5 hide a violation of 1e-3."""
+    run = run_of(MPCC(XY, x, 1e5 * (ca.exp(-1e-3 * x) - y), x, y, ubg=-1e-9))
+    assert phase_one(run, np.array([2e4, 0.0]))[1] is not Status.INFEASIBLE
+
+
 @pytest.mark.parametrize(
     ("rows", "bounds", "start", "is_infeasible"),
     [

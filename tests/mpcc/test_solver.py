@@ -67,12 +67,13 @@ def relaxed_ts(result):
     return [step.t for step in result.history if step.phase == "relaxed"]
 
 
-def test_phase_one_and_then_moved_starts_are_tried_once():
-    result = solve(two_minima(), [0.5, 0.6], moves=2, **HELPLESS)
+def test_phase_one_and_then_other_t0_and_moved_starts_are_tried_once():
+    far = MPCC(XY, (x - 2) ** 2, x**3 + y, x, y, lbg=1e3, ubg=1e3)
+    result = solve(far, [0.5, 0.6], moves=4, **HELPLESS)
     assert not result.success
     assert result.status is not S.INFEASIBLE
-    assert relaxed_ts(result) == [1.0, 1.0, 1.0]
-    assert result.counts["rescues"] == 1 + 2
+    assert relaxed_ts(result) == [1.0, 0.01, 100.0, 1.0, 0.01]  # none repeats the first
+    assert result.counts["rescues"] == 1 + 4
     assert solve(two_minima(), [0.5, 0.6]).counts["rescues"] == 0
 
 

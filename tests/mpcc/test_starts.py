@@ -47,10 +47,12 @@ def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_orig
     assert np.median(np.abs(drawn[::2, 1] - 700)) > 100
 
 
-def test_start_of_a_mixed_problem_is_completed_with_zeros():
-    """-1 <= y <= 2 _|_ x - p."""
+def test_start_of_a_mixed_problem_is_consistent():
+    """-1 <= y <= 2 _|_ x - p: the new unknowns are the parts of x - p, of moved starts too."""
     mpcc = MPCC.mixed(XY, x**2 + y**2, None, x - p, y, lbH=-1, ubH=2, p=p)
-    assert list(mpcc.start([1, 0], p=3)) == [1, 0, 0, 0]
+    assert list(mpcc.start([1, 0], p=3)) == [1, 0, 0, 2]
+    assert list(mpcc.start([4, 0], p=3)) == [4, 0, 1, 0]
+    assert [own.size for own in islice(moved_starts(mpcc, mpcc.start([1, 0], p=3), 0), 3)] == [2] * 3
     assert solve(mpcc, [1, 0], p=3, starts=2).success
 
 
@@ -75,6 +77,11 @@ def test_best_of_several_starts_says_what_they_reached_and_no_trajectory_is_foll
     assert many.success
     late = solve(ARMS, [1.5, 0], starts=50, time_limit_s=1e-9)
     assert (late.status, late.history, late.ends) == (Status.TIME_LIMIT, (), ())
+
+
+def test_starts_that_are_all_alike_at_the_first_t_are_followed_from_a_smaller_one():
+    """At t = 1 both arms have one relaxed minimum, (1, 1.05) or nearly."""
+    assert [end.f for end in solve(ARMS, [1.5, 0], starts=6).reached] == pytest.approx([0.8975, 1.0])
 
 
 def test_rescue_from_a_moved_start_where_the_given_one_leads_nowhere():

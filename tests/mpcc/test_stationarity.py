@@ -8,7 +8,7 @@ from mpcc_library.labels import descends_by_search, label_by_search, random_bloc
 from rmesh_nlp.mpcc import MPCC, classify, lpec, solve
 from rmesh_nlp.mpcc import stationarity as module
 from rmesh_nlp.mpcc.multipliers import proving
-from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity, strongest
+from rmesh_nlp.mpcc.stationarity import Multipliers, Stationarity, stationarity
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, XYW, w, x, y
@@ -135,24 +135,24 @@ def test_linear_program_that_fails_decides_nothing(monkeypatch):
     given = []
     monkeypatch.setattr(module, "linprog", lambda *_, **names: given.append(names["options"]) or Answer)
     lifted, lin = at(MPCC(XY, x + y, None, x, y), [0, 0])
-    assert strongest(lifted, lin, TOLERANCE) == ("", None)
+    assert stationarity(lifted, lin, TOLERANCE).label == ""
     Answer.status = 2
-    assert strongest(lifted, lin, TOLERANCE, Budget(Limits(2.5))) == ("none", None)
+    assert stationarity(lifted, lin, TOLERANCE, Budget(Limits(2.5))).label == "none"
     assert given[0] == {}
     assert 2.0 < given[-1]["time_limit"] <= 2.5
 
 
 def test_s_is_asked_within_the_whole_tolerance():
     f, row = -5e-7 * w + y, w - 1000 * x  # descends by 5e-7 in a step of at most 1; sharp multipliers prove M
-    label, multipliers = strongest(*at(MPCC(XYW, f, row, x, y, lbg=0, ubg=0), [0, 0, 0]), TOLERANCE)
-    assert label == "S"
-    assert np.max(multipliers.pairs) <= TOLERANCE
+    found = stationarity(*at(MPCC(XYW, f, row, x, y, lbg=0, ubg=0), [0, 0, 0]), TOLERANCE)
+    assert found.label == "S"
+    assert np.max(found.multipliers.pairs) <= TOLERANCE
 
 
 @pytest.mark.parametrize(("slope", "label"), [(0, "S"), (x, "none"), (-y, "none"), (x - y, "none")])
 def test_without_any_multiplier_only_a_flat_objective_is_stationary(slope, label):
     f = (x - 1) ** 2 + y**2 + slope
-    assert strongest(*at(MPCC(XY, f, None, None, None), [1, 0]), TOLERANCE)[0] == label
+    assert stationarity(*at(MPCC(XY, f, None, None, None), [1, 0]), TOLERANCE).label == label
 
 
 SOME = Multipliers(*np.zeros((3, 1)))
