@@ -28,7 +28,7 @@ from rmesh_nlp.evaluation import Array, flat, magnitude
 from rmesh_nlp.mpcc.bilevel import bilevel
 from rmesh_nlp.mpcc.finish import is_below
 from rmesh_nlp.mpcc.lower_level import LowerLevel
-from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.options import Options, OptionsLike
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import MPCCResult, is_same
 from rmesh_nlp.mpcc.solver import MPCCSolver
@@ -73,7 +73,7 @@ def solve_bilevel(
     p: ArrayLike = (),
     starts: int = 10,
     cuts: int = 20,
-    options: Options | None = None,
+    options: OptionsLike = None,
     **changes: object,
 ) -> BilevelResult:
     """Solve a bilevel program, convex in the lower level or not.
@@ -99,7 +99,7 @@ def solve_bilevel(
         As :func:`bilevel` and :func:`solve`.
     """
     program = bilevel(upper, lower, variables=variables)
-    level, chosen = program.lower_level, (options or Options()).having({"starts": starts, **changes})
+    level, chosen = program.lower_level, Options.of(options).having({"starts": starts, **changes})
     assert level is not None
     parameters, budget = program.parameters(p), chosen.budget()
     moving, made = _moving(level), list[ca.Function]()

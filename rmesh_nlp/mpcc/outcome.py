@@ -94,9 +94,9 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
         check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], search=end.solved)
         if end.solved and check.verdict == "no minimum":
             status = Status.NO_MINIMUM
-    phases = {"build": run.nlps.build_seconds - run.built, "homotopy": 0.0, "finish": 0.0}
-    for step in run.steps:
-        phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
+    total, build = run.watch.elapsed, run.nlps.build_seconds - run.built
+    homotopy = sum(step.seconds for step in run.steps if step.phase == "relaxed")
+    seconds = {"build": build, "homotopy": homotopy, "finish": total - build - homotopy, "total": total}
     where = ""
     if status is Status.EVALUATION_ERROR:
         where = where_not_finite(lifted, end.z[: mpcc.n_x], run.p[:-1])
@@ -114,7 +114,7 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
             "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
             "pivots": end.pivots, "rescues": run.rescues,
         },
-        seconds={**phases, "total": run.watch.elapsed},
+        seconds=seconds,
     )  # fmt: skip
 
 

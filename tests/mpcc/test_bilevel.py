@@ -341,7 +341,7 @@ x, y, z = (ca.SX.sym(name) for name in "xyz")
         ({"x": x, "f": z}, {"f": y}, "upper: free symbols"),
         ({"x": x, "f": x}, {"f": y, "lbx": [0, 1]}, "lower: lbx has length 2"),
         ({"x": x, "f": x}, {"f": y, "lbx": 1, "ubx": 0}, "lower: lbx.0. .*= 1.0 and ubx.0. = 0.0"),
-        ({"x": y, "f": x}, {"f": y}, "distinct symbols"),
+        ({"x": [x, y], "f": x}, {"f": y}, "upper: x has variables of the lower level"),
         ({"x": ca.MX.sym("x"), "f": 0}, {"f": y}, "SX and MX"),
     ],
 )  # fmt: skip
