@@ -137,7 +137,7 @@ def solve_bilevel(
     is_proved = end.success and lowest is None
     others = (other for other in sorted(found, key=_rank) if not is_proved or is_below(other.f, end.f))
     best = next((other for other in others if _lower(level, other, parameters) is None), end)
-    if lowest is not None and best.success and not is_same(end.f, best.f):
+    if lowest is not None and best.success and (best is end or not is_same(end.f, best.f)):
         status = budget.stopped or Status.ITERATION_LIMIT
         said = f"{status.message} The MPCC has a point with f = {end.f:g} that no cut excludes."
         best = replace(best, status=status, success=False, message=said)

@@ -277,6 +277,16 @@ def test_cut_point_keeps_linear_equations_that_move():
         assert moving is None if expected is None else moving[1] == pytest.approx(np.array(expected))
 
 
+def test_an_end_that_the_last_search_refutes_is_no_success(monkeypatch):
+    """Of 100 starts one finds a lower value than those of each solve, and no cut may be made."""
+    lower, start = {"f": (y**2 - 1) ** 2, "lbx": -2, "ubx": 2}, [0.5, 1.2, 0.0, 0.0]
+    monkeypatch.setattr(
+        LowerLevel, "lowest", lambda *_, n=20, **__: ended([0.5], Status.CONVERGED, -9.0 if n == 100 else 9.0)
+    )
+    end = solve_bilevel({"x": x, "f": x**2 + (y - 1) ** 2}, lower, start, variables=y, starts=1, cuts=0)
+    assert (end.success, end.status) == (False, Status.ITERATION_LIMIT)
+
+
 @pytest.mark.slow
 def test_cuts_make_progress_where_constraints_move_and_their_limit_is_a_status():
     """The lower level's two minima are equal at x = 0.3228, above which F is 0.41943 and more (by a grid).
