@@ -74,6 +74,8 @@ def bilevel(upper: Mapping[str, Any], lower: Mapping[str, Any], *, variables: Sy
     p = _column("p", upper.get("p"), kind)
     if "x" in lower and not ca.is_equal(_column("x", lower["x"], None), y, 1):
         raise ValueError("lower: x is not the column of the variables; it may be left out")
+    if ca.depends_on(x, y):
+        raise ValueError(f"upper: x has variables of the lower level, {y}; it is the upper level's alone")
     above = _level("upper", upper, [y, p])
     below = _level("lower", {**lower, "x": y}, [x, p])
     # in pure symbols, so that CasADi can derive it

@@ -35,6 +35,7 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
     return ""
 
 
+@np.errstate(invalid="ignore")
 def largest_residual(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> str:
     """The constraint or pair that is farthest from holding, with its residual; nothing if all hold."""
     pairs = np.max([-G, -H, np.minimum(np.abs(G), np.abs(H))], axis=0)

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, magnitude
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
@@ -150,8 +151,19 @@ def warm_start(lifted: Lifted, weight: float, duals: MPCCResult | Duals) -> tupl
 
     A slack ``s = G_i(x)`` inherits the multiplier of its pair; of a member that is itself an unknown the
     multipliers of its bound and of its pair add up. NaN counts as zero.
+
+    Raises
+    ------
+    BadInputError
+        If they are of another kind or size.
     """
     source = lifted.source
+    if not isinstance(duals, (MPCCResult, Duals)):
+        raise BadInputError(f"start must be a former result or Duals, got {duals!r}; a point is x0")
+    for part in ("x", "g", "G", "H"):
+        needed, got = getattr(source, part).shape[0], np.size(getattr(duals, f"lam_{part}"))
+        if got != needed:
+            raise BadInputError(f"start has {got} multipliers lam_{part}, the problem needs {needed}")
     column = weight * np.nan_to_num(np.concatenate([duals.lam_g, duals.lam_G, duals.lam_H]))
     lam_z = np.zeros(lifted.nlp.n_x)
     lam_z[: source.n_x] = weight * np.nan_to_num(duals.lam_x)

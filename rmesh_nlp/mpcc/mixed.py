@@ -25,12 +25,6 @@ Member = tuple[Symbolic, float, float]
 """An expression with its bounds."""
 
 
-def sides(pairs: Iterable[tuple[Member, Member]]) -> dict[str, list[Symbolic | float]]:
-    """A list of pairs as keywords of ``MPCC.mixed``: G, H and their bounds."""
-    names, columns = ("G", "lbG", "ubG", "H", "lbH", "ubH"), zip(*((*a, *b) for a, b in pairs), strict=True)
-    return {name: list(column) for name, column in zip(names, columns, strict=True)}
-
-
 class PlainPairs(NamedTuple):
     """What mixed pairs become."""
 

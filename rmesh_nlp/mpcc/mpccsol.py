@@ -29,6 +29,7 @@ from rmesh_nlp.optimize.status import Status
 
 _COLUMNS = ["f", "g", "G", "H"]
 _KEYS = ("x", *_COLUMNS, "p")
+_OF_PAIRS = ("lbG", "ubG", "lbH", "ubH", "switches")
 _BOUNDS = ("lbx", "ubx", "lbg", "ubg")
 _INPUTS = (*ca.nlpsol_in(), "lam_G0", "lam_H0")
 _OUTPUTS = (*ca.nlpsol_out(), "G", "H", "lam_G", "lam_H")
@@ -106,7 +107,7 @@ class _Solve(PythonFunction):
     """The solver as a callback on numbers."""
 
     def __init__(
-        self, name: str, mpcc: MPCC, options: Options, error_on_fail: bool, own: dict[str, Any]
+        self, name: str, mpcc: MPCC, n_g: int, options: Options, error_on_fail: bool, own: dict[str, Any]
     ) -> None:
         self._mpcc, self._name, self._options, self._error_on_fail = mpcc, name, options, error_on_fail
         sums = {"gamma": _COLUMNS}
@@ -116,8 +117,10 @@ class _Solve(PythonFunction):
         self.result: MPCCResult | None = None
         self.error: BaseException | None = None
         self.is_called = False  # by a user with numbers, who is shown the error itself
+        # unknowns and rows that split pairs come after the user's, who does not see them
+        sizes = {part: getattr(mpcc, part).shape[0] for part in _KEYS} | {"x": mpcc.n_own, "g": n_g}
         self.sizes = {
-            name.format(part): getattr(mpcc, part).shape[0]
+            name.format(part): sizes[part]
             for part in _KEYS
             for name in ("{}", "{}0", "lb{}", "ub{}", "lam_{}", "lam_{}0")
         }
@@ -138,6 +141,9 @@ class _Solve(PythonFunction):
             return [ca.DM.nan(self.sizes[name], 1) for name in _OUTPUTS]
 
     def _answers(self, given: dict[str, Array]) -> list[Any]:
+        fill = {name: getattr(self._mpcc, name) for name in _BOUNDS}
+        fill |= {"lam_x0": np.zeros(self._mpcc.n_x), "lam_g0": np.zeros(self._mpcc.n_g)}
+        given |= {name: np.append(given[name], rest[given[name].size :]) for name, rest in fill.items()}
         duals = Duals(*(given[f"lam_{part}0"] for part in ("x", "g", "G", "H")))
         is_warm = any(np.any(np.nan_to_num(values)) for values in vars(duals).values())
         solver = self._solver(*(given[name].tobytes() for name in _BOUNDS))
@@ -145,7 +151,8 @@ class _Solve(PythonFunction):
         if self._error_on_fail and not result.success:
             raise RuntimeError(f"{self._name}: {result.message}")
         lam_p = -self._slope(result.x, given["p"], 1, result.lam_g, result.lam_G, result.lam_H)
-        return [lam_p if name == "lam_p" else getattr(result, name) for name in _OUTPUTS]
+        answers = {name: lam_p if name == "lam_p" else np.ravel(getattr(result, name)) for name in _OUTPUTS}
+        return [values[: self.sizes[name]] for name, values in answers.items()]
 
     def _made(self, *bounds: bytes) -> MPCCSolver:
         """The solver for these bounds; CasADi's derivatives are shared with those before."""
@@ -166,10 +173,13 @@ def mpccsol(
     plugin : str
         A relaxation, see ``RELAXATIONS``.
     problem : mapping
-        ``x`` and ``f``, perhaps ``g``, ``G``, ``H``, ``p``: CasADi expressions.
+        ``x`` and ``f``, perhaps ``g``, ``G``, ``H``, ``p``: CasADi expressions. Bounds ``lbG``, ``ubG``,
+        ``lbH``, ``ubH`` of the pairs, as of :meth:`MPCC.mixed`, and ``switches``: the Function's G and H are
+        then those of the pairs they become.
     options : mapping, optional
         Fields of :class:`rmesh_nlp.mpcc.Options`. ``"ipopt.tol"``, or ``"ipopt": {"tol": ...}``, holds for
-        relaxations and branches. Of nlpsol's: ``expand`` (SX in place of MX), ``error_on_fail``, and options
+        relaxations and branches. ``cc_pairs``: pairs (i, j) of unknowns, as CasADi's interface of CCOpt has
+        them. Of nlpsol's: ``expand`` (SX in place of MX), ``error_on_fail``, and options
         of any Function.
 
     Raises
@@ -178,9 +188,10 @@ def mpccsol(
         If the relaxation, a key of the problem or an option is unknown.
     """
     for key in problem:
-        if key not in _KEYS:
-            raise unknown("key", key, _KEYS)
+        if key not in (*_KEYS, *_OF_PAIRS):
+            raise unknown("key", key, (*_KEYS, *_OF_PAIRS))
     settings = dict(options or {})
+    pairs = np.array(settings.pop("cc_pairs", []), dtype=int).reshape(-1, 2)
     own = {key: settings.pop(key) for key in _OF_FUNCTIONS if key in settings}
     fails, expand = bool(settings.pop("error_on_fail", False)), bool(settings.pop("expand", False))
     settings.pop("print_time", None)  # nothing is printed
@@ -189,9 +200,13 @@ def mpccsol(
     settings["ipopt"] = {**settings.get("ipopt", {}), **ipopt}
     changed = Options().having({**settings, "relaxation": plugin})
     parts: dict[str, Any] = {key: problem.get(key) for key in _KEYS}
-    mpcc = MPCC(**parts)
+    given = MPCC(**parts)
+    for key, places in zip("GH", pairs.T, strict=True):
+        parts[key] = ca.vertcat(getattr(given, key), *(given.x[int(place)] for place in places))
+    bounds = {key: problem[key] for key in _OF_PAIRS if key in problem}
+    mpcc = (MPCC.mixed if bounds.keys() - {"switches"} else MPCC)(**parts, **bounds)
     if expand:
         x, p = ca.SX.sym("x", mpcc.n_x), ca.SX.sym("p", mpcc.p.shape[0])
         columns = mpcc.oracle.expand().call([x, p])
         mpcc = replace(mpcc, x=x, p=p, **dict(zip(_COLUMNS, columns, strict=True)))
-    return MPCCFunction(name, _Solve(name, mpcc, changed, fails, own))
+    return MPCCFunction(name, _Solve(name, mpcc, given.n_g, changed, fails, own))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
@@ -29,6 +31,9 @@ _WARM_EXACT = {
     "max_iter": 50,  # of 447 finishes that began next to their solution none took more than 20
 }  # fmt: skip
 _DEPENDENT = {"perturb_always_cd": "yes"}  # else multipliers may grow until a point far away is acceptable
+
+OptionsLike: TypeAlias = "Options | Mapping[str, object] | None"
+"""Options, or those of its fields that differ from the defaults."""
 
 
 @dataclass(frozen=True)

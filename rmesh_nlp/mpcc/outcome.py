@@ -19,6 +19,7 @@ from rmesh_nlp.optimize.status import Status
 
 _SADDLES, _LENGTH = 4, 0.1  # saddles that are left, and the length of a step from one, relative
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
+_NEARLY = 1e-6  # residual of a point so far away that is feasible, in units of its size
 _UNTOLD = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
 """What a path may have ended with that says no more than that it was not at a solution."""
 
@@ -47,21 +48,30 @@ def leave_saddles(run: Run, paths: list[Path]) -> None:
 def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
     """The best point of all homotopies, and why the solve stopped there."""
     end = best(paths)
+    z, f, excess = run.nearest or (z0, np.nan, np.inf)
+    ends = [path.finish for path in paths if path.finish is not None]
+    points = [z, *(path.relaxed.x for path in paths if path.relaxed is not None), *(end.z for end in ends)]
+    values = [run.measure(point) for point in points]
+    floor = 0.0 if end is None else min(2.0 * end.f / run.p[-1], 0.0)
+    for point, (f_there, res, _) in zip(points, values, strict=True):
+        if _is_bottomless(point, f_there - floor, res["constraint_violation"] + res["complementarity"]):
+            return Finish(point, f_there, Status.UNBOUNDED)
     if end is not None and end.lin is not None:
         return end if end.solved or run.limit is None else replace(end, status=run.limit)
-    z, f, excess = run.nearest or (z0, np.nan, np.inf)
     if run.limit is not None:
         return Finish(z, f, run.limit)
-    ends = [path.finish for path in paths if path.finish is not None]
-    points = [path.relaxed.x for path in paths if path.relaxed is not None]
-    for point in [z, *points, *(end.z for end in ends)]:
-        f = run.measure(point)[0]
-        if f < -_HUGE or (is_finite(point) and magnitude(point) > _HUGE):
-            return Finish(point, f, Status.UNBOUNDED)
+    for point, (f_there, *_) in zip(points, values, strict=True):
+        if f_there < -_HUGE or (is_finite(point) and magnitude(point) > _HUGE):
+            return Finish(point, f_there, Status.UNBOUNDED)
     if run.is_infeasible and excess > 1.0:  # a local minimum of the violation was certified
         return Finish(z, f, Status.INFEASIBLE)
     said = [path.failure for path in paths if path.failure is not None] + [end.status for end in ends]
     return Finish(z, f, next((status for status in said if status not in _UNTOLD), Status.STALLED))
+
+
+def _is_bottomless(x: Array, f: float, residual: float) -> bool:
+    """Whether the objective falls without end, at points that are feasible in units of their size."""
+    return bool(f < -_HUGE and residual <= _NEARLY * magnitude(x))
 
 
 def result_of(run: Run, end: Finish) -> MPCCResult:
@@ -84,9 +94,9 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
         check = level.check(end.z[: mpcc.n_x], p=run.p[:-1], search=end.solved)
         if end.solved and check.verdict == "no minimum":
             status = Status.NO_MINIMUM
-    phases = {"build": run.nlps.build_seconds - run.built, "homotopy": 0.0, "finish": 0.0}
-    for step in run.steps:
-        phases["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
+    total, build = run.watch.elapsed, run.nlps.build_seconds - run.built
+    homotopy = sum(step.seconds for step in run.steps if step.phase == "relaxed")
+    seconds = {"build": build, "homotopy": homotopy, "finish": total - build - homotopy, "total": total}
     where = ""
     if status is Status.EVALUATION_ERROR:
         where = where_not_finite(lifted, end.z[: mpcc.n_x], run.p[:-1])
@@ -104,21 +114,32 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
             "nlp_solves": len(run.steps), "ipopt_iterations": run.iterations,
             "pivots": end.pivots, "rescues": run.rescues,
         },
-        seconds={**phases, "total": run.watch.elapsed},
+        seconds=seconds,
     )  # fmt: skip
 
 
 def best_of(ends: Sequence[MPCCResult]) -> MPCCResult:
-    """The lowest successful result of several starts; if none succeeded, the most nearly feasible one.
+    """The result of several starts: what any of them has proved counts, see :func:`_rank`.
 
     It has all of them, with counts and seconds that are sums. Those of one trajectory are one object.
     """
     if len(ends) == 1:
         return ends[0]
-    best = min(
-        ends, key=lambda r: (not r.success, r.f if r.success else r.constraint_violation + r.complementarity)
-    )
+    best = min(ends, key=_rank)
     own = list(dict.fromkeys(ends))
     counts = {name: sum(r.counts[name] for r in own) for name in best.counts}
     seconds = {name: sum(r.seconds[name] for r in own) for name in best.seconds}
     return replace(best, ends=tuple(ends), counts=counts, seconds=seconds)
+
+
+def _rank(end: MPCCResult) -> tuple[int, float]:
+    """Sort key of an end of several starts.
+
+    An objective without bound is below every minimum, and one feasible point refutes an infeasible program.
+    """
+    is_unbounded, residual = end.status is Status.UNBOUNDED, end.constraint_violation + end.complementarity
+    is_proved = is_unbounded and _is_bottomless(end.x, end.f, residual)
+    kinds = is_proved, end.success, is_unbounded, end.stationarity != ""
+    if any(kinds):
+        return kinds.index(True), end.f
+    return len(kinds) + (end.status is not Status.INFEASIBLE), residual

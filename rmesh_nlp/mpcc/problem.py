@@ -10,8 +10,9 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -54,6 +55,9 @@ class MPCC:
         ``(own, p) -> starts`` of those; None: zeros.
     parts : mapping of str to expression, optional
         Parts of the unknowns by name.
+    switches : pair of columns, optional
+        ``(r, d)`` with ``r_i d_i = 0``, of any signs. Each becomes ``r = r+ - r-``, ``d = d+ - d-`` with
+        four unknowns after the user's, any two of which are a pair. None once they are split.
     lower_level : LowerLevel, optional
         The lower level whose KKT conditions these are, see :func:`rmesh_nlp.mpcc.bilevel`.
 
@@ -79,6 +83,7 @@ class MPCC:
     completion: Callable[[Array, Array], ArrayLike] | None = None
     parts: Mapping[str, Symbolic] = field(default_factory=dict, repr=False)
     lower_level: LowerLevel | None = None
+    switches: tuple[Symbolic, Symbolic] | None = None
 
     def __repr__(self) -> str:
         p = f", {self.p.shape[0]} parameters" if self.p.shape[0] else ""
@@ -88,6 +93,11 @@ class MPCC:
         )
 
     def __post_init__(self) -> None:
+        if self.switches is not None:
+            split = _split(replace(self, switches=None), self.switches)
+            for own in fields(self):
+                object.__setattr__(self, own.name, getattr(split, own.name))
+            return
         x = _column("x", self.x, None)
         kind = type(x)
         if kind not in (ca.SX, ca.MX) or not x.is_valid_input():
@@ -106,7 +116,7 @@ class MPCC:
         try:
             free = self.oracle.get_free() if self.oracle.has_free() else []
         except RuntimeError as error:  # the same symbol twice
-            raise ValueError(f"x and p must be distinct symbols: {error}") from error
+            raise ValueError("x and p must be distinct symbols, each once") from error
         if free:
             raise ValueError(f"free symbols {free}: they are neither in x nor in p")
         for name, n in (("x", self.n_x), ("g", self.n_g)):
@@ -227,6 +237,7 @@ class MPCC:
         ValueError
             As the constructor, or if the bounds of a pair make no complementarity.
         """
+        switches = others.pop("switches", None)
         given = cls(*problem, **others)
         n, kind = given.n_pairs, type(given.x)
         first, second = (
@@ -247,7 +258,32 @@ class MPCC:
             values = np.asarray(parts(own, p).full()).ravel()
             return np.maximum(np.column_stack([values, -values]), 0.0).ravel()
 
-        return replace(longer, n_added=len(plain.unknowns), completion=completion if plain.values else None)
+        own = completion if plain.values else None
+        return replace(longer, n_added=len(plain.unknowns), completion=own, switches=switches)
+
+
+def _split(mpcc: MPCC, switches: tuple[Symbolic, Symbolic]) -> MPCC:
+    """The MPCC with products that vanish: any two of the four parts of a switch are a pair."""
+    if len(switches) != 2:
+        raise ValueError("switches must be two columns (r, d)")
+    r, d = (_column("switches", part, type(mpcc.x)) for part in switches)
+    if (n := r.shape[0]) != d.shape[0]:
+        raise ValueError(f"switches have {n} and {d.shape[0]} entries: they must pair up")
+    values = ca.Function("switches", [mpcc.x, mpcc.p], [ca.vertcat(r, -r, d, -d)])
+    parts = type(mpcc.x).sym("parts", 4 * n)
+    up, down, above, below = ca.vertsplit(parts, [0, n, 2 * n, 3 * n, 4 * n])
+    first, second = zip(*itertools.combinations((up, down, above, below), 2), strict=True)
+    longer = mpcc.extended(
+        x=parts, lbx=0, g=ca.vertcat(r - up + down, d - above + below), lbg=0, ubg=0,
+        G=ca.vertcat(*first), H=ca.vertcat(*second),
+    )  # fmt: skip
+
+    def completion(own: Array, p: Array) -> Array:
+        """What the unknowns before them are completed by, then the parts."""
+        start = mpcc.start(own, p)
+        return np.append(start[own.size :], np.maximum(values(start, p).full().ravel(), 0.0))
+
+    return replace(longer, n_added=mpcc.n_added + 4 * n, completion=completion)
 
 
 def _numbers(name: str, value: object) -> Array:

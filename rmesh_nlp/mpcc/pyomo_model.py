@@ -1,52 +1,106 @@
-"""Conditions of a Pyomo model as rows of a ``.nl`` file, those with both bounds on one side included."""
+"""Conditions of a Pyomo model as rows of a ``.nl`` file, those with both bounds on one side included.
+
+A condition has two members with two bounds in all. One becomes a variable with its bounds, the other a row,
+see :mod:`rmesh_nlp.mpcc.nl`. A variable of the model serves itself only where its own bounds are not tighter:
+a bound of its own holds, but complements nothing. Pyomo 6.10's ``mpec.nl`` takes the tighter one for both.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
-from pyomo.core.base import Constraint, Objective, Var, value
-from pyomo.core.expr.visitor import identify_variables
-from pyomo.mpec.plugins.mpec4 import MPEC4_Transformation
+import numpy as np
+from pyomo.core.base import Block, Constraint, Var, value
+from pyomo.core.expr.numvalue import is_fixed, is_potentially_variable
+from pyomo.mpec import Complementarity
 
-_ADDED = ("bv", "v", "c", "bc", "e")  # by the transformation, to each condition
+_ADDED = ("body", "row", "equation", "member", "same")  # to each condition
+Member = tuple[Any, float | None, float | None]
+"""An expression and its bounds."""
+Changed = dict[int, tuple[Any, Any, Any]]
+"""Variables of the model that serve in a condition, with their own bounds, by id."""
 
 
-class Transformation(MPEC4_Transformation):
-    """Pyomo's ``mpec.nl``, with mixed conditions, and again for a model that it was applied to before."""
+@contextmanager
+def conditions_as_rows(model: Any) -> Iterator[dict[str, Any]]:
+    """Make the conditions blocks of rows and variables within the context; it gives options of the writer.
 
-    def _apply_to(self, instance: Any, **keywords: Any) -> None:
-        parts = instance.component_data_objects((Constraint, Objective), active=True, descend_into=True)
-        self._used = {id(var) for part in parts for var in identify_variables(part.expr, include_fixed=False)}
-        super()._apply_to(instance, **keywords)
+    Raises
+    ------
+    ValueError
+        If a condition is no pair, or does not have two constant bounds in all.
+    """
+    conditions = list(model.component_objects(Complementarity, active=True, descend_into=True))
+    changed: Changed = {}
+    try:
+        for condition in conditions:
+            for data in condition.values():
+                if data.active:
+                    _write(data, changed)
+            condition.parent_block().reclassify_component_type(condition, Block)
+        # the writer leaves out a variable that no row and no objective depends on
+        yield {"export_nonlinear_variables": [variable for variable, *_ in changed.values()]}
+    finally:
+        for condition in conditions:
+            condition.parent_block().reclassify_component_type(condition, Complementarity)
+        for variable, lower, upper in changed.values():
+            variable.lower, variable.upper = lower, upper
 
-    def to_common_form(self, cdata: Any, free_vars: dict[int, Any]) -> None:
-        """Write a condition as a constraint ``c`` that complements a variable."""
-        for name in _ADDED:
-            if cdata.component(name) is not None:
-                cdata.del_component(name)
-        if len(cdata._args) != 2:
-            raise ValueError(f"the condition {cdata.name} is not a pair")
-        members = [cdata._canonical_expression(member) for member in cdata._args]
-        for member in members:  # the writer knows only variables that are in a row or the objective
-            if id(member[1]) not in self._used:
-                free_vars.pop(id(member[1]), None)
-        bare = [len(member) == 3 and member[0] is None and member[2] is None for member in members]
-        both = [len(member) == 3 and member[0] is not None and member[2] is not None for member in members]
-        if (bare[0] and both[1]) or (bare[1] and both[0]):
-            self._mixed(cdata, members[bare.index(True)][1], members[both.index(True)], free_vars)
-        else:
-            super().to_common_form(cdata, free_vars)
 
-    def _mixed(self, cdata: Any, body: Any, bounded: Any, free_vars: dict[int, Any]) -> None:
-        lower, variable, upper = bounded
-        if free_vars.pop(id(variable), None) is None:
-            cdata.v = Var()
-            cdata.e = Constraint(expr=cdata.v == variable)
-            variable = cdata.v
-        cdata.bv = Var()
-        cdata.bc = Constraint(expr=cdata.bv == body)
-        # the writer leaves out rows without bounds, and constants of rows that complement; it ignores -1, 1
-        cdata.c = Constraint(expr=(-1, cdata.bv, 1))
-        cdata.c._vid, cdata.c._complementarity = id(variable), 3
-        variable.setlb(lower if variable.lb is None else max(value(lower), variable.lb))
-        variable.setub(upper if variable.ub is None else min(value(upper), variable.ub))
+def _write(data: Any, changed: Changed) -> None:
+    """Add the variable and the row of one condition."""
+    for name in _ADDED:  # of a solve before
+        if data.component(name) is not None:
+            data.del_component(name)
+    if len(data._args) != 2:
+        raise ValueError(f"the condition {data.name} is not a pair")
+    members = [_member(data, expression) for expression in data._args]
+    if sum(map(_n_bounds, members)) != 2:
+        raise ValueError(f"the condition {data.name} must have two bounds in all")
+    # the variable is a two-sided member, else one that serves itself
+    members.sort(key=lambda member: (-_n_bounds(member), not _serves(member, changed)))
+    (inner, lower, upper), (outer, *bounds) = members
+    if lower is not None and lower == upper:
+        data.row = Constraint(expr=(lower, inner, upper))
+        return
+    bits = (lower is not None) + 2 * (upper is not None)
+    distance = outer if bits == 3 else outer - bounds[0] if bounds[1] is None else bounds[1] - outer
+    if bits == 2:  # at an upper bound the row is not positive
+        distance = -distance
+    data.body = Var(initialize=value(distance, exception=False))
+    data.equation = Constraint(expr=data.body == distance)
+    # the writer leaves out rows without bounds, and constants of rows that complement; it ignores -1, 1
+    data.row = Constraint(expr=(-1, data.body, 1))
+    if _serves(members[0], changed):
+        changed[id(inner)] = inner, inner.lower, inner.upper
+        inner.lower, inner.upper = inner.lb if lower is None else lower, inner.ub if upper is None else upper
+    else:
+        data.member = Var(bounds=(lower, upper), initialize=value(inner, exception=False))
+        data.same = Constraint(expr=data.member == inner)
+        inner = data.member
+    data.row._complementarity, data.row._vid = bits, id(inner)
+
+
+def _member(data: Any, expression: Any) -> Member:
+    """One member of a condition; the bounds of an equation are equal."""
+    form = data._canonical_expression(expression)
+    lower, body, upper = form if len(form) == 3 else (form[0], form[1], form[0])
+    if not (is_fixed(lower) and is_fixed(upper)):
+        raise ValueError(f"a bound in the condition {data.name} is not constant: {expression}")
+    low, high = (bound if bound is None else float(value(bound)) for bound in (lower, upper))
+    return body, None if low == -np.inf else low, None if high == np.inf else high
+
+
+def _n_bounds(member: Member) -> int:
+    return sum(bound is not None for bound in member[1:])
+
+
+def _serves(member: Member, changed: Changed) -> bool:
+    """Whether a member is a variable that may take the bounds of the condition for its own."""
+    body, *bounds = member
+    if not (is_potentially_variable(body) and body.is_variable_type()) or body.fixed or id(body) in changed:
+        return False
+    low, high = (-np.inf if body.lb is None else body.lb), (np.inf if body.ub is None else body.ub)
+    return all(low <= bound <= high for bound in bounds if bound is not None)

@@ -2,22 +2,21 @@
 
 Without it Pyomo finds the executable ``rmesh-mpcc`` on the PATH and calls it as any AMPL solver. What is
 added here: conditions with both bounds on one side, ``l <= y <= u`` against an expression, which Pyomo 6.10
-does not write; ``timelimit=`` reaches the solver, which then returns its best point; the model may be solved
-again without warnings, and keeps its bounds; neither a PATH nor a process is needed.
+does not write; bounds of a variable beside those of its condition, which it merges; ``timelimit=`` reaches
+the solver, which then returns its best point; the model may be solved again without warnings, and keeps its
+bounds; neither a PATH nor a process is needed.
 """
 
 from __future__ import annotations
 
 from typing import Any
 
-from pyomo.core.base import Var
-from pyomo.mpec import Complementarity
 from pyomo.opt import SolverFactory
 from pyomo.solvers.plugins.solvers.ASL import ASL
 
 from rmesh_nlp import __version__
 from rmesh_nlp.mpcc import ampl
-from rmesh_nlp.mpcc.pyomo_model import Transformation
+from rmesh_nlp.mpcc.pyomo_model import conditions_as_rows
 
 _NAME = "rmesh-mpcc"
 
@@ -40,17 +39,8 @@ class PyomoSolver(ASL):
 
     def solve(self, model: Any, **keywords: Any) -> Any:
         """As any solver of Pyomo; the model keeps its conditions and its bounds."""
-        conditions = list(model.component_objects(Complementarity, active=True, descend_into=True))
-        variables = list(model.component_data_objects(Var, active=True, descend_into=True))
-        bounds = [(variable.lower, variable.upper) for variable in variables]
-        Transformation().apply_to(model)
-        try:
-            return super().solve(model, **keywords)
-        finally:
-            for condition in conditions:
-                condition.parent_block().reclassify_component_type(condition, Complementarity)
-            for variable, (lower, upper) in zip(variables, bounds, strict=True):
-                variable.lower, variable.upper = lower, upper
+        with conditions_as_rows(model) as written:
+            return super().solve(model, **written, **keywords)
 
     def create_command_line(self, executable: str, problem_files: Any) -> Any:
         """As of any AMPL solver, with the time limit among the options."""

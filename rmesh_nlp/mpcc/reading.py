@@ -126,14 +126,12 @@ def read_pyomo(model: Any) -> Problem:
     ValueError
         If a condition is no pair of expressions, or the model has integer variables.
     """
-    from rmesh_nlp.mpcc.pyomo_model import Transformation
+    from rmesh_nlp.mpcc.pyomo_model import conditions_as_rows
 
     copy = model.clone()
-    Transformation().apply_to(copy)
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, conditions_as_rows(copy) as written:
         path = Path(folder) / f"{model.name}.nl"
-        presolve = {"linear_presolve": False, "skip_trivial_constraints": False}
-        copy.write(str(path), format="nl", io_options={"symbolic_solver_labels": True, **presolve})
+        copy.write(str(path), format="nl", io_options={"symbolic_solver_labels": True, **written})
         return replace(read_nl(path), rows=None)
 
 

@@ -87,6 +87,7 @@ class Iterate(Measured):
     x: Array
 
 
+@np.errstate(invalid="ignore")  # inf - inf is infinitely far away
 def residuals(mpcc: MPCC, x: Array, column: Array, scale: Array | float) -> dict[str, float]:
     """The fields of ``MPCCResult`` that say how far a point is from a solution.
 
@@ -190,7 +191,8 @@ class MPCCResult:
     counts : mapping
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ...
     seconds : mapping
-        Wall time of each phase: ``build``, ``homotopy``, ``finish``, ``total``.
+        Wall time: ``total`` is the sum of ``build``, ``homotopy`` (relaxed NLPs) and ``finish``: all else,
+        branches, labels, linear and mixed-integer programs.
     curvature : str
         Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
         saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with

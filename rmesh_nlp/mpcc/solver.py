@@ -8,13 +8,13 @@ from itertools import chain, islice
 
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.errors import expect
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.finish import finish, labelled, settled
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.options import Options
+from rmesh_nlp.mpcc.options import Options, OptionsLike
 from rmesh_nlp.mpcc.outcome import best_of, end_of, leave_saddles, result_of
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.rescues import moved_starts, rescue
@@ -33,14 +33,14 @@ class MPCCSolver:
     Parameters
     ----------
     mpcc : MPCC
-    options : Options, optional
+    options : Options or mapping of its fields, optional
         Single fields may be given by name instead: ``MPCCSolver(mpcc, relaxation="l1-penalty")``.
     """
 
-    def __init__(self, mpcc: MPCC, options: Options | None = None, **changes: object) -> None:
+    def __init__(self, mpcc: MPCC, options: OptionsLike = None, **changes: object) -> None:
         expect("mpcc", mpcc, MPCC)
         self.mpcc = mpcc
-        self.options = (options or Options()).having(changes)
+        self.options = Options.of(options).having(changes)
         self.nlps = CompiledNLPs(mpcc, self.options)
 
     def __call__(
@@ -55,6 +55,9 @@ class MPCCSolver:
     ) -> MPCCResult:
         """Solve from ``x0`` with parameters ``p``; see :func:`solve`. A ``budget`` replaces the limits."""
         watchers: Watchers = (print if progress is True else (progress or None), on_iteration)
+        for name, watcher in zip(("progress", "on_iteration"), watchers, strict=True):
+            if not (watcher is None or callable(watcher)):
+                raise BadInputError(f"{name} must be callable, got {watcher!r}")
         parameters, budget, options = self.mpcc.parameters(p), budget or self.options.budget(), self.options
         given = self.mpcc.start(x0, parameters)
         weight = self.nlps.lifted.weight(given, parameters)
@@ -125,7 +128,7 @@ def solve(
     *,
     p: ArrayLike = (),
     start: MPCCResult | Duals | None = None,
-    options: Options | None = None,
+    options: OptionsLike = None,
     progress: Progress = False,
     on_iteration: Callable[[Iterate], None] | None = None,
     **changes: object,
@@ -143,7 +146,7 @@ def solve(
         Multipliers that belong to ``x0``, say the result of a neighbouring problem. The branch of ``x0`` is
         tried at once with them, and if it does not end at a stationary point, the first relaxation starts
         from them.
-    options : Options, optional
+    options : Options or mapping of its fields, optional
     progress : bool or callable
         True prints one line per NLP solve; a callable receives the line.
     on_iteration : callable, optional
@@ -164,7 +167,7 @@ def solve(
     KeyboardInterrupt
         If the user interrupts; it is never turned into a failed result.
     """
-    chosen = (options or Options()).having(changes)
+    chosen = Options.of(options).having(changes)
     budget = chosen.budget()  # what is built counts too
     solver = MPCCSolver(mpcc, chosen)
     result = solver(x0, p=p, start=start, progress=progress, on_iteration=on_iteration, budget=budget)
@@ -172,7 +175,7 @@ def solve(
     return replace(result, seconds=seconds)
 
 
-def classify(mpcc: MPCC, x: ArrayLike, *, p: ArrayLike = (), options: Options | None = None) -> MPCCResult:
+def classify(mpcc: MPCC, x: ArrayLike, *, p: ArrayLike = (), options: OptionsLike = None) -> MPCCResult:
     """Measure and label a given point, without solving the MPCC.
 
     The status of a point that is not feasible and complementary is ``inaccurate``; it has no label.

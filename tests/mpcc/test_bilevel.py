@@ -1,11 +1,14 @@
 """Bilevel programs: their KKT conditions, starts, known optima, and the check of the lower level."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from mpcc_library.bilevel_problems import PROBLEMS
 from rmesh_nlp.mpcc import bilevel, outcome, solve, solve_bilevel
+from rmesh_nlp.mpcc.bilevel_solve import _inside, _moving
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended
@@ -253,6 +256,59 @@ def test_cut_holds_only_where_its_point_is_feasible():
     assert (end.x[0], end.y[0], end.f) == pytest.approx((-2, -2, 1), abs=1e-3)
 
 
+def test_cut_point_is_inside_constraints_that_move():
+    """-y^2 over -0.5 <= y <= x: at x = 1 and y = 0 the lowest y is 1, on the constraint that moves."""
+    level = bilevel(
+        {"x": x, "f": x}, {"f": -(y**2), "g": y - x, "ubg": 0, "lbx": -0.5}, variables=y
+    ).lower_level
+    violations, slope = _moving(level)
+    end = SimpleNamespace(x=np.array([1.0, 0, 0, 0]), lower_level=SimpleNamespace(f=0.0))
+    inner = _inside(level, violations, end, np.array([1.0]), np.zeros(0))
+    assert -0.8 - 1e-6 <= -(inner[0] ** 2) < -0.7
+    assert not slope.any()
+
+
+def test_cut_point_keeps_linear_equations_that_move():
+    """y_0 + y_1 = 2 x moves y by (1, 1) a unit of x; equations that are not linear allow no cut."""
+    both = ca.SX.sym("y", 2)
+    for row, expected in ((ca.sum1(both) - 2 * x, [[1], [1]]), (ca.sumsqr(both) - x, None)):
+        lower = {"f": both[0] * both[1], "g": row, "lbg": 0, "ubg": 0, "lbx": 0}
+        moving = _moving(bilevel({"x": x, "f": x}, lower, variables=both).lower_level)
+        assert moving is None if expected is None else moving[1] == pytest.approx(np.array(expected))
+
+
+def test_an_end_that_the_last_search_refutes_is_no_success(monkeypatch):
+    """Of 100 starts one finds a lower value than those of each solve, and no cut may be made."""
+    lower, start = {"f": (y**2 - 1) ** 2, "lbx": -2, "ubx": 2}, [0.5, 1.2, 0.0, 0.0]
+    monkeypatch.setattr(
+        LowerLevel, "lowest", lambda *_, n=20, **__: ended([0.5], Status.CONVERGED, -9.0 if n == 100 else 9.0)
+    )
+    end = solve_bilevel({"x": x, "f": x**2 + (y - 1) ** 2}, lower, start, variables=y, starts=1, cuts=0)
+    assert (end.success, end.status) == (False, Status.ITERATION_LIMIT)
+
+
+@pytest.mark.slow
+def test_cuts_make_progress_where_constraints_move_and_their_limit_is_a_status():
+    """The lower level's two minima are equal at x = 0.3228, above which F is 0.41943 and more (by a grid).
+
+    y = (x, 0) or (0, x) in the second, not y = (x, x) / 2: F = (x - 1)^2 + (x - 1/2)^2, at least 1/8.
+    """
+    quartic = 2 * x * y - y**2 / 2 - x * y**2 + 0.875 * y**4 - y**3 / 3 - y / 2
+    upper = {"x": x, "f": (x + 0.217830387) ** 2 + (y + 0.248472508) ** 2, "lbx": -1, "ubx": 1}
+    lower = {"f": quartic, "g": x + y, "ubg": 1, "lbx": -2, "ubx": 2}
+    few, many = (solve_bilevel(upper, lower, 0.3, variables=y, starts=1, cuts=n) for n in (2, 20))
+    assert (few.success, few.status) == (False, Status.ITERATION_LIMIT)
+    assert "no cut excludes" in few.message
+    assert (many.success, many.f) == (True, pytest.approx(0.41943, abs=1e-4))
+    both = ca.SX.sym("y", 2)
+    upper = {"x": x, "f": (x - 1) ** 2 + (both[0] - 0.5) ** 2, "lbx": 0.1, "ubx": 2}
+    lower = {"f": both[0] * both[1], "g": ca.sum1(both) - x, "lbg": 0, "ubg": 0, "lbx": 0}
+    end = solve_bilevel(upper, lower, 1.0, variables=both, starts=1)
+    assert end.success
+    assert 0.125 - 1e-6 <= end.f <= 0.13
+    assert end.y.prod() == pytest.approx(0, abs=1e-6)
+
+
 def test_lowest_of_several_starts_is_a_solution_and_no_lower_end_that_is_none(monkeypatch):
     of = (Status.CONVERGED, 2.0), (Status.ITERATION_LIMIT, 0.0), (Status.CONVERGED, 1.0)
     ends = iter([ended([0.0], *each) for each in of])
@@ -295,7 +351,7 @@ x, y, z = (ca.SX.sym(name) for name in "xyz")
         ({"x": x, "f": z}, {"f": y}, "upper: free symbols"),
         ({"x": x, "f": x}, {"f": y, "lbx": [0, 1]}, "lower: lbx has length 2"),
         ({"x": x, "f": x}, {"f": y, "lbx": 1, "ubx": 0}, "lower: lbx.0. .*= 1.0 and ubx.0. = 0.0"),
-        ({"x": y, "f": x}, {"f": y}, "distinct symbols"),
+        ({"x": [x, y], "f": x}, {"f": y}, "upper: x has variables of the lower level"),
         ({"x": ca.MX.sym("x"), "f": 0}, {"f": y}, "SX and MX"),
     ],
 )  # fmt: skip

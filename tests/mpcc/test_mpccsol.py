@@ -158,3 +158,27 @@ def test_bad_numbers_and_interruptions_come_through_casadi(capfd, monkeypatch):
 def test_mpccsol_refuses_what_it_does_not_know(plugin, problem, options, words):
     with pytest.raises(ValueError, match=words):
         mpccsol("solver", plugin, problem, options)
+
+
+@pytest.mark.parametrize(
+    ("more", "options", "expected"),
+    [
+        ({"switches": "xy"}, {}, (0, -2)),
+        ({}, {"cc_pairs": [(0, 1)]}, (1, 0)),
+        # x - 0.3 complements -1 <= y <= 2
+        ({"G": "x", "H": "y", "lbH": -1, "ubH": 2}, {}, (1, -1)),
+        ({"G": "x", "H": "y", "lbG": -5, "ubH": -1}, {}, (1, -1)),
+    ],
+)
+def test_pairs_with_bounds_and_switches_keep_the_sizes_of_the_user(more, options, expected):
+    v = ca.SX.sym("v", 2)
+    names = {"x": v[0] - 0.3, "y": v[1], "xy": (v[0], v[1])}
+    problem = {"x": v, "f": (v[0] - 1) ** 2 + (v[1] + 2) ** 2, "g": v[0] + v[1]}
+    more = {key: names.get(value, value) if isinstance(value, str) else value for key, value in more.items()}
+    solver = mpccsol("solver", "scholtes", problem | more, options)
+    answer = solver(x0=[0.5, 0.5], ubg=10)
+    assert answer["x"].full().ravel() == pytest.approx(expected, abs=1e-6)
+    assert answer["lam_g"].shape == (1, 1)
+    warm = {f"lam_{name}0": answer[f"lam_{name}"] for name in ("x", "g", "G", "H")}
+    again = solver(x0=answer["x"], ubg=10, **warm)
+    assert again["f"] == pytest.approx(float(answer["f"]), abs=1e-7)

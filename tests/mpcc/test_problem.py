@@ -10,7 +10,6 @@ from formulations import joint, mpcc
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mpcc import MPCC, Options, solve
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
-from rmesh_nlp.mpcc.mixed import sides
 from rmesh_nlp.optimize.nlp import Derivatives
 from support.derivatives import assert_derivatives_are_casadis
 from support.scripted_run import XY, x, y
@@ -103,7 +102,7 @@ MIXED = [
 @pytest.mark.parametrize(("of_G", "of_H", "satisfied"), MIXED)
 def test_mixed_pair_has_the_feasible_points_of_its_definition(of_G, of_H, satisfied):
     """Over a grid of points; a start is completed by the parts of the free member."""
-    program = MPCC.mixed(XY, x, None, **sides([((x, *of_G), (y, *of_H))]))
+    program = MPCC.mixed(XY, x, None, x, y, lbG=of_G[0], ubG=of_G[1], lbH=of_H[0], ubH=of_H[1])
     values = ca.Function("values", [program.x], [program.g, program.G, program.H])
     for point in itertools.product((-2, -1, 0, 1, 2, 3), repeat=2):
         g, G, H = (np.array(part).ravel() for part in values(program.start(point)))

@@ -76,3 +76,46 @@ def test_mixed_conditions_are_solved_and_the_model_is_left_as_it_was(registered,
         registered.solve(m, symbolic_solver_labels=True)
     assert "(z) = 3.0" in caplog.text
     assert m.mixed.ctype is mpec.Complementarity
+
+
+@pytest.mark.parametrize(
+    ("low", "cost", "form", "expected"),
+    [
+        # bounds x, y >= 1 hold, and complement nothing
+        (1, (1, 1), lambda m: (m.x >= 0, m.y >= 0), None),
+        (1, (1, 1), lambda m: (m.x >= 1, m.y >= 0), (1, 1)),
+        (-1, (1, -1), lambda m: (pe.inequality(-2, m.x, 3), m.y - 1), (-1, 1)),
+        # y is in no row and, with no cost, not in the objective
+        (0, (2, 0), lambda m: (m.x >= 1, m.y >= 0), (1, None)),
+        (0, (1, 1), lambda m: (m.x >= m.bound, m.y >= 1), (2, 1)),
+        (0, (1, 1), lambda m: (m.x <= -1, m.y >= 1), None),
+    ],
+)
+def test_bounds_of_variables_are_no_bounds_of_conditions(registered, low, cost, form, expected):
+    """A condition is complementary at its own bounds, and the box holds beside it."""
+    m = pe.ConcreteModel()
+    m.x, m.y = (pe.Var(bounds=(low, 4), initialize=1) for _ in range(2))
+    m.bound = pe.Param(initialize=2, mutable=True)
+    m.cost = pe.Objective(expr=cost[0] * m.x + cost[1] * m.y)
+    m.pair = mpec.Complementarity(expr=mpec.complements(*form(m)))
+    found = registered.solve(m, load_solutions=False)
+    m.solutions.load_from(found)
+    if expected is None:
+        assert found.solver.termination_condition == "infeasible"
+    else:
+        assert found.solver.termination_condition == "optimal"
+        for variable, value in zip((m.x, m.y), expected, strict=True):
+            assert value is None or variable() == pytest.approx(value, abs=1e-6)
+
+
+def test_conditions_without_two_constant_bounds_are_refused(registered):
+    """The message names the condition; the model stays as it was."""
+    m = pe.ConcreteModel()
+    m.x, m.y = pe.Var(), pe.Var()
+    m.cost = pe.Objective(expr=m.x + m.y)
+    for form in ((m.x == 1, m.y >= 0), (m.x, m.y), (pe.inequality(m.y, m.x, 2), m.y)):
+        m.pair = mpec.Complementarity(expr=mpec.complements(*form))
+        with pytest.raises(ValueError, match="condition pair"):
+            registered.solve(m)
+        assert m.pair.ctype is mpec.Complementarity
+        m.del_component("pair")

@@ -1,11 +1,14 @@
 """Solves of problems with solutions in closed form, and what a solve makes of the ends of its paths."""
 
+import warnings
+
 import casadi as ca
 import numpy as np
 import pytest
 
 from mpcc_library.large import obstacle_control
-from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, outcome, solve
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.mpcc import MPCC, RELAXATIONS, Duals, MPCCSolver, classify, outcome, solve
 from rmesh_nlp.mpcc.finish import Finish
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lifting import automatic_derivatives
@@ -98,15 +101,13 @@ def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
     assert "relaxed" in far.columns()["phase"]
 
 
-def test_seconds_are_those_of_the_steps_by_phase():
+def test_seconds_of_the_phases_add_up_to_the_total():
+    """Labels and linear programs count as finish."""
     result = solve(two_minima(), [0.5, 0.6])
-    spent = {"homotopy": 0.0, "finish": 0.0}
-    for step in result.history:
-        spent["homotopy" if step.phase == "relaxed" else "finish"] += step.seconds
-    assert spent["homotopy"] > 0
-    assert {name: result.seconds[name] for name in spent} == pytest.approx(spent)
-    assert sum(spent.values()) < result.seconds["total"] < 60
-    assert 0 < result.seconds["build"] < result.seconds["total"]
+    assert result.seconds["homotopy"] >= sum(s.seconds for s in result.history if s.phase == "relaxed") > 0
+    phases = [result.seconds[name] for name in ("build", "homotopy", "finish")]
+    assert min(phases) > 0
+    assert sum(phases) == pytest.approx(result.seconds["total"], rel=0.2)
     kept = MPCCSolver(two_minima())
     kept([0.5, 0.6])
     assert kept([0.5, 0.6]).seconds["build"] < 1e-6  # nothing is built twice
@@ -244,3 +245,42 @@ def test_large_obstacle_control_is_exact_and_labelled():
     assert result.n_biactive > 0
     assert result.f == pytest.approx(0.0584295510, rel=1e-8)  # of an end that linear programs proved
     assert {step.phase for step in result.history} == {"relaxed", "branch"}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"options": {"t1": 0.1}}, "unknown setting 't1'"),
+        ({"options": 5}, "options must be Options or a mapping"),
+        ({"start": [1, 2]}, "start must be a former result"),
+        (
+            {"start": Duals(np.zeros(3), *np.zeros((3, 1)))},
+            "start has 3 multipliers lam_x, the problem needs 2",
+        ),
+        ({"progress": 5}, "progress must be callable, got 5"),
+        ({"on_iteration": 5}, "on_iteration must be callable, got 5"),
+    ],
+)
+def test_a_wrong_argument_is_one_line(given, words):
+    with pytest.raises(BadInputError, match=words) as refused:
+        solve(two_minima(), 0.5, **given)
+    assert "\n" not in str(refused.value)
+
+
+def test_options_may_be_a_mapping_and_values_beyond_all_measure_warn_of_nothing():
+    assert solve(two_minima(), 0.5, options={"t0": 0.1}).history[0].t == 0.1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not classify(MPCC(XY, x, ca.exp(x), x, y), [1e3, 0.0]).success
+
+
+def test_products_of_any_sign_vanish_and_a_start_leaves_out_their_parts():
+    """(x - 1)^2 + (y + 2)^2 is least at (0, -2) where x y = 0."""
+    f = (x - 1) ** 2 + (y + 2) ** 2
+    plain = MPCC(XY, f, switches=(x, y))
+    result = solve(plain, [0.5, 0.5])
+    assert (result.success, plain.n_own, plain.n_x) == (True, 2, 6)
+    assert result.x[:2] == pytest.approx([0, -2], abs=1e-6)
+    assert plain.start([3, -4]) == pytest.approx([3, -4, 3, 0, 0, 4])
+    with pytest.raises(ValueError, match="1 and 2 entries"):
+        MPCC(XY, f, switches=(x, XY))

@@ -15,20 +15,38 @@ from rmesh_nlp.optimize.status import Status
 from support.scripted_run import XY, x, y
 
 p = ca.SX.sym("p")
+C = Status.CONVERGED
 
 
 @pytest.mark.parametrize(
     "rows",
     [
-        [(False, -9, 0, 0), (True, 1.0, 0, 0), (True, 2.0, 0, 0)],
-        [(False, 0, 0, 1), (False, 0, 0.1, 0), (False, -9, 0.2, 0)],
+        [(Status.STALLED, -9, 0, ""), (C, 1.0, 0, "S"), (C, 2.0, 0, "S")],
+        [(Status.STALLED, 0, 1, ""), (Status.STALLED, 0, 0.1, ""), (Status.STALLED, -9, 0.2, "")],
+        [(Status.STALLED, 0, 0.1, ""), (Status.INFEASIBLE, 0, 0.2, ""), (Status.ITERATION_LIMIT, 0, 0, "")],
+        [(Status.INFEASIBLE, 0, 0.2, ""), (C, 5, 0, "S"), (Status.UNBOUNDED, -1e16, 0.5, "")],
+        [(C, -9, 0, "S"), (Status.UNBOUNDED, -1e16, 0, ""), (Status.INFEASIBLE, 0, 0.1, "")],
+        [(Status.INFEASIBLE, 0, 0.1, ""), (Status.ITERATION_LIMIT, 5, 0, "C"), (Status.STALLED, 0, 0, "")],
     ],
 )
-def test_best_is_the_lowest_success_else_the_most_feasible(rows):
-    names, result = ("success", "f", "constraint_violation", "complementarity"), solve(ARMS, 0.5)
-    ends = [replace(result, **dict(zip(names, row, strict=True))) for row in rows]
-    assert [getattr(best_of(ends), name) for name in names] == list(rows[1])
+def test_best_is_what_any_start_has_proved(rows):
+    """The lowest success; without one a verdict, and the most nearly feasible end without a verdict."""
+    names, result = ("status", "f", "constraint_violation", "stationarity"), solve(ARMS, 0.5)
+    ends = [replace(result, success=row[0] is C, **dict(zip(names, row, strict=True))) for row in rows]
+    assert tuple(getattr(best_of(ends), name) for name in names) == rows[1]
     assert best_of(ends).ends == tuple(ends)
+
+
+def test_verdicts_of_one_start_are_those_of_several():
+    """Linear pairs none of whose eight branches has a point; a valley along which f falls as -3 y."""
+    u = ca.SX.sym("u", 4)
+    G = ca.DM([[1, 2, 0, -1], [-1, -1, -2, 1], [1, 0, 1, 0]]) @ u + [1, -1, 0]
+    H = ca.DM([[-2, -2, 0, -2], [-1, -2, -1, -2], [0, -1, 1, -2]]) @ u + [1, -2, 1]
+    f, g = ca.vertsplit(ca.DM([[1, -2, -2, 1], [1, -1, 1, -2]]) @ u)
+    infeasible = MPCC(u, f, g, G, H, ubg=-3, lbx=-5, ubx=5)
+    unbounded = MPCC(XY, (y - 1) ** 2 - x * y - x, None, x - y, y)
+    for mpcc, status in ((infeasible, Status.INFEASIBLE), (unbounded, Status.UNBOUNDED)):
+        assert [solve(mpcc, 0.2, starts=n).status for n in (1, 2)] == [status] * 2
 
 
 def test_moved_starts_are_seeded_within_bounds_and_around_the_start_and_the_origin():
