@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
-from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.evaluation import ROUNDING, Array, cross
 from rmesh_nlp.fem.contact_pressure import is_even, nodal_forces, on_vertices, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
@@ -106,10 +106,25 @@ def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) 
         if not pressure[top] > PEAKED * np.max(pressure[beside], initial=0.0):
             continue
         is_kink = np.any(np.isclose(nodes[0, top], part.obstacle.kinks))
-        if is_kink or (on.ends[top] and not is_even(space, part)[top]):
+        is_end = on.ends[top] and not is_even(space, part)[top] and not _is_sharp(space, part, nodes, top)
+        if is_kink or is_end:
             place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
             text = f"the largest pressure is at {place} {str(part.obstacle.boundary)!r}, where it may have "
             yield text + "no limit: it can grow with each refinement"
+
+
+def _is_sharp(space: DisplacementSpace, part: ContactSet, nodes: Array, vertex: int) -> bool:
+    """Whether a vertex is a corner of the body of up to 90 degrees without friction.
+
+    Mirrored in the foundation it is one of up to 180 degrees without load, at which no stress is singular.
+    """
+    if part.obstacle.frictional:
+        return False
+    at, elements = np.nonzero(space.problem.triangles == vertex)
+    own = space.problem.triangles[:, elements]
+    a, b = (nodes[:, own[(at + turn) % 3, np.arange(at.size)]] - nodes[:, [vertex]] for turn in (1, 2))
+    angles = np.arctan2(np.abs(cross(a, b)), np.sum(a * b, axis=0))
+    return bool(np.sum(angles) <= np.pi / 2 + ROUNDING)
 
 
 def worse(

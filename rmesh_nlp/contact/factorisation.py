@@ -56,10 +56,11 @@ class Condensed:
     """
 
     def __init__(self, K: sp.csc_array, load: Array, last: Index) -> None:
-        order = np.argsort(_by_superlu(K, "MMD_AT_PLUS_A").perm_c)
-        self._order = order = np.concatenate([order[np.isin(order, last, invert=True)], last])
-        first, spring = order.size - last.size, K.diagonal().max()
-        held = sp.csc_array(K[:, order][order] + sp.diags_array(spring * (np.arange(order.size) >= first)))
+        is_last, spring = np.isin(np.arange(load.size), last), K.diagonal().max()
+        held = sp.csc_array(K + sp.diags_array(spring * is_last))
+        order = np.argsort(_by_superlu(held, "MMD_AT_PLUS_A").perm_c)
+        self._order = order = np.concatenate([order[~is_last[order]], last])
+        held, first = held[:, order][order], order.size - last.size
         self._factor = factor = _by_superlu(held, "NATURAL")
         self._held = (factor.L[first:, first:] @ factor.U[first:, first:]).toarray()
         self._free, self._last = factor.solve(load[order]), slice(first, None)

@@ -45,7 +45,10 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
     inside = np.mean(y * np.sqrt(unit) + z / np.sqrt(unit))  # the same whatever the units of single unknowns
     y, z = y + inside / np.sqrt(unit), z + inside * np.sqrt(unit)
     while np.all(y * z > 0):
-        x, y, z = program.step(x, y, z)
+        try:
+            x, y, z = program.step(x, y, z)
+        except RuntimeError:  # singular: no gap prevents some rigid motion
+            return
         touching, forward, backward = np.split(z > unit * y, [gaps, gaps + b.size])
         sliding = np.zeros(bound.size, dtype=np.int8)
         sliding[slides] = forward.astype(np.int8) - backward
