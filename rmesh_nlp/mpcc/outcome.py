@@ -52,7 +52,8 @@ def end_of(run: Run, paths: Sequence[Path], z0: Array) -> Finish:
     ends = [path.finish for path in paths if path.finish is not None]
     points = [z, *(path.relaxed.x for path in paths if path.relaxed is not None), *(end.z for end in ends)]
     values = [run.measure(point) for point in points]
-    floor = 0.0 if end is None else min(2.0 * end.f / run.p[-1], 0.0)
+    # no minimum is told from a valley where unknowns have grown without end
+    floor = 0.0 if end is None or magnitude(end.z) > _HUGE else min(2.0 * end.f / run.p[-1], 0.0)
     for point, (f_there, res, _) in zip(points, values, strict=True):
         if _is_bottomless(point, f_there - floor, res["constraint_violation"] + res["complementarity"]):
             return Finish(point, f_there, Status.UNBOUNDED)
