@@ -113,7 +113,7 @@ def minimise(
                 radius = use.first_radius * magnitude(gradient_step)
             y, predicted = step.within(np.maximum(low, -radius), np.minimum(high, radius))
             enough = stationary and predicted <= gain_tolerance * (reference - current.value)
-            if enough or predicted <= np.finfo(float).eps * size:
+            if enough or not predicted > np.finfo(float).eps * size:  # not so of NaN
                 status = Status.CONVERGED if stationary else Status.STALLED
                 return NewtonResult(x, status, iteration)
             part = 1.0 if local is None else local.longest(x, width * y)

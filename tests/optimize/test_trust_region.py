@@ -232,3 +232,9 @@ def test_multipliers_are_not_negative_and_of_active_rows_alone(largest, monkeypa
     np.testing.assert_allclose(
         nonnegative_fit(sp.csr_array(np.eye(2)), np.array([1.0, -1.0])), [1, 0], atol=1e-8
     )
+
+
+def test_a_gradient_that_is_no_number_ends_the_descent() -> None:
+    end = descent(lambda x: Evaluation(1.0, np.full(2, np.nan), lambda: Matrix(np.eye(2))))
+    assert end.status is Status.STALLED
+    np.testing.assert_array_equal(end.x, 0)
