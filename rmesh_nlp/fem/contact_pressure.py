@@ -57,9 +57,9 @@ def ends(space: DisplacementSpace, part: ContactSet) -> Iterator[End]:
                 path.append(sum(beside[path[-1]]) - path[-2])
             along = np.array(path)
             nodes = along[1:] if space.order == 1 else space.nodes_at(along[:-1], along[1:])
-            known = np.cumprod(np.isin(nodes[:3], part.nodes)).sum()
-            if known:
-                yield End(path, nodes[:known])
+            n_free = np.cumprod(np.isin(nodes[:3], part.nodes)).sum()
+            if n_free:
+                yield End(path, nodes[:n_free])
 
 
 def force_at_end(order: int, length: Sequence[Expression], force: Sequence[Expression]) -> Expression:

@@ -28,10 +28,10 @@ def _gmsh(text: str, data: bytes) -> list[str]:
     """
     names = re.findall(r'^\s*\d+\s+(\d+)\s+"(.*)"', _section(text, "PhysicalNames"), re.M)
     version, is_binary, *_ = _section(text, "MeshFormat").split()
-    known = {int(tag) for tag, _ in names} if version == "4.1" else set()
+    named_tags = {int(tag) for tag, _ in names} if version == "4.1" else set()
     groups = _in_binary(data.partition(b"$Entities\n")[2]) if is_binary == "1" else _in_text(text)
     for tags in groups:
-        if len(tags) > 1 and not set(map(abs, tags)) <= known:
+        if len(tags) > 1 and not set(map(abs, tags)) <= named_tags:
             raise ValueError(f"one entity is in the physical groups {tags}: name all, save as 4.1")
     said = "physical groups have one name, {}, and all but one lose it: give each its own"
     return [said.format(name) for name in _repeated([name for _, name in names])]

@@ -196,8 +196,8 @@ def _inside(level: LowerLevel, violations: Symbolic, end: MPCCResult, lowest: Ar
     rows = ca.vertcat(nlp.f - most, violations + room)
     inner = nlp.extended(x=room, p=most, weight=0, f=-room, g=rows, ubx=1, ubg=0)
     given_up = value + _GIVEN_UP * (end.lower_level.f - value)
-    found = Solver(inner)(np.append(lowest, 0.0), p=np.append(parameters, given_up))
-    return found.x[:-1] if found.converged and found.x[-1] > ZERO else lowest
+    inside = Solver(inner)(np.append(lowest, 0.0), p=np.append(parameters, given_up))
+    return inside.x[:-1] if inside.converged and inside.x[-1] > ZERO else lowest
 
 
 def _with_cut(

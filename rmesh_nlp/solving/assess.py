@@ -68,9 +68,9 @@ def _doubts(first: Outer, given: State, final: State) -> Iterator[str]:
     Another design has figures of its own; on a mesh that was moved only the kind counts.
     """
     yield from (sign.message for sign in (*curve_warnings(first.problem), *given.doubts))
-    known = given.doubts if final.design else [sign.kind for sign in given.doubts]
+    before = given.doubts if final.design else [sign.kind for sign in given.doubts]
     for sign in final.doubts:
-        if (sign if final.design else sign.kind) not in known:
+        if (sign if final.design else sign.kind) not in before:
             yield f"at the end: {sign.message}"
 
 
