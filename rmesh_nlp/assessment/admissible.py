@@ -207,9 +207,9 @@ class Continuous:
         ):
             return True
         for part, edges in self._rubbing:
-            rows = np.full(self.space.n_nodes, -1)
-            rows[part.nodes] = part.rows
-            if np.any(np.ptp(state.active.sliding[rows[edges.ends]], axis=0)):
+            sliding = np.full(self.space.n_nodes, np.nan)  # that of nodes whose displacement is given
+            sliding[part.nodes] = state.active.sliding[part.rows]
+            if np.any(np.abs(np.diff(sliding[edges.ends], axis=0)) > 0):
                 return True
         return False
 
