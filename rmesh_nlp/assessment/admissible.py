@@ -180,32 +180,29 @@ class Continuous:
 
         With Coulomb friction, where no energy is least, that in equilibrium.
         """
-        standoff, (program, whole, last) = self.first_standoff(), self._reduced
+        standoff, by_edges = self.first_standoff(), not self.problem.has_coulomb and bool(self.cells)
+        is_level = any(part.obstacle.level is not None for part in self.space.contact_sets)
+        if not (by_edges and (self.space.order == 2 or is_level or np.any(standoff))):
+            system = self.system(standoff)
+            state = _solved(system, start)
+            if not (by_edges and self._turns(state)):
+                return self._made(system, state)
+        program, whole, last = self._reduced
         state = _solved(program.with_offset(self._bare.offset - standoff), start)
-        if self._is_loose(standoff, state):
-            springs = self._springs(last)
+        springs = self._springs(last)
 
-            def displacement(x: Array) -> Array:
-                u = np.zeros(self._bare.load.size)
-                u[last] = x
-                return self.field.values(u)
+        def displacement(x: Array) -> Array:
+            u = np.zeros(self._bare.load.size)
+            u[last] = x
+            return self.field.values(u)
 
-            x, forces = tightened(program, state, displacement, springs)
-            state = self._at_nodes(springs, x, forces)
-            gap = program.normals @ x + self._bare.offset
-            standoff = np.where(state.active.touching, gap, 0.0)
-        return self._made(self.system(standoff), replace(state, u=whole(state.u)))
+        x, forces = tightened(program, state, displacement, springs)
+        state = self._at_nodes(springs, x, forces)
+        standoff = np.where(state.active.touching, program.normals @ x + self._bare.offset, 0.0)
+        return self._made(self.system(standoff), replace(state, u=whole(x)))
 
-    def _is_loose(self, standoff: Array, state: Equilibrium) -> bool:
-        """Whether nodes may keep off too far, or friction along edges be less than at nodes."""
-        if self.problem.has_coulomb or not self.cells:
-            return False
-        if (
-            self.space.order == 2
-            or np.any(standoff)
-            or any(part.obstacle.level is not None for part in self.space.contact_sets)
-        ):
-            return True
+    def _turns(self, state: Equilibrium) -> bool:
+        """Whether a slip may change its sign within an edge, where friction is less than at nodes."""
         for part, edges in self._rubbing:
             sliding = np.full(self.space.n_nodes, np.nan)  # that of nodes whose displacement is given
             sliding[part.nodes] = state.active.sliding[part.rows]
