@@ -63,6 +63,7 @@ OPERATIONS: dict[int, Callable[..., Any]] = {
 MOVES = (ca.OP_CONST, ca.OP_INPUT, ca.OP_OUTPUT)
 
 
+@lru_cache(maxsize=256)
 def is_vectorisable(function: ca.Function) -> bool:
     """Whether every operation of a Function is one that numpy has."""
     if not function.is_a("SXFunction"):

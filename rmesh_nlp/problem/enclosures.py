@@ -40,11 +40,13 @@ def resolved(
     half = np.max(np.abs(corners - centre[..., None]), axis=-1)
     # (REACH + 1): in one direction on the ellipse, in the other one in the cell
     value, far = evaluated(_enclosing(coefficient, False), np.concatenate([centre, (REACH + 1) * half]))
-    near = evaluated(_enclosing(coefficient, True), np.concatenate([centre, half]))[1]
     size = max(size, magnitude(value[np.isfinite(value)]))
     rho = REACH + np.sqrt(REACH**2 - 1)
-    wrong = 2 * (1 + REACH) ** 3 * rho ** (-2 * points) * far
-    return (wrong <= PROVED * size) | (share * near <= PROVED * size), size
+    is_seen = 2 * (1 + REACH) ** 3 * rho ** (-2 * points) * far <= PROVED * size
+    if not np.all(is_seen):
+        near = evaluated(_enclosing(coefficient, True), np.concatenate([centre, half]))[1]
+        is_seen |= share * near <= PROVED * size
+    return is_seen, size
 
 
 @once
