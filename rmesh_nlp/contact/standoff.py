@@ -54,6 +54,11 @@ class Cells:
     vertices: int  # nodes of a cell at its vertices, which come first
     bends: Array  # (v, directions), second differences of N_i between points; no directions if N_i is linear
 
+    @property
+    def are_triangles(self) -> bool:
+        """Whether they are triangles."""
+        return self.sag.shape == self.distance.shape
+
     def off(self, given: Array) -> Array:
         """(m,) how far the free nodes of each cell must keep off; -infinity where none is free.
 
@@ -114,7 +119,7 @@ class Cells:
         for bends in self.bends.T:
             bent = np.einsum("cvm,v->cm", displacement[:, self.nodes], bends)
             bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
-        if self.sag.shape == bend.shape:
+        if self.are_triangles:
             return self.sag + bend / 8
         bend = np.maximum(bend[:, 1:], bend[:, :-1]) + 8 * self.sag
         change = np.abs(np.diff(self.along(displacement) + self.distance))
@@ -123,7 +128,7 @@ class Cells:
 
     def _beside(self, sag: Array) -> Array:
         """(m, k) largest of what is between points and their neighbours."""
-        if sag.shape == self.distance.shape:
+        if self.are_triangles:
             return sag
         return np.maximum(np.pad(sag, ((0, 0), (1, 0))), np.pad(sag, ((0, 0), (0, 1))))
 
