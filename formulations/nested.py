@@ -28,11 +28,6 @@ WINDOW, LONG_WINDOW, CREEPING = 10, 50, 1e-2
 below those before by less than this part of the decrease so far: of the violation of constraints, and once
 they hold of the objective. An energy has no kinks: it creeps if that goes on for the longer window."""
 
-TRUSTED, SPURIOUS = 20, 2
-"""After the first so many iterations a descent ends where the energy has fallen by more than so many times
-the error of the given mesh. By Theorem 4.1 no mesh gains more than that, so errors of the discretisation
-were exploited. The error is estimated by two contact solves; it is within 6 % on 6.1 with 8 to 32 squares."""
-
 
 @dataclass(frozen=True)
 class Nested(NestedSettings, Formulation):
@@ -57,9 +52,6 @@ class Nested(NestedSettings, Formulation):
             over = track.exact(iteration, at, point)
             if may_creep and creeps(point, *outer.merit(point)):
                 why = "stopped as hardly anything is gained"
-            elif may_creep and outer.objective.is_energy and iteration >= TRUSTED:
-                error, fell = monitor.estimate(outer), outer.at_start.value - point.value
-                why = "stopped as the energy fell by more than its error" if fell > SPURIOUS * error else why
             return why is not None or over
 
         if q.size == 0:  # nothing can move, and not every solver takes a program without unknowns

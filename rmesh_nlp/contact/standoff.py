@@ -88,9 +88,10 @@ class Cells:
 
     @cached_property
     def lengths(self) -> Array:
-        """(m, k) length of the edge that each point stands for."""
+        """(m, k) length of the edge that each point stands for, by Simpson's rule."""
         half = np.linalg.norm(np.diff(self.points), axis=0) / 2
-        return np.pad(half, ((0, 0), (1, 0))) + np.pad(half, ((0, 0), (0, 1)))
+        beside = np.pad(half, ((0, 0), (1, 0))) + np.pad(half, ((0, 0), (0, 1)))
+        return beside * np.where(np.arange(beside.shape[1]) % 2, 4 / 3, 2 / 3)
 
     def displaced(self, displacement: Array) -> Array:
         """(components, m, k) the displacement (components, nodes) at the points."""
