@@ -305,7 +305,7 @@ def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(orde
         force = np.abs(solution.pressure - 1.5 * np.sqrt(np.abs(x)))
         errors.append((np.max(off), np.max(force[contact])))
     assert np.all(np.array(errors[1]) < np.array(errors[0]) / 2.5)
-    assert errors[1][1] < 0.005
+    assert errors[1][1] < (0.005, 0.006)[order - 1]  # of order 2 forces are shared by whole edges
 
 
 def total(terms: dict[str, float]) -> float:
