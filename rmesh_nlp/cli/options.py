@@ -146,6 +146,13 @@ Certify = Annotated[
     bool,
     Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
 ]
+Audit = Annotated[
+    bool,
+    Option(
+        "--audit/--no-audit",
+        help="Measure the energy of the continuous problem; without, no success is claimed.",
+    ),
+]
 Columns = Annotated[int, Option(min=1, max=2, help="Width of the figures: columns of a printed page.")]
 Folder = Annotated[Path, Argument(metavar="DIR", help="A folder that solve, compare or study wrote.")]
 File = Annotated[Path, Argument(metavar="FILE", help="A problem file.")]
@@ -195,6 +202,8 @@ def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
     """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
     given = {k: v for k, v in typed.items() if not (v is None or v is False or v in ([], ()))}
     chosen = from_texts(given.get("settings", ())) | {name: given[name] for name in OPTIONS if name in given}
+    if not typed.get("audit", True):
+        chosen["audit"] = False
     if "nodes" in given:
         chosen["remesh"] = given["nodes"]
     if limits := {field: given[name] for name, field in LIMITS.items() if name in given}:

@@ -20,7 +20,12 @@ from rmesh_nlp.solving.state import State, measured
 
 
 def assess(
-    first: Outer, outcome: Outcome, *, stopped: Status | None = None, relocates: bool = True
+    first: Outer,
+    outcome: Outcome,
+    *,
+    stopped: Status | None = None,
+    relocates: bool = True,
+    audit: bool = True,
 ) -> Assessment:
     """Measure where a formulation ended and what it began with, and compare them.
 
@@ -34,13 +39,17 @@ def assess(
         What ended the solve from outside, in the place of the solver's own word.
     relocates : bool
         Whether the formulation moves nodes at all.
+    audit : bool
+        Whether the energies of the continuous problem are measured.
     """
     last, said = outcome.outer, stopped or outcome.status
     is_same_mesh = have_same_mesh(first.problem.mesh, last.problem.mesh)
     begin = last if is_same_mesh else first
     # the final mesh before the given one: the models remember their last point
-    final = measured(last, outcome.q)
-    given = measured(begin, np.zeros(begin.n)) if np.any(outcome.q) or begin is not last else final
+    final = measured(last, outcome.q, audit=audit)
+    given = final
+    if np.any(outcome.q) or begin is not last:
+        given = measured(begin, np.zeros(begin.n), audit=audit)
     conditions, own = FirstOrder(), final.residuals
     if final.point is not None:
         conditions = first_order(last, final.point, outcome.label, said, relocates)

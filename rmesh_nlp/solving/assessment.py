@@ -94,6 +94,11 @@ class Assessment:
     warnings: tuple[str, ...] = ()
 
     @property
+    def is_audited(self) -> bool:
+        """Whether the energies of the continuous problem were measured."""
+        return self.final.continuous is not None
+
+    @property
     def gain(self) -> float:
         """Decrease of the energy by the problem's own rules."""
         return difference(self.given.energy, self.final.energy)
@@ -143,7 +148,8 @@ class Assessment:
                 return state.contact_status
         if not final.residuals.hold:
             return Status.INACCURATE
-        figures = self.gain, self.gain_audited, self.decrease, self.rounding, final.violation
+        audited = (self.gain_audited, self.decrease, self.rounding) if self.is_audited else ()
+        figures = self.gain, *audited, final.violation
         if not all(map(math.isfinite, figures)):
             return Status.EVALUATION_ERROR
         if final.violation > 0:
@@ -167,6 +173,8 @@ class Assessment:
 
         A point that obeys the constraints is better than a start that does not, whatever the objective.
         """
+        if not self.is_audited:
+            return False
         if self.final.min_area_ratio > 0 and self.given.violation > 0:
             return True
         rose = self.objective.collapses and self.gain_computed < -self.rounding
@@ -177,6 +185,7 @@ class Assessment:
         """What follows, whatever the solver said.
 
         - The status is CONVERGED if and only if the solution is a success and stationary.
+        - What is valid and was not audited is UNAUDITED.
         - What is valid and improved is a success, unless the solver failed and nothing was gained: then the
           status is one of ``FAILURES``.
         - What is valid but not improved is EXPLOITED or WORSE, and the status of what is not valid names the
@@ -184,6 +193,8 @@ class Assessment:
         """
         if self.fault is not None:
             return self.fault
+        if not self.is_audited:
+            return Status.UNAUDITED
         if not self.improved:
             return Status.EXPLOITED if self.is_exploited else Status.WORSE
         if self.first_order.is_stationary:
@@ -205,6 +216,8 @@ class Assessment:
     @property
     def detail(self) -> str:
         """What the status leaves open, such as the degree of quadrature to take."""
+        if self.status is Status.UNAUDITED:
+            return f"The solver says: {self.solver_status.message}"
         if self.status is Status.EXPLOITED:
             is_kept_off = with_edge_gaps(self.final.problem) is self.final.problem
             remedy = "smaller elements there" if is_kept_off else "gap = 'edge'"

@@ -21,7 +21,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation
+from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.parts import Step
@@ -47,6 +47,7 @@ def solve(
     limits: Limits | Mapping[str, Any] | None = None,
     on_step: OnStep | None = None,
     certify: bool = False,
+    audit: bool = True,
     **settings: Any,
 ) -> Solution:
     """Relocate the nodes of a problem and solve the contact problem there.
@@ -74,6 +75,9 @@ def solve(
         Called with each step of the history.
     certify : bool
         Bound the error of the solution: ``solution.certificate``.
+    audit : bool
+        Measure the energy of the continuous problem on both meshes. Without it the solution is what the
+        formulation found, its status ``UNAUDITED`` and never a success.
     settings
         Of a formulation that is named: its settings, such as ``t0=0.1`` of ``mpcc``, and what takes one, such
         as ``remesh=True`` or ``starts=8``; :func:`rmesh_nlp.solving.formulation.options` has their names.
@@ -91,16 +95,19 @@ def solve(
     expect("problem", problem, ContactProblem, ", which read_problem makes of a file")
     if not (on_step is None or callable(on_step)):
         raise BadInputError(f"on_step must be a function of a step, got {on_step!r}")
+    Keywords(audit=audit)
+    if certify and not audit:
+        raise BadInputError("without an audit there is nothing to certify: leave out one of the two")
     monitor = Monitor(Limits.of(limits), on_step, problem.mesh)
     plan = Plan.of(
         problem, formulation, objective=objective, start=start, seed=seed, tolerance=tolerance, **settings
     )
     with monitor.budget.interruptible():
-        end, safe = _ended(plan, plan.problem, monitor), None
+        end, safe = _ended(plan, plan.problem, monitor, audit), None
         if is_spurious(end.assessment):
             end, safe = once_more(end, lambda safely: _ended(plan, safely, monitor), monitor)
         stopped, reached = monitor.budget.stopped, end.assessment
-        if stopped is not None:
+        if stopped is not None and audit:
             if not reached.success and reached.solver_status is stopped:
                 end = monitor.finish(lambda: as_given(end, stopped))
         elif plan.why and reached.status in (Status.WORSE, Status.EXPLOITED):
@@ -109,7 +116,7 @@ def solve(
         return _made(plan, end, safe, monitor, certify)
 
 
-def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
+def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = True) -> End:
     """Where a formulation ends on a problem: built, run, measured.
 
     A model of the given mesh is built when the formulation first asks for it.
@@ -120,7 +127,8 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     with budget.during("audit"):
         contact, nodes = outer.contact, problem.mesh.p
         contact_seconds = timed(lambda: contact.given, again=lambda: contact.solve(nodes))
-        if plan.formulation.relocates and not problem.design:  # else the mesh as given is of another problem
+        # with a design the mesh as given is of another problem
+        if audit and plan.formulation.relocates and not problem.design:
             before, _ = budget.seconds("audit"), outer.initial
             budget.kept = 2 * (budget.seconds("audit") - before)  # of the final mesh and what compares them
     budget.enter("solve")
@@ -131,7 +139,7 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor) -> End:
     # one contact solve is finite
     stopped = budget.stopped if formulation.relocates else None
     assessment = monitor.finish(
-        lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates)
+        lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates, audit=audit)
     )
     return End(outer, outcome, assessment, start, spent, contact_seconds)
 

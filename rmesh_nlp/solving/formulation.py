@@ -31,7 +31,7 @@ GIVEN = "given"
 NEEDLESS = ("tolerance", "limits")
 """Options that a formulation which moves nothing does not need, ..."""
 
-KEYWORDS = ("objective", "start", "seed", *NEEDLESS)
+KEYWORDS = ("objective", "audit", "start", "seed", *NEEDLESS)
 """... and all that are keywords of :func:`rmesh_nlp.solving.driver.solve`; others are settings."""
 
 INSIDE_OUT = ("regularisation", "remesh", "starts")
@@ -40,10 +40,11 @@ INSIDE_OUT = ("regularisation", "remesh", "starts")
 
 @dataclass(frozen=True)
 class Keywords(Settings):
-    """Keywords of a solve that are numbers."""
+    """Keywords of a solve that are numbers or flags."""
 
     tolerance: Positive | None = None
     seed: Limit | None = None
+    audit: bool = True
 
 
 @dataclass(frozen=True)
@@ -176,7 +177,7 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
     and those of ``WRAPPERS``.
     """
     kind, is_named = kind_of(formulation), isinstance(formulation, str)
-    names = {"objective", *(kind.names() if is_named else ())}
+    names = {"objective", "audit", *(kind.names() if is_named else ())}
     if getattr(kind, "relocates", True):
         names |= {*KEYWORDS, *(available(WRAPPERS) if is_named else ())}
     return names
@@ -202,7 +203,7 @@ def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
     check_start(composed(formulation, given), given)
     first(given.get("start"))
-    Keywords(given.get("tolerance"), given.get("seed"))
+    Keywords(given.get("tolerance"), given.get("seed"), given.get("audit", True))
     Limits.of(given.get("limits"))
     parse_objective(given.get("objective", "energy"))
     return dict(given)

@@ -88,7 +88,7 @@ class State:
     contact : mapping
         Forces, peak pressure and length of the contact, by contact boundary; empty where it is not solved.
     continuous : Admissible, optional
-        The displacement that is admissible for the continuous problem, and its energy.
+        The displacement that is admissible for the continuous problem, and its energy; None without audit.
     corrections : mapping of str to float
         What the continuous energy differs by from the own one, by the names in ``EXPLOITS``.
     point : ReducedPoint, optional
@@ -154,8 +154,8 @@ class State:
         return self.continuous.status if own is Status.CONVERGED and self.continuous is not None else own
 
 
-def measured(outer: Outer, q: Array) -> State:
-    """Measure the mesh at outer variables ``q`` and its equilibrium."""
+def measured(outer: Outer, q: Array, *, audit: bool = True) -> State:
+    """Measure the mesh at outer variables ``q`` and its equilibrium, with an audit the continuous energy."""
     is_given = not np.any(q)
     before = np.array(outer.problem.mesh.p)
     nodes = outer.nodes(q)
@@ -168,14 +168,17 @@ def measured(outer: Outer, q: Array) -> State:
     exact = at.energy.start if is_given else at.energy(position)
     point = outer.at_start if is_given else outer.function(q)
     solved, system, space = exact.equilibrium, exact.system, at.discretisation.space
-    continuous, is_solved = at.continuous(position), solved.status is Status.CONVERGED
+    continuous, is_solved = at.continuous(position) if audit else None, solved.status is Status.CONVERGED
     displacement = at.contact.displacement.values(solved.u)
     pressure, tangential = contact_stresses(space, nodes, solved.normal_force, solved.tangential_force)
     rows = at.discretisation.friction_rows
     sliding = int(np.count_nonzero(solved.active.sliding[rows])) if rows.size else None
-    audited, passing = _audited(at, position, solved, continuous), penetrations(space, nodes, displacement)
+    audited = point.value if continuous is None else _audited(at, position, solved, continuous)
+    passing = penetrations(space, nodes, displacement)
     # the load by an accurate rule, where it is on the same mesh
-    load = continuous.system.load if continuous.problem is at.problem else None
+    load = None
+    if continuous is not None and continuous.problem is at.problem:
+        load = continuous.system.load
     natural = 0.0 if at.objective.collapses else at.objective.size  # an energy has that of its strain
     return State(
         problem=at.problem,
@@ -196,7 +199,7 @@ def measured(outer: Outer, q: Array) -> State:
         sliding_nodes=sliding,
         contact=contact_results(space, nodes, system, solved) if is_solved else {},
         continuous=continuous,
-        corrections=corrections(at.contact, nodes, solved, continuous),
+        corrections={} if continuous is None else corrections(at.contact, nodes, solved, continuous),
         point=point,
         objective_audited=audited,
         size=max(abs(audited), size_of(point), natural),

@@ -86,11 +86,14 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     if solution.designed is not None or of_another:
         return []
     by_rule = f"{figure(solution.energy_initial)}, {figure(solution.energy)}"
+    own = [("energies by the rule of the problem", by_rule)]
+    if not solution.assessment.is_audited:
+        return own
     return [
         ("audited energy on the given mesh", figure(solution.energy_initial_audited)),
         ("audited energy", figure(solution.energy_audited)),
         ("audited gain", gain_in_words(solution.energy_initial_audited, solution.energy_audited)),
-        ("energies by the rule of the problem", by_rule),
+        *own,
     ]
 
 

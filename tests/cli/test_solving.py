@@ -118,3 +118,8 @@ def test_refusing_the_only_objective_is_no_success(rmesh) -> None:
     assert does_not_apply({"status": "refused", "objective": "error-l2"})
     assert rmesh("compare 6.1 --n 4 --formulations joint -q --no-figures --objective error-l2").code == 1
     assert rmesh("figures results")[::2] == (0, "no figures of results: no solve has a solution\n")
+
+
+def test_the_solution_alone_is_a_row_without_success(rmesh) -> None:
+    assert rmesh("solve 6.1 --n 4 -f fixed --no-audit --out one").code == 1
+    assert json.loads(Path("one/record.json").read_text())["status"] == "unaudited"

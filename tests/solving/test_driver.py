@@ -147,3 +147,21 @@ def test_what_the_driver_measures_is_not_written_over(details: dict[str, object]
     outer = Outer.of(EXAMPLES["6.1"](2))
     with pytest.raises(BadInputError, match=words):
         Outcome(outer, np.zeros(outer.n), Status.CONVERGED, details=details)
+
+
+@pytest.mark.parametrize("formulation", ["fixed", "joint", "nested"])
+def test_without_an_audit_the_solution_is_the_solver_s_and_no_success(problem, formulation) -> None:
+    whole, alone = solve(problem, formulation), solve(problem, formulation, audit=False)
+    assert np.array_equal(alone.mesh.p, whole.mesh.p)
+    assert alone.energy == whole.energy
+    assert (alone.status, alone.success, alone.valid) == (Status.UNAUDITED, False, True)
+    record = alone.record()
+    assert record["energy_audited"] is record["gain_audited"] is None
+    assert (record["status"], record["solver_status"]) == ("unaudited", whole.record()["solver_status"])
+    assert "audited energy" not in dict(alone.summary())
+
+
+@pytest.mark.parametrize("wrong", [{"audit": 1}, {"audit": False, "certify": True}])
+def test_an_audit_is_a_flag_and_a_certificate_needs_one(problem, wrong) -> None:
+    with pytest.raises(BadInputError, match="audit"):
+        solve(problem, "fixed", **wrong)
