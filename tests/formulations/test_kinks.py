@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from itertools import product
 from types import SimpleNamespace
@@ -22,6 +23,7 @@ from rmesh_nlp.models.residual import Released
 from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.solving.exploited import safe_discretisation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from support.endings import ended
@@ -143,6 +145,17 @@ def test_an_energy_creeps_over_a_longer_window_whatever_the_contact() -> None:
     tell = Creeping(LONG_WINDOW, is_kinked=False)
     said = [tell(_point(0), 0.0, -min(k, 5) / 5) for k in range(LONG_WINDOW + 10)]
     assert said.index(True) == LONG_WINDOW + 5
+
+
+def test_a_descent_ends_where_an_error_of_the_discretisation_is_minimised() -> None:
+    """By midpoints, without limits, nodes run away from where the load acts: its energy falls for ever."""
+    coarse, coarser = (replace(rm.EXAMPLES["6.1"](n), motion=rm.Motion(None)) for n in (8, 4))
+    for problem, ends in ((coarse, True), (safe_discretisation(coarser), False)):
+        outer, monitor = Outer.of(problem), Monitor()
+        found = Nested().run(outer, np.zeros(outer.n), monitor)
+        assert found.details["outer"].endswith("was minimised") == ends
+        rose = outer.continuous(found.q).energy >= outer.initial.energy
+        assert (rose, monitor.budget.iterations in (64, 128, 256)) == (ends, ends)
 
 
 def rates(outer: Outer, q: Array, ways: Array, step: float = 1e-5) -> Array:
