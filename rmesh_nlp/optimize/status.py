@@ -40,7 +40,7 @@ class Status(str, Enum):
         "exploited",
         "Only an error of the discretisation lowered the energy: the continuous one rose.",
     )
-    UNAUDITED = "unaudited", "As the solver left it: no energy of the continuous problem was measured."
+    UNAUDITED = "unaudited", "The solver's solution alone, not compared with the given mesh."
     INVALID_MESH = "invalid_mesh", "An element is inverted or smaller than allowed."
     TOO_FEW_FREEDOMS = "too_few_freedoms", "There are more equations than free unknowns."
     EVALUATION_ERROR = "evaluation_error", "A function returned NaN or infinity."
