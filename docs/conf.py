@@ -19,11 +19,13 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx.ext.viewcode",
     "sphinx_gallery.gen_gallery",
+    "sphinxcontrib.katex",
 ]
+katex_css_path = "katex-math.css"  # its own copies, and MathML, which needs no fonts: formulas without a network
+katex_options = 'output: "mathml"'
 BELOW = {
     "index": ["getting_started", "theory", "howto", "api", "results"],
     "howto": [
