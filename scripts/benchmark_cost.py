@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         solution, seconds = timed(rm.solve, given, remesh=options.remesh)
         unit = statistics.median(before + units(given))
         line = {"problem": text, "nodes": given.mesh.p.shape[1], "unit, ms": 1e3 * unit}
-        line |= {"factorisations": solution.work.contact_factorisations}
+        line |= {"factorisations": solution.trace.work.contact_factorisations}
         line |= {"energy": f"{solution.energy_audited:.8g}", "whole": seconds / unit}
         lines.append(line | {"without assessment": unassessed(seconds, solution) / unit})
     print(markdown(pd.DataFrame(lines)))

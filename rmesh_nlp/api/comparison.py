@@ -87,7 +87,7 @@ def _last(solution: Solution) -> float:
     """What was minimised, at the end."""
     if solution.objective.startswith("energy"):
         return solution.energy_audited
-    return solution.assessment.final.objective
+    return solution.final.objective
 
 
 def compare(

@@ -76,7 +76,7 @@ def cell_data(solution: Solution) -> dict[str, Array]:
     triangles = problem.triangles
     areas = signed_areas(nodes, triangles)
     data: dict[str, Array] = {
-        "area_ratio": areas / signed_areas(solution.initial_nodes, triangles),
+        "area_ratio": areas / signed_areas(solution.final.before, triangles),
         "least_angle": least_angles(nodes, triangles),
         "zone": element_zones(problem.mesh).astype(np.int32),
     }

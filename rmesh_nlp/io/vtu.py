@@ -135,7 +135,7 @@ def file_mesh(
 
 def fields_of(solution: Solution) -> Fields:
     """The fields of a solution."""
-    problem, final, multipliers = solution.problem, solution.assessment.final, solution.multipliers
+    problem, final, multipliers = solution.problem, solution.final, solution.multipliers
     space, X = DisplacementSpace(problem), problem.mesh.p
     vertices = slice(space.n_vertices)
     mobility = np.full(space.n_nodes, -1, np.int32)
@@ -144,7 +144,7 @@ def fields_of(solution: Solution) -> Fields:
         limit = np.zeros(space.n_nodes)
         limit[vertices] = multipliers.limit
         multipliers = replace(multipliers, limit=limit)
-    given = solution.assessment.given
+    given = solution.given
     if solution.assessment.is_same_mesh:
         before = _of_state(given)
     else:  # another mesh was made for the solution

@@ -24,7 +24,7 @@ from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
 from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE
-from rmesh_nlp.solving.parts import Step
+from rmesh_nlp.solving.parts import Step, Trace
 from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
@@ -159,13 +159,15 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
     return Solution(
         assessment=assessment,
         formulation=plan.formulation.name,
-        history=_history(monitor, end),
-        iterations=budget.iterations,
-        work=end.spent,
-        contact_time_s=end.contact_seconds,
-        build_time_s=budget.seconds("build"),
-        solve_time_s=budget.seconds("solve"),
-        audit_time_s=budget.seconds("audit"),
+        trace=Trace(
+            steps=_history(monitor, end),
+            iterations=budget.iterations,
+            work=end.spent,
+            contact_time_s=end.contact_seconds,
+            build_time_s=budget.seconds("build"),
+            solve_time_s=budget.seconds("solve"),
+            audit_time_s=budget.seconds("audit"),
+        ),
         start=end.start,
         settings=plan.formulation.changed(),
         seed=plan.seed,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from importlib.metadata import version
 from typing import Any
@@ -34,33 +34,31 @@ from rmesh_nlp.solving.entry import (
     of_energies,
     of_seconds,
 )
-
-Solution = Any
-"""A :class:`rmesh_nlp.solving.solution.Solution`, which imports this module for its record."""
+from rmesh_nlp.solving.parts import plain
+from rmesh_nlp.solving.relocated import Relocated
 
 
 def _seconds(name: str, meaning: str, of: str | None, **options: Any) -> Entry:
     return Entry(name, Seconds, meaning, of, **{"presence": SOLVED, "unit": "s", **options})
 
 
-def _own_design(solution: Solution, of: Callable[[Any], object]) -> dict[str, object] | None:
+def _own_design(solution: Relocated, of: Callable[[Any], object]) -> dict[str, object] | None:
     """Of each design variable that the solve had."""
-    if solution.designed is None:
+    if solution.assessment.designed is None:
         return None
-    return {one.name: of(one) for one in solution.designed.design if one.name in solution.design}
+    return {one.name: of(one) for one in solution.assessment.designed.design if one.name in solution.design}
 
 
-def _objective_initial(solution: Solution) -> float | None:
-    assessment = solution.assessment
-    is_known = assessment.final.point is not None and assessment.is_same_mesh
-    return assessment.given.objective if is_known else None
+def _objective_initial(solution: Relocated) -> float | None:
+    is_known = solution.final.point is not None and solution.assessment.is_same_mesh
+    return solution.given.objective if is_known else None
 
 
-def _remark(solution: Solution) -> str | None:
+def _remark(solution: Relocated) -> str | None:
     return solution.certificate_remark if solution.certificate is None else solution.certificate.why
 
 
-def _bounds(solution: Solution) -> dict[str, dict[str, object]] | None:
+def _bounds(solution: Relocated) -> dict[str, dict[str, object]] | None:
     if (certificate := solution.certificate) is None:
         return None
     return {name: of._asdict() for name, of in certificate.bounds.items()} or None
@@ -81,8 +79,8 @@ def versions() -> dict[str, str]:
 def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
     """Results of the contact on one of the meshes."""
 
-    def on(name: str, total: Callable[[Iterable[float]], float] = sum) -> Callable[[Solution], float | None]:
-        def value(solution: Solution) -> float | None:
+    def on(name: str, total: Callable[[Iterable[float]], float] = sum) -> Callable[[Relocated], float | None]:
+        def value(solution: Relocated) -> float | None:
             results = attribute(solution, path).values()
             return total(getattr(result, name) for result in results) if results else None
 
@@ -165,14 +163,14 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               digits=of_energies),
         Entry("energy_audited", Number, "The same on the final mesh.", "energy_audited", EVERY,
               "energy", heading="J|relocated", digits=of_energies),
-        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", "gain", EVERY, "energy"),
-        Entry("gain_audited", Number, "Fall of the audited energy.", "gain_audited", SOLVED,
+        Entry("gain", Number, "Fall from `energy_initial` to `energy`.", "assessment.gain", EVERY, "energy"),
+        Entry("gain_audited", Number, "Fall of the audited energy.", "assessment.gain_audited", SOLVED,
               "energy"),
         Entry("objective_initial", Number, "The minimised objective on the given mesh; absent where a new "
               "mesh was made.", _objective_initial, heading="objective|at start",
               digits=".6e"),
         Entry("objective_value", Number, "The same on the final mesh.",
-              "assessment.final.objective", SOLVED, heading="objective|at end", digits=".6e"),
+              "final.objective", SOLVED, heading="objective|at end", digits=".6e"),
         Entry("gain_surviving", Number, "Gain in a quantity of the displacement on uniform refinements of "
               "the two meshes, over the gain found; a small share means that a discretisation error was "
               "minimised.", "surviving_gain.share"),
@@ -197,16 +195,16 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("u_max", Number, "Largest displacement component.", lambda s: float(s.displacement.max()),
               EVERY, "length", heading="u max", digits=".4g"),
         Entry("min_area_ratio", Number, "Least element area over its initial value.",
-              "assessment.final.min_area_ratio", EVERY,
+              "final.min_area_ratio", EVERY,
               heading="least|area ratio", digits=".3f"),
         Entry("domain_area_change", Number, "Relative, where nodes slide along curves.",
               "assessment.domain_area_change"),
         Entry("penetration", Number, "Deepest penetration between contact nodes.",
-              "assessment.final.penetration", SOLVED, "length"),
+              "final.penetration", SOLVED, "length"),
     ),
     "Contact": (
-        *_contact("_initial", "the given mesh", "assessment.given.contact"),
-        *_contact("", "the final mesh", "assessment.final.contact"),
+        *_contact("_initial", "the given mesh", "given.contact"),
+        *_contact("", "the final mesh", "final.contact"),
         *_contact("_refined", "its refinement", "reduced_error.contact"),
         Entry("contact", dict[str, dict[str, Number]],
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
@@ -216,18 +214,18 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
-              "assessment.final.sticking_nodes"),
-        Entry("sliding_nodes", Count, "The same that slide.", "assessment.final.sliding_nodes"),
+              "final.sticking_nodes"),
+        Entry("sliding_nodes", Count, "The same that slide.", "final.sliding_nodes"),
         Entry("coulomb_residual_initial", Number, "How far Coulomb's law is from holding along whole contact "
               "edges of the given mesh, as a part of the contact force "
-              "([theory](theory.md#coulomb-friction)).", "assessment.given.coulomb_residual"),
+              "([theory](theory.md#coulomb-friction)).", "given.coulomb_residual"),
         Entry("coulomb_residual", Number, "The same on the final mesh.",
-              "assessment.final.coulomb_residual"),
+              "final.coulomb_residual"),
     ),
     "Designs": (
         Entry("design", Named, "Of a [design](own_problems.md#designs): its variables at the end. Energies "
               "of different designs do not compare.",
-              lambda s: None if s.designed is None else dict(s.design)),
+              lambda s: None if s.assessment.designed is None else dict(s.design)),
         Entry("design_initial", Named, "The same at the start.",
               lambda s: _own_design(s, lambda one: one.start)),
         Entry("design_bounds", dict[str, list[Number]], "Their bounds.",
@@ -238,30 +236,30 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: {text: one.record() for text, one in s.constraints.items()} or None),
     ),
     "Work": (
-        Entry("iterations", Count, "Of the solver.", "iterations", EVERY,
+        Entry("iterations", Count, "Of the solver.", "trace.iterations", EVERY,
               heading="iterations"),
-        Entry("contact_solves", Count, "Of the formulation.", "contact_solves", EVERY,
+        Entry("contact_solves", Count, "Of the formulation.", "trace.work.contact_solves", EVERY,
               heading="contact|solves"),
         Entry("cold_contact_solves", Count, "Those without an active set to start from.",
-              lambda s: s.work.cold_contact_solves or None),
+              lambda s: s.trace.work.cold_contact_solves or None),
         Entry("contact_factorisations", Count, "Of the stiffness.",
-              lambda s: s.work.contact_factorisations or None),
+              lambda s: s.trace.work.contact_factorisations or None),
         Entry("kkt_factorisations", Count, "Of KKT matrices; Ipopt's iterations, each of which takes one at "
-              "least.", lambda s: s.work.kkt_factorisations or None, heading="KKT|factorisations"),
-        _seconds("wall_time_s", "Build, solve and audit.", "wall_time_s", presence=EVERY,
+              "least.", lambda s: s.trace.work.kkt_factorisations or None, heading="KKT|factorisations"),
+        _seconds("wall_time_s", "Build, solve and audit.", "trace.wall_time_s", presence=EVERY,
                  heading="time|[s]", digits=of_seconds),
-        _seconds("build_time_s", "Making models and derivatives.", "build_time_s"),
-        _seconds("solve_time_s", "The formulation.", "solve_time_s"),
-        _seconds("audit_time_s", "The assessment.", "audit_time_s"),
+        _seconds("build_time_s", "Making models and derivatives.", "trace.build_time_s"),
+        _seconds("solve_time_s", "The formulation.", "trace.solve_time_s"),
+        _seconds("audit_time_s", "The assessment.", "trace.audit_time_s"),
         _seconds("contact_time_s", "One contact solve on the given mesh, the unit of cost.",
-                 "contact_time_s"),
+                 "trace.contact_time_s"),
     ),
     "Residuals and stationarity": (
         Entry("equilibrium_residual", Number, "Of an independent contact solve on the final mesh, over the "
-              "largest force.", "assessment.final.residuals.equilibrium", EVERY,
+              "largest force.", "final.residuals.equilibrium", EVERY,
               heading="equil.,|assessed", digits=".1e"),
         Entry("complementarity_residual", Number, "Violation of the laws of contact and friction by that "
-              "solve, dimensionless.", "assessment.final.residuals.complementarity", EVERY,
+              "solve, dimensionless.", "final.residuals.complementarity", EVERY,
               heading="compl.,|assessed", digits=".1e"),
         Entry("own_equilibrium_residual", Number, "Of the formulation's own displacement and forces.",
               "assessment.own_residuals.equilibrium", SOLVED, heading="equil.,|own", digits=".1e"),
@@ -269,9 +267,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "assessment.own_residuals.complementarity", SOLVED, heading="compl.,|own",
               digits=".1e"),
         Entry("stationarity", Text, "The kind that was computed: KKT, or W, C, M, S, B of an MPCC.",
-              "stationarity", EVERY),
+              "assessment.first_order.stationarity", EVERY),
         Entry("stationarity_residual", Number, "First-order residual of the outer problem, over that on the "
-              "given mesh.", "stationarity_residual", SOLVED, heading="first-order|residual",
+              "given mesh.", "assessment.first_order.residual", SOLVED, heading="first-order|residual",
               digits=".1e"),
         Entry("label", Text, "With another objective than the energy: the kind in words."),
         Entry("b_stationary", bool | None, "Whether no branch of the contact descends; null: not decided."),
@@ -359,11 +357,15 @@ ENTRIES = {entry.name: entry for section in SECTIONS.values() for entry in secti
 """All entries by their names."""
 
 
-def written(solution: Solution) -> dict[str, object]:
-    """The entries that a solution has a value of."""
-    values = {entry.name: entry.value(solution) for entry in ENTRIES.values() if entry.of is not None}
-    return {
+def record(solution: Relocated) -> dict[str, Any]:
+    """The entries that a solution has a value of, as plain JSON values. NaN becomes None."""
+    terms, seconds = solution.error_terms
+    trace = replace(solution.trace, audit_time_s=solution.trace.audit_time_s + seconds)
+    timed = replace(solution, trace=trace)
+    values = {name: entry.value(timed) for name, entry in ENTRIES.items() if entry.of is not None}
+    written = {
         name: value
         for name, value in values.items()
         if value is not None or ENTRIES[name].presence is not KNOWN
     }
+    return plain({**written, **terms, **solution.details, **solution.assessment.first_order.label})

@@ -141,6 +141,36 @@ HISTORY = (*(one.name for one in fields(Step) if one.repr), "stationarity")
 """Columns of every history; those of design variables follow."""
 
 
+@dataclass(frozen=True)
+class Trace:
+    """How a solve went.
+
+    Attributes
+    ----------
+    steps : tuple of Step
+        Of all iterations.
+    iterations : int
+    work : Work
+    contact_time_s : float
+        One cold contact solve on the initial mesh with its assembly, the unit of cost.
+    build_time_s, solve_time_s, audit_time_s : float
+        Wall time by the one clock of all formulations (:class:`rmesh_nlp.optimize.budget.Budget`).
+    """
+
+    steps: tuple[Step, ...] = ()
+    iterations: int = 0
+    work: Work = Work()
+    contact_time_s: float = float("nan")
+    build_time_s: float = 0.0
+    solve_time_s: float = 0.0
+    audit_time_s: float = 0.0
+
+    @property
+    def wall_time_s(self) -> float:
+        """Build, solve and audit."""
+        return self.build_time_s + self.solve_time_s + self.audit_time_s
+
+
 def plain(value: Any) -> Any:
     """A value for JSON: numpy's as Python's, None for what is not finite, "?" for unpaired surrogates."""
     value = value.tolist() if hasattr(value, "tolist") else value

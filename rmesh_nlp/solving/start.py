@@ -10,9 +10,9 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.solving.formulation import GIVEN, first
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.solving.relocated import Relocated
 
-Start = str | Array | Solution | None
+Start = str | Array | Relocated | None
 """Node positions (2, nodes), "given", the name of a formulation, a Solution; None for the usual start."""
 
 
@@ -30,7 +30,7 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         return outer.near(), outcome.q, before.name
     if start is None or isinstance(start, str):
         return outer, outer.variables(), GIVEN
-    if isinstance(start, Solution):
+    if isinstance(start, Relocated):
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         with monitor.budget.during("build"):
             return outer.near(), q, f"solution of {start.formulation}"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
@@ -11,14 +9,13 @@ from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
+from rmesh_nlp.solving.relocated import Relocated
 
 
-def summary(solution: Any) -> Rows:
+def summary(solution: Relocated) -> Rows:
     """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
-    final, motion = (
-        solution.assessment.final,
-        np.linalg.norm(solution.mesh.p - solution.initial_nodes, axis=0),
-    )
+    final, trace, conditions = solution.final, solution.trace, solution.assessment.first_order
+    motion = np.linalg.norm(final.mesh.p - final.before, axis=0)
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
@@ -26,17 +23,17 @@ def summary(solution: Any) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
-        ("first-order residual", f"{solution.stationarity_residual:.1e}"),
+        ("first-order residual", f"{conditions.residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
         ("equilibrium residual", f"{final.residuals.equilibrium:.1e}"),
         ("complementarity residual", f"{final.residuals.complementarity:.1e}"),
         ("penetration between nodes", figure(final.penetration)),
-        ("iterations, contact solves", f"{solution.iterations}, {solution.contact_solves}"),
-        ("seconds", f"{solution.wall_time_s:.3g}"),
+        ("iterations, contact solves", f"{trace.iterations}, {trace.work.contact_solves}"),
+        ("seconds", f"{trace.wall_time_s:.3g}"),
     ]
     if final.coulomb_residual is not None:
-        before, after = solution.assessment.given.coulomb_residual, final.coulomb_residual
+        before, after = solution.given.coulomb_residual, final.coulomb_residual
         rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
     if not solution.assessment.is_same_mesh:
         rows.insert(2, ("mesh", f"{solution.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
@@ -53,7 +50,7 @@ def summary(solution: Any) -> Rows:
     return rows
 
 
-def _objective_rows(solution: Any) -> list[tuple[str, str]]:
+def _objective_rows(solution: Relocated) -> list[tuple[str, str]]:
     """Another objective than the energy, the design, and what is constrained."""
     rows: list[tuple[str, str]] = []
     assessment, surviving = solution.assessment, solution.surviving_gain
@@ -68,7 +65,7 @@ def _objective_rows(solution: Any) -> list[tuple[str, str]]:
             rows.append(("gain", gain_in_words(first, last)))
     if surviving is not None:
         rows.append(("gain left on refined meshes", f"{surviving.share:.0%} of the objective's"))
-    for variable in () if solution.designed is None else solution.designed.design:
+    for variable in () if solution.assessment.designed is None else solution.assessment.designed.design:
         if variable.name not in solution.design:
             continue
         value, (low, high) = solution.design[variable.name], variable.bounds
@@ -80,10 +77,10 @@ def _objective_rows(solution: Any) -> list[tuple[str, str]]:
     return rows + [(f"constraint {text}", quantity.in_words()) for text, quantity in constrained]
 
 
-def _energy_rows(solution: Any) -> list[tuple[str, str]]:
+def _energy_rows(solution: Relocated) -> list[tuple[str, str]]:
     """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
     of_another = solution.problem.has_coulomb and not solution.objective.startswith("energy")
-    if solution.designed is not None or of_another:
+    if solution.assessment.designed is not None or of_another:
         return []
     by_rule = f"{figure(solution.energy_initial)}, {figure(solution.energy)}"
     own = [("energies by the rule of the problem", by_rule)]
@@ -97,7 +94,7 @@ def _energy_rows(solution: Any) -> list[tuple[str, str]]:
     ]
 
 
-def contact_rows(solution: Any) -> Rows:
+def contact_rows(solution: Relocated) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
     rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS
     named = {"peak_pressure": units.stress, "contact_length": units.length}

@@ -70,7 +70,7 @@ def draw(pairs: list[Pair], edge: str, measured: Measurements | None, path: Path
                 nodes = along(end, boundary)
                 x, y = end.mesh.p[:, nodes]
                 height = y + end.displacement[1, nodes]
-                axis.plot(x, height if axis is axes[0] else end.pressure[nodes], style, **look)
+                axis.plot(x, height if axis is axes[0] else end.final.pressure[nodes], style, **look)
     if measured is not None:
         places = measured.points[1] + measured.values[1]
         axes[0].plot(measured.points[0], places, "k+", markersize=8, label="measured")

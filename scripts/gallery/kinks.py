@@ -117,7 +117,7 @@ def main(case: str, n: int = 6, picture: Path | None = None) -> dict[str, rm.Sol
         record = end.record()
         print(
             f"{name}: {record['status']}, {record['objective_initial']:.7g} -> "
-            f"{record['objective_value']:.7g}, {record['label']}, {end.iterations} iterations, "
+            f"{record['objective_value']:.7g}, {record['label']}, {end.trace.iterations} iterations, "
             f"{record['contact_solves']} contact solves, {record['kkt_factorisations']} KKT factorisations"
         )
     end = ends["nested"]

@@ -95,7 +95,7 @@ def main(
         record = end.record()
         print(
             f"{name}, start {seed or 'given'}: {end.status.value}, {record['objective_value']:.6g}, "
-            f"{record['label']}, {end.contact_solves} contact solves, "
+            f"{record['label']}, {end.trace.work.contact_solves} contact solves, "
             f"{record['kkt_factorisations']} KKT factorisations, {process_time() - began:.1f} s"
         )
         ends.append(end)
@@ -133,8 +133,8 @@ def draw(given: rm.Solution, best: rm.Solution, path: Path) -> None:
     exact = np.array([manufactured()[1](x, 0.0).full() for x in at])
     nodes = np.unique(best.mesh.facets[:, best.mesh.boundaries["bottom"]])
     for name, values, stress, color in (
-        ("pressure", best.pressure, -exact[:, 1, 1], "#0072B2"),
-        ("friction", np.abs(best.tangential_stress), exact[:, 0, 1], "#009E73"),
+        ("pressure", best.final.pressure, -exact[:, 1, 1], "#0072B2"),
+        ("friction", np.abs(best.final.tangential_stress), exact[:, 0, 1], "#009E73"),
     ):
         axes[2].plot(at, stress, color=color, linewidth=0.8, label=f"{name}, exact")
         look = {"color": color, "markersize": 4, "label": f"{name}, relocated"}

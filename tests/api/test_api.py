@@ -85,7 +85,7 @@ def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_mesh
     where = solution.problem.contact_nodes
     assert np.ptp(np.diff(line.get_xdata())) > 0
     assert np.all(np.diff(line.get_xdata()) > 0)
-    assert sorted(line.get_ydata()) == sorted(solution.pressure[where])
+    assert sorted(line.get_ydata()) == sorted(solution.final.pressure[where])
     (painted,) = solution.plot("stress").collections
     stress = stresses(solution.problem, solution.mesh.p, solution.displacement)
     np.testing.assert_array_equal(painted.get_array(), von_mises(stress))

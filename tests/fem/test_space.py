@@ -170,7 +170,7 @@ def test_a_friction_bound_may_vary_with_position() -> None:
     bound = lambda x, y: 0.1 + 0.2 * x  # noqa: E731
     solution = fixed.solve(pressed_block(Obstacle.line("bottom", (0, 0), (0, 1), friction=bound)))
     nodes = solution.problem.contact_nodes[np.argsort(solution.mesh.p[0, solution.problem.contact_nodes])]
-    x, force = solution.mesh.p[0, nodes], np.abs(solution.tangential_stress[nodes])[1:-1]
+    x, force = solution.mesh.p[0, nodes], np.abs(solution.final.tangential_stress[nodes])[1:-1]
     # the integral of g times the hat function over omega_i: for a linear g its value where the hat balances
     before, after = np.diff(x)[:-1], np.diff(x)[1:]
     limit = bound(x[1:-1] + (after**2 - before**2) / (3 * (after + before)), 0)
@@ -191,8 +191,8 @@ def test_a_held_tangent_at_a_rough_contact_node_transmits_no_friction() -> None:
     solution = fixed.solve(problem)
     corner = np.flatnonzero(np.all(problem.mesh.p == 0, axis=0))
     assert solution.success
-    assert solution.pressure[corner] > 0
-    assert solution.tangential_stress[corner] == 0
+    assert solution.final.pressure[corner] > 0
+    assert solution.final.tangential_stress[corner] == 0
 
 
 def test_von_mises_is_that_of_the_deviator() -> None:

@@ -60,7 +60,7 @@ def test_relocation_without_move_limits_and_what_the_record_and_the_steps_say_of
     assert all(math.isfinite(step.dual_residual) for step in seen)
     assert seen[0].dual_residual == pytest.approx(1.0)  # the mesh as given
     # by the measure of records, and of the mesh that the step is on
-    assert seen[-1].dual_residual == pytest.approx(solution.stationarity_residual, rel=1e-6)
+    assert seen[-1].dual_residual == pytest.approx(solution.assessment.first_order.residual, rel=1e-6)
     assert seen[-1].energy_given == pytest.approx(solution.energy_initial)
 
 
@@ -162,7 +162,7 @@ def test_a_limit_on_a_coarse_mesh_takes_its_map_to_the_given_one() -> None:
     assert (solution.status, row["valid"]) == (Status.ITERATION_LIMIT, True)
     assert [level["nodes"] for level in row["cascade"]] == [16]
     assert np.min(signed_areas(solution.mesh.p, problem.triangles)) > 0
-    assert solution.gain_audited > 0
+    assert solution.assessment.gain_audited > 0
 
 
 @pytest.mark.slow
@@ -172,8 +172,8 @@ def test_from_its_end_newton_comes_to_a_stationary_point_in_as_few_solves() -> N
     first = rm.solve(problem, "cascade")
     solution = rm.solve(problem, start=first)
     assert first.status is not solution.status is Status.CONVERGED
-    assert solution.stationarity_residual <= 1e-6
-    assert solution.contact_solves <= 2 * first.contact_solves
+    assert solution.assessment.first_order.residual <= 1e-6
+    assert solution.trace.work.contact_solves <= 2 * first.trace.work.contact_solves
     assert solution.energy_audited < first.energy_audited
 
 

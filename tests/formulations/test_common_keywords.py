@@ -55,7 +55,7 @@ def test_a_limit_of_iterations_holds_and_is_said(formulation: Any, problem: Any)
     steps: list[Step] = []
     solution = formulation.solve(problem, limits={"iterations": 2}, tolerance=1e-5, on_step=steps.append)
     assert solution.status is Status.ITERATION_LIMIT
-    assert solution.iterations == steps[-1].iteration == 2
+    assert solution.trace.iterations == steps[-1].iteration == 2
     assert solution.valid
     assert solution.energy < solution.energy_initial
     record = solution.record()
@@ -130,7 +130,7 @@ def test_starts_are_positions_names_and_solutions(formulation: Any) -> None:
     for start, name in (*starts, ("fixed", "fixed"), ("given", "given")):
         solution = formulation.solve(SMALL, start=start)
         assert (solution.start, solution.success) == (name, True)
-    assert formulation.solve(SMALL, start=end).iterations <= end.iterations + 20
+    assert formulation.solve(SMALL, start=end).trace.iterations <= end.trace.iterations + 20
 
 
 @pytest.mark.parametrize(

@@ -105,7 +105,7 @@ def test_a_triangle_that_its_arc_folds_has_no_energy(order: int) -> None:
 def test_relocation_of_order_2_beside_a_hole_is_not_lost_in_folded_triangles() -> None:
     solution = joint.solve(replace(plate({"hole": HOLE}), order=2))
     assert solution.status is Status.CONVERGED
-    assert solution.gain_audited > 0.03
+    assert solution.assessment.gain_audited > 0.03
 
 
 ELLIPSE = Parametrised(lambda t: 2 * ca.cos(t), lambda t: ca.sin(t), (0.0, 2 * np.pi), closed=True)

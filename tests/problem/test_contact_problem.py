@@ -297,7 +297,7 @@ def test_compressed_block_between_two_plates_has_its_closed_form() -> None:
     stress = 4 * mu * (lam + mu) / (lam + 2 * mu) * 0.04
     for name in ("bottom", "top"):
         nodes = problem.boundary_nodes((name,))
-        np.testing.assert_allclose(solution.pressure[nodes], stress, rtol=1e-9)
+        np.testing.assert_allclose(solution.final.pressure[nodes], stress, rtol=1e-9)
     assert solution.energy == pytest.approx(stress * 0.04 / 2, rel=1e-9)
     parts = penetrations(DisplacementSpace(problem), problem.mesh.p, solution.displacement)
     assert deepest(parts) < 1e-12

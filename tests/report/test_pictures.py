@@ -163,7 +163,7 @@ def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
     titles = [axis.get_title() for axis in drawn["mesh"].axes[:2]]
     assert titles == ["first design", "last design"]
     first, last = (line.get_ydata() for line in drawn["pressure"].axes[0].lines)
-    assert np.max(last) == pytest.approx(solution.pressure.max())
-    expected = fixed.solve(problem.at_design(), objective="area").pressure
+    assert np.max(last) == pytest.approx(solution.final.pressure.max())
+    expected = fixed.solve(problem.at_design(), objective="area").final.pressure
     assert np.max(first) == pytest.approx(expected.max(), rel=1e-9)
     assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)

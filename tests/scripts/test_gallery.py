@@ -45,7 +45,7 @@ def test_contact_of_a_disc_is_that_of_hertz() -> None:
     needs_gmsh()
     end = rm.solve(of_file("hertz"), "joint")
     nodes = end.problem.contact_nodes
-    x, pressure = end.mesh.p[0, nodes], end.pressure[nodes]
+    x, pressure = end.mesh.p[0, nodes], end.final.pressure[nodes]
     load = 2 * pressure @ DisplacementSpace(end.problem).weights(np.asarray(end.mesh.p))
     a = np.sqrt(4 * load * (1 - 0.3**2) / (np.pi * 1000))
     slope, square = np.polyfit(x[pressure > 0] ** 2, pressure[pressure > 0] ** 2, 1)
@@ -63,7 +63,7 @@ def test_the_shaped_punch_has_a_lower_peak_by_both_formulations() -> None:
     assert mpcc.success
     assert nested.record()["objective_value"] == pytest.approx(mpcc.record()["objective_value"], rel=1e-4)
     # the load, and with it the mean, is given: what the middle is spared the rest must carry
-    assert nested.pressure.max() < 0.9 * before.pressure.max()
+    assert nested.final.pressure.max() < 0.9 * before.final.pressure.max()
 
 
 @pytest.mark.slow
@@ -134,8 +134,8 @@ def designed(name: str, folder: Path, edge: str = "bottom") -> tuple[rm.Solution
 @pytest.mark.slow
 def test_the_face_of_the_punch_levels_its_pressure(tmp_path: Path) -> None:
     for flat, shaped in designed("level_punch", tmp_path)[1]:
-        assert flat.pressure.max() > 2 * 10
-        assert shaped.pressure.max() < 1.05 * 10
+        assert flat.final.pressure.max() > 2 * 10
+        assert shaped.final.pressure.max() < 1.05 * 10
 
 
 @pytest.mark.slow
@@ -150,7 +150,7 @@ def test_modulus_friction_and_gap_are_identified(tmp_path: Path) -> None:
 def test_the_seal_spreads_its_closing_force(tmp_path: Path) -> None:
     found, pairs = designed("closing_force", tmp_path)
     for first, best in pairs:
-        assert best.pressure.max() < 0.75 * first.pressure.max()
+        assert best.final.pressure.max() < 0.75 * first.final.pressure.max()
         assert best.record()["resultant"] == pytest.approx(4.0, rel=5e-3)
     assert found.design["lip"] > 9 * found.design["core"]  # a stiff lip on a soft core
 

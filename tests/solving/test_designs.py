@@ -93,7 +93,7 @@ def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
 def test_a_solve_goes_on_from_a_design() -> None:
     first = lifted()
     again = rm.solve(column(LIFT), "nested", objective=PRESCRIBED, start=first)
-    assert again.iterations < first.iterations
+    assert again.trace.iterations < first.trace.iterations
     assert again.design["lift"] == pytest.approx(first.design["lift"], rel=1e-6)
 
 

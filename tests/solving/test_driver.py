@@ -39,17 +39,17 @@ def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactPro
     solution = solve(problem, Alternating(first_step=0.1), tolerance=3e-2, on_step=seen.append)
     record = solution.record()
     assert solution.status is Status.CONVERGED
-    assert solution.gain_audited > 0.9 * solved("joint", "6.2", (4, 2)).gain_audited
+    assert solution.assessment.gain_audited > 0.9 * solved("joint", "6.2", (4, 2)).assessment.gain_audited
     assert (record["formulation"], record["start"]) == ("alternating", "given")
     assert record["settings"] == {"first_step": 0.1}
     for steps in (seen, solution.history):
-        assert [step.iteration for step in steps] == list(range(solution.iterations + 1))
-    assert solution.history[-1].dual_residual == pytest.approx(solution.stationarity_residual)
+        assert [step.iteration for step in steps] == list(range(solution.trace.iterations + 1))
+    assert solution.history[-1].dual_residual == pytest.approx(solution.assessment.first_order.residual)
     np.testing.assert_array_equal(seen[0].q, 0.0)
     assert all(step.q is None for step in solution.history)
     assert np.all(np.diff([step.contact_solves for step in seen]) >= 0)
-    assert solution.contact_solves >= solution.iterations
-    assert min(solution.build_time_s, solution.solve_time_s, solution.audit_time_s) > 0
+    assert solution.trace.work.contact_solves >= solution.trace.iterations
+    assert min(solution.trace.build_time_s, solution.trace.solve_time_s, solution.trace.audit_time_s) > 0
 
 
 @pytest.mark.parametrize(
@@ -60,10 +60,10 @@ def test_a_formulation_of_one_s_own_has_all_that_others_have(problem: ContactPro
 def test_limits_hold_for_it_and_for_what_wraps_it(problem, limits, status, around) -> None:
     solution = solve(problem, around(Alternating()), limits=limits)
     assert (solution.status, solution.success) == (status, True)
-    assert solution.iterations == (limits.iterations or 0)
+    assert solution.trace.iterations == (limits.iterations or 0)
     assert solution.record()["limits"] == limits.changed()
-    assert solution.gain_audited >= 0
-    assert (solution.gain_audited > 0) == (status is Status.ITERATION_LIMIT)
+    assert solution.assessment.gain_audited >= 0
+    assert (solution.assessment.gain_audited > 0) == (status is Status.ITERATION_LIMIT)
 
 
 @pytest.mark.parametrize("during", ["reduced_error", "surviving_gain"])
@@ -88,7 +88,7 @@ def test_ctrl_c_is_not_lost_where_its_exception_is_swallowed(problem: ContactPro
                 signal.raise_signal(signal.SIGINT)
 
     solution = solve(problem, Alternating(), on_step=press)
-    assert (solution.status, solution.success, solution.iterations) == (Status.INTERRUPTED, True, 2)
+    assert (solution.status, solution.success, solution.trace.iterations) == (Status.INTERRUPTED, True, 2)
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
@@ -136,7 +136,7 @@ def test_a_formulation_begins_where_the_one_that_is_named_ended(problem: Contact
     ((outer, q),) = begun
     assert outer.is_near
     np.testing.assert_allclose(outer.nodes(q), first.mesh.p, atol=1e-12)
-    assert (then.start, then.iterations) == ("joint", first.iterations)
+    assert (then.start, then.trace.iterations) == ("joint", first.trace.iterations)
 
 
 @pytest.mark.parametrize(

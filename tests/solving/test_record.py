@@ -28,7 +28,7 @@ from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
-from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Work, plain
+from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Trace, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.summary import contact_rows
@@ -50,7 +50,8 @@ def solution() -> Solution:
 def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     assessment = solution.assessment
     made = replace(
-        solution, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0, seed=5,
+        solution, seed=5,
+        trace=replace(solution.trace, build_time_s=1.0, solve_time_s=20.0, audit_time_s=300.0),
         details={"own": np.float64(2.5)}, limits=Limits(iterations=9),
         assessment=replace(
             assessment,
@@ -73,7 +74,7 @@ def test_figures_are_those_of_the_solution(solution: Solution) -> None:
     assert record["limits"] == {"iterations": 9}
     rows = dict(made.summary())
     assert rows["audited gain"].endswith("(12.5 %)")
-    assert rows["iterations, contact solves"] == f"{made.iterations}, {made.contact_solves}"
+    assert rows["iterations, contact solves"] == f"{made.trace.iterations}, {made.trace.work.contact_solves}"
     motion = np.linalg.norm(made.mesh.p - made.problem.mesh.p, axis=0).max()
     assert float(rows["largest motion"]) == pytest.approx(motion, rel=1e-3)
     pulls = solution.multipliers
@@ -176,8 +177,8 @@ def test_values_become_plain() -> None:
 def test_work_is_added_up_and_what_was_not_counted_is_not_in_the_record(solution: Solution) -> None:
     total = Work(1, 1, 5) + Work(2, 3, 0, 7)
     assert total == Work(3, 4, 5, 7) + Work()
-    assert vars(total).items() <= replace(solution, work=total).record().items()
-    row = replace(solution, work=Work(8, 0, 1)).record()
+    assert vars(total).items() <= replace(solution, trace=Trace(work=total)).record().items()
+    row = replace(solution, trace=Trace(work=Work(8, 0, 1))).record()
     assert (row["contact_solves"], row["contact_factorisations"]) == (8, 1)
     assert not row.keys() & {"cold_contact_solves", "kkt_factorisations"}
 
@@ -293,16 +294,16 @@ def test_fields_are_values_at_the_points_of_nodes_and_approach_the_solution(orde
         x, y = space.points(np.asarray(solution.mesh.p))
         wanted = np.array([float(signorini.exact(*at)) for at in zip(x, y, strict=True)])
         assert solution.displacement.shape == (1, space.n_nodes)
-        assert solution.pressure.shape == solution.tangential_stress.shape == (space.n_nodes,)
+        assert solution.final.pressure.shape == solution.final.tangential_stress.shape == (space.n_nodes,)
         off = np.abs(solution.displacement[0] - wanted)
         given = (np.abs(x) > 1 - 1e-9) | (y > 1 - 1e-9)
         assert np.max(off[given]) < 1e-12  # at middles of edges as at vertices
-        assert np.min(solution.pressure) >= 0
+        assert np.min(solution.final.pressure) >= 0
         # of the edge in which contact ends half the force goes to the vertex beyond, linear from there on
-        assert not np.any(solution.pressure[(y > 0) | (x > 3 / (2 * n + 1) - 1e-9)])
+        assert not np.any(solution.final.pressure[(y > 0) | (x > 3 / (2 * n + 1) - 1e-9)])
         # away from the end of contact
         contact = (y == 0) & (x > -1 + 1e-9) & (x < -0.25)
-        force = np.abs(solution.pressure - 1.5 * np.sqrt(np.abs(x)))
+        force = np.abs(solution.final.pressure - 1.5 * np.sqrt(np.abs(x)))
         errors.append((np.max(off), np.max(force[contact])))
     assert np.all(np.array(errors[1]) < np.array(errors[0]) / 2.5)
     assert errors[1][1] < (0.005, 0.006)[order - 1]  # of order 2 forces are shared by whole edges
@@ -373,11 +374,11 @@ def test_a_record_has_the_terms_and_their_time_and_a_broken_mesh_has_none(
     found = solved("fixed", "6.1", 4)
     record, terms = found.record(), error_terms(found.problem, found.mesh.p)
     assert record.items() >= terms.items()
-    assert found.record()["audit_time_s"] == record["audit_time_s"] > found.audit_time_s
-    assert record["wall_time_s"] - found.wall_time_s == pytest.approx(
-        record["audit_time_s"] - found.audit_time_s
+    assert found.record()["audit_time_s"] == record["audit_time_s"] > found.trace.audit_time_s
+    assert record["wall_time_s"] - found.trace.wall_time_s == pytest.approx(
+        record["audit_time_s"] - found.trace.audit_time_s
     )
-    monkeypatch.setattr("rmesh_nlp.solving.solution.error_terms", lambda *_: pytest.fail("it was evaluated"))
+    monkeypatch.setattr("rmesh_nlp.solving.relocated.error_terms", lambda *_: pytest.fail("it was evaluated"))
     inverted = replace(found.assessment.final, min_area_ratio=0.0)
     broken = replace(found, assessment=replace(found.assessment, final=inverted))
     assert broken.record()["status"] == "invalid_mesh"

@@ -119,9 +119,11 @@ def test_a_schedule_goes_on_from_the_last_end_and_counts_all_weights(problem: Co
     wanted = [regularised(gain, weight, "shape-size").text for weight in (1.0, 0.1, 0.0)]
     assert texts == wanted
     assert wanted[-1] == solution.objective == "energy"
-    assert solution.iterations == steps[-1].iteration == 1 + 2 + 3
+    assert solution.trace.iterations == steps[-1].iteration == 1 + 2 + 3
     spent = sum(outer.energy.contact_solves for outer, _ in script.begun)
-    assert solution.contact_solves == spent + 2 == 8  # two for the estimate that weights are relative to
+    assert (
+        solution.trace.work.contact_solves == spent + 2 == 8
+    )  # two for the estimate that weights are relative to
 
 
 def pressed(*_: Any) -> Any:
@@ -142,18 +144,18 @@ class TestRemeshed:
         assert (outer.is_near, np.any(q)) == (True, False)
         assert abs(nodes - 27) <= 2
         counts, energies = row["remeshed_nodes"], row["remeshed_energies"]
-        assert solution.contact_solves == len(counts)  # the script counts none
+        assert solution.trace.work.contact_solves == len(counts)  # the script counts none
         assert counts[-1] == nodes or min(energies) < energies[-1]
-        np.testing.assert_array_equal(solution.initial_nodes, outer.problem.mesh.p)
+        np.testing.assert_array_equal(solution.final.before, outer.problem.mesh.p)
         assert solution.energy_initial == pytest.approx(Outer.of(given).contact.given.energy, rel=1e-12)
-        assert solution.gain_audited > 0
+        assert solution.assessment.gain_audited > 0
         assert solution.problem.mesh.boundaries.keys() == given.mesh.boundaries.keys()
 
     def test_ctrl_c_keeps_the_new_mesh(self, given: ContactProblem) -> None:
         inner = Ends(lambda outer, q, monitor: monitor.track(outer).exact(1, q) or pressed())
         solution = solve(given, Remeshed(inner))
         assert (solution.status, solution.success) == (Status.INTERRUPTED, True)
-        assert solution.gain_audited > 0
+        assert solution.assessment.gain_audited > 0
 
     def test_gain_and_audit_are_those_of_all_rounds(self, given: ContactProblem, monkeypatch) -> None:
         """From the mesh as given to one that suits the solution, whose energy is lower."""

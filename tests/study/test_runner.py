@@ -68,7 +68,8 @@ def test_repeats_are_bare_and_their_times_medians_with_a_range(one, count, monke
         solution, k = honest(*given, **options), len(runs)
         runs.append(options["certify"])
         seconds = {"build_time_s": [3.0, 1.0, 2.0][k], "solve_time_s": 1.0, "contact_time_s": float("nan")}
-        return replace(solution, is_interrupted=k + 1 == count < 3, **seconds)
+        trace = replace(solution.trace, **seconds)
+        return replace(solution, is_interrupted=k + 1 == count < 3, trace=trace)
 
     monkeypatch.setattr(runner.driver, "solve", solve)
     row = perform(replace(one, certify=True, repeats=3)).row
