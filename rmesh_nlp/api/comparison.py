@@ -17,8 +17,8 @@ from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, check_t
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.plan import compared
 from rmesh_nlp.solving.solution import Solution
+from rmesh_nlp.study.engine import ended
 from rmesh_nlp.study.plan import planned
-from rmesh_nlp.study.runner import perform
 
 # what is shown first; the whole records are beside them
 ENERGIES = ("energy_initial_audited", "energy_audited", "gain_audited")
@@ -119,13 +119,15 @@ def compare(
     names = [one if isinstance(one, str) else described(one) for one in formulations]
     if len(set(names)) < len(names):
         raise BadInputError(f"a formulation is named twice in {names}")
+    plan = [
+        planned(problem, name, taken(one, options), made=None if isinstance(one, str) else one)
+        for one, name in zip(formulations, names, strict=True)
+    ]
     solutions, records = {}, []
-    for one, name in zip(formulations, names, strict=True):
-        is_object = not isinstance(one, str)
-        done = perform(planned(problem, name, taken(one, options), made=one if is_object else None))
-        records.append({**done.row, "variant": name} if is_object else done.row)
+    for solve, done in ended(plan):
+        records.append(done.row if solve.made is None else {**done.row, "variant": solve.formulation})
         if done.solution is not None:
-            solutions[name] = done.solution
+            solutions[solve.formulation] = done.solution
     return Comparison(solutions, tuple(records), tuple(names))
 
 

@@ -184,7 +184,7 @@ def compare(
     with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))) as results:
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
             watched: dict[str, Any] = {"on_start": progress.start, "on_step": progress.step}
-            solved = comparison.run(plan, results, resume=resume, locked=True, jobs=jobs, **watched)
+            solved = comparison.run(plan, results, resume=resume, jobs=jobs, **watched)
             try:
                 with notes(DamagedRecordsWarning, "rmesh: warning"):
                     for row in solved:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,27 +14,23 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import Delta, Size
 from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.io.folder import folder_aside, remove_leftovers
+from rmesh_nlp.io.folder import folder_aside
 from rmesh_nlp.io.problem_file import load_problem, read_table
 from rmesh_nlp.io.records import Record
-from rmesh_nlp.io.results import RECORDS, TABLES, Result, Results
+from rmesh_nlp.io.results import RECORDS, TABLES, Results
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.settings import from_texts
 from rmesh_nlp.solving.formulation import check_taken, checked, taken
-from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.solving.plan import COMPARED, compared
 from rmesh_nlp.study import engine
 from rmesh_nlp.study.plan import PlannedSolve, build_example, planned
-from rmesh_nlp.study.runner import INTERRUPTED, perform
+from rmesh_nlp.study.runner import INTERRUPTED
 
 SUFFIX = ".toml"  # end of the name of a problem file
 REFINEMENTS = 2  # uniform refinements that the problem of a file is compared with
 LARGEST = 20_000  # nodes that they may have
-
-Ended = tuple[PlannedSolve, Record, Callable[[Result], object]]
-"""A solve, its row, and what puts its fields and history into their places."""
 
 
 def plan_comparison(
@@ -145,10 +139,8 @@ def run(
     results: Results,
     *,
     resume: bool = False,
-    locked: bool = False,
     jobs: int = 1,
-    on_start: Callable[[PlannedSolve], object] = lambda solve: None,
-    on_step: OnStep | None = None,
+    **watched: Any,
 ) -> Iterator[Record]:
     """Solve and yield each row once it is on the disk, those that are there already first.
 
@@ -156,29 +148,28 @@ def run(
     before. With ``resume`` it stays, and what succeeded there is not solved again, unless
     its fields or history are missing.
 
-    The lock of the folder is taken unless the caller holds it (``locked``). One job solves in this process,
-    with ``on_start`` called before each solve and ``on_step`` after each of its iterations; several are
-    processes of their own. After the row of an interrupted solve a KeyboardInterrupt is raised.
+    The caller holds the lock of the folder. One job solves in this process and is ``watched`` by ``on_start``
+    and ``on_step`` of :func:`rmesh_nlp.study.engine.ended`; several are processes of their own. After the row
+    of an interrupted solve a KeyboardInterrupt is raised.
     """
     keys = [solve.key for solve in plan]
     if key := _twice(keys):
         raise BadInputError(f"two cases are both called {key!r}")
     results.folder.mkdir(parents=True, exist_ok=True)
-    with nullcontext() if locked else results.locked():
-        remove_leftovers(results.folder)
-        manifest = results.manifest
-        manifest.check([RECORDS, *TABLES, *(name for key in keys for name in results.names(key))])
-        rows = results.repaired() if resume else []
-        done = _finished(plan, rows, results)
-        yield from done.values()
-        todo, clean = [solve for solve in plan if solve.key not in done], resume
-        ended = _side_by_side(todo, results, jobs) if jobs > 1 else _here(todo, on_start, on_step)
-        for solve, row, save in ended:
+    manifest = results.manifest
+    manifest.check([RECORDS, *TABLES, *(name for key in keys for name in results.names(key))])
+    rows = results.repaired() if resume else []
+    finished = _finished(plan, rows, results)
+    yield from finished.values()
+    todo, clean = [solve for solve in plan if solve.key not in finished], resume
+    with folder_aside(results.folder) if jobs > 1 else nullcontext() as aside:
+        for solve, done in engine.ended(todo, aside, jobs, **watched):
+            row = done.row if "asked" in done.row else {**done.row, **solve.identity}
             if not clean:
                 manifest.set_aside()
                 clean = True
             manifest.claim(*results.names(solve.key))
-            save(results.result(row))
+            done.save(results.result(row))
             others = [other for other in rows if other.get("key") != solve.key]
             if len(others) < len(rows):
                 results.replace_all([*others, row])
@@ -188,34 +179,6 @@ def run(
             yield row
             if row["status"] == INTERRUPTED:
                 raise KeyboardInterrupt
-
-
-def _here(
-    plan: Sequence[PlannedSolve], on_start: Callable[[PlannedSolve], object], on_step: OnStep | None
-) -> Iterator[Ended]:
-    for solve in plan:
-        on_start(solve)
-        done = perform(solve, on_step)
-        yield solve, done.row, done.save
-
-
-def _side_by_side(plan: Sequence[PlannedSolve], results: Results, jobs: int) -> Iterator[Ended]:
-    """In processes of their own, which keep fields aside."""
-    with folder_aside(results.folder) as aside:
-        for solve, row in engine.rows_here(plan, aside, jobs, unwritten=True):
-            if "asked" not in row:  # of a process that was killed less is known
-                row = {**row, **solve.identity}
-            yield solve, row, partial(_move, Results(aside).result(row))
-
-
-def _move(files: Result, places: Result) -> None:
-    """Put what a worker wrote aside into place; a solve that raised has none, and removes older files."""
-    for source, target in ((files.vtu, places.vtu), (files.history, places.history)):
-        if source.exists():
-            target.parent.mkdir(exist_ok=True)
-            os.replace(source, target)
-        else:
-            target.unlink(missing_ok=True)
 
 
 def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Results) -> dict[str, Record]:

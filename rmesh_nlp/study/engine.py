@@ -1,4 +1,8 @@
-"""Plans to rows: by processes of this machine, or on a cluster that is there (dask.distributed)."""
+"""Plans to rows: in this process, in others of this machine, or on a cluster (dask.distributed).
+
+``rm.compare``, ``rmesh compare`` and ``rmesh study`` take what :func:`ended` yields and keep it where each of
+them keeps its rows.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +11,7 @@ import concurrent.futures
 import logging
 import signal
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from queue import SimpleQueue
@@ -15,12 +19,14 @@ from typing import Any
 
 from rmesh_nlp.errors import BadInputError, one_line
 from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.results import Results
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.process import PATIENCE_S
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.solving.monitor import OnStep
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import RowsFile, keys_of, set_failures_aside, wait_for_workers
-from rmesh_nlp.study.runner import failure
+from rmesh_nlp.study.runner import Done, failure, perform
 from rmesh_nlp.study.worker import Worker, task
 
 NO_CLUSTER = (OSError, ValueError, RuntimeError, asyncio.TimeoutError, concurrent.futures.TimeoutError)
@@ -62,29 +68,39 @@ def run(
     if retry_failed:
         set_failures_aside(folder, {solve.key for solve in plan})
     todo = missing(plan, folder)
-    if scheduler is None:
-        for _, done in rows_here(todo, folder, jobs):
-            yield done
-        return
-    rows = RowsFile(folder)
-    for solve, row in _distributed_rows(todo, folder, scheduler):
-        if row is not None:
-            yield row
-            continue
-        lost = failure(solve, "died", "its worker was lost more often than a solve is tried")
-        lost |= {"worker": rows.name, "shared": True}
-        with rows.working():
-            rows.append(lost)
-        yield lost
+    for _, done in ended(todo, folder, jobs, scheduler):
+        yield done.row
 
 
-def rows_here(
-    plan: Sequence[PlannedSolve], folder: Path, jobs: int, *, unwritten: bool = False
-) -> Iterator[tuple[PlannedSolve, Record]]:
-    """Solves with their rows as they end, by so many processes, each watched by a worker in a thread.
+Ended = Iterator[tuple[PlannedSolve, Done]]
+"""Solves with what came of them, as they end."""
 
-    Workers write the rows, unless they are ``unwritten`` for the caller to write.
+
+def ended(
+    plan: Sequence[PlannedSolve],
+    folder: Path | None = None,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    on_start: Callable[[PlannedSolve], object] = lambda solve: None,
+    on_step: OnStep | None = None,
+) -> Ended:
+    """Perform a plan in this process, in whose order solves end; with a folder of workers in others.
+
+    Workers write rows and fields to the ``folder``. ``on_start`` and ``on_step`` hear of this process alone.
     """
+    if folder is None:
+        for solve in plan:
+            on_start(solve)
+            yield solve, perform(solve, on_step)
+    elif scheduler is None:
+        yield from _by_workers(plan, folder, jobs)
+    else:
+        for solve, row in _distributed_rows(plan, folder, scheduler):
+            yield solve, Done(_lost(solve, folder) if row is None else row)
+
+
+def _by_workers(plan: Sequence[PlannedSolve], folder: Path, jobs: int) -> Ended:
+    """By so many processes, each watched by a worker in a thread."""
     session, idle, count = Budget(), SimpleQueue[Worker](), min(jobs, len(plan))
     if not count:
         return
@@ -92,7 +108,7 @@ def rows_here(
     def solved(solve: PlannedSolve) -> Record:
         worker = idle.get()
         try:
-            return worker.row(solve) if unwritten else worker.perform(solve)
+            return worker.perform(solve)
         finally:
             idle.put(worker)
 
@@ -102,7 +118,8 @@ def rows_here(
         try:
             solve_of = {pool.submit(solved, solve): solve for solve in plan}
             for future in concurrent.futures.as_completed(solve_of):
-                yield solve_of[future], future.result()
+                row = future.result()
+                yield solve_of[future], Done(row, aside=Results(folder).result(row))
         finally:  # after Ctrl-C nothing goes on
             session.stopped = Status.INTERRUPTED
             pool.shutdown(wait=False, cancel_futures=True)
@@ -111,7 +128,7 @@ def rows_here(
 def _distributed_rows(
     plan: Sequence[PlannedSolve], folder: Path, scheduler: str
 ) -> Iterator[tuple[PlannedSolve, Record | None]]:
-    """Solves with their rows as they end; None where the worker was lost for good."""
+    """By the workers of a cluster; None where one was lost for good."""
     if not plan:
         return
     try:
@@ -140,6 +157,16 @@ def _distributed_rows(
                 yield solve, None
             else:
                 raise BadInputError(f"a worker cannot work: {one_line(future.exception())}")
+
+
+def _lost(solve: PlannedSolve, folder: Path) -> Record:
+    """Write the row of a solve whose worker was lost for good."""
+    rows = RowsFile(folder)
+    row = failure(solve, "died", "its worker was lost more often than a solve is tried")
+    row |= {"worker": rows.name, "shared": True}
+    with rows.working():
+        rows.append(row)
+    return row
 
 
 @contextmanager

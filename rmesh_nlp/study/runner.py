@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
@@ -27,21 +28,28 @@ TIMES = ("build_time_s", "solve_time_s", "audit_time_s", "wall_time_s", "contact
 
 @dataclass(frozen=True)
 class Done:
-    """The row of a solve, and its solution unless it raised."""
+    """The row of a solve, and its solution unless it raised or was solved in another process.
+
+    That process has put fields and history ``aside``.
+    """
 
     row: Record
     solution: Solution | None = None
+    aside: Result | None = None
 
     def save(self, places: Result) -> None:
-        """Write fields and history; a solve that raised has none, and removes older ones."""
-        solution = self.solution
-        if solution is None:
+        """Put fields and history in place; a solve that raised has none, and removes older ones."""
+        if (solution := self.solution) is not None:
+            write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
+            rows = [step.row() for step in solution.history]
+            write_whole(places.history, lambda path: write_history(path, rows))
+        elif self.aside is not None and self.aside.is_whole:
+            places.vtu.parent.mkdir(exist_ok=True)
+            os.replace(self.aside.vtu, places.vtu)
+            os.replace(self.aside.history, places.history)
+        else:
             places.vtu.unlink(missing_ok=True)
             places.history.unlink(missing_ok=True)
-            return
-        write_whole(places.vtu, lambda path: write_solution(solution, path, "vtu"))
-        rows = [step.row() for step in solution.history]
-        write_whole(places.history, lambda path: write_history(path, rows))
 
 
 def perform(solve: PlannedSolve, on_step: OnStep | None = None) -> Done:

@@ -8,13 +8,12 @@ from pathlib import Path
 import pytest
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io.folder import folder_lock
 from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
 from rmesh_nlp.study.comparison import plan_comparison, run
 from rmesh_nlp.study.contained import Contained
-from rmesh_nlp.study.runner import failure, perform
+from rmesh_nlp.study.runner import Done, failure, perform
 from support.planted import plant, raising
 from support.problem_files import VALID
 
@@ -158,8 +157,6 @@ def test_two_solves_of_one_key_or_what_is_in_the_way_are_found_before_anything_i
     for solves, said in (([plan[0], plan[0]], r"6\.2-4x2-fixed"), (plan, "solutions is a file")):
         with pytest.raises(BadInputError, match=said):
             list(run(solves, Results(tmp_path), on_start=lambda _: pytest.fail("it began to solve")))
-    with folder_lock(tmp_path), pytest.raises(BadInputError, match="written by another"):
-        next(run(plan, Results(tmp_path)))
 
 
 def test_a_failure_an_interrupted_solve_and_one_without_its_files_are_solved_again(plan, ran):
@@ -223,7 +220,7 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, mon
         done = perform(solve)
         return replace(done, row={**done.row, "status": "interrupted"})
 
-    monkeypatch.setattr(comparison, "perform", stopped)
+    monkeypatch.setattr(engine, "perform", stopped)
     rows = run(plan, Results(tmp_path))
     assert next(rows)["status"] == "interrupted"
     with pytest.raises(KeyboardInterrupt):
@@ -237,13 +234,14 @@ def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, m
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
     got, contained = [], Contained(None, None)
 
-    def rows_of(todo, folder, jobs, *, unwritten):
+    def by_workers(todo, folder, jobs):
         for one in todo:
             got.append(one.key)
             is_lost = one.formulation != "auto"
-            yield one, failure(one, "died", "killed") if is_lost else contained.solve(one, folder)
+            row = failure(one, "died", "killed") if is_lost else contained.solve(one, folder)
+            yield one, Done(row, aside=Results(folder).result(row))
 
-    monkeypatch.setattr(engine, "rows_here", rows_of)
+    monkeypatch.setattr(engine, "_by_workers", by_workers)
     more = [planned("auto"), planned("joint")]
     *_, auto, lost = run([*plan, *more], Results(ran), resume=True, jobs=2)
     contained.solve(replace(plan[1], fields=False), ran / "bare")
