@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -11,33 +12,53 @@ Place = tuple[str | int, ...]
 
 
 class BadInputError(ValueError):
-    """Something given by the user cannot be used; the message is one line and names it."""
+    """Something given by the user cannot be used; the message is one line and names it.
+
+    ``place`` says where it stands, as far as that is known: the name of an argument in Python, or in a
+    problem file names of tables and numbers of lists, such as ``("contact", 0, "friction")``.
+    """
+
+    def __init__(self, message: str, place: str | Place = ()) -> None:
+        super().__init__(message)
+        self.place: Place = (place,) if isinstance(place, str) else place
 
 
 class InterruptedSolveError(Exception):
     """The user interrupted a solve; the message says what is kept."""
 
 
+def require(holds: object, name: str, must: str, value: object) -> None:
+    """Refuse the value of an argument, which ``must`` do something, unless that holds."""
+    if not holds:
+        raise BadInputError(f"{name} must {must}, got {one_line(repr(value))[:60]}", name)
+
+
 def expect(name: str, value: object, kind: type, hint: str = "") -> None:
     """Refuse what is of another kind."""
-    if not isinstance(value, kind):
-        raise BadInputError(f"{name} must be {kind.__name__}{hint}, got {one_line(repr(value))[:60]}")
+    require(isinstance(value, kind), name, f"be {kind.__name__}{hint}", value)
 
 
 def expect_list(name: str, value: object, of: str) -> None:
     """Refuse what is no list; a text is none."""
-    if isinstance(value, str) or not isinstance(value, Sequence):
-        raise BadInputError(f"{name} must be a list of {of}, got {one_line(repr(value))[:60]}")
+    is_list = isinstance(value, Sequence) and not isinstance(value, str)
+    require(is_list, name, f"be a list of {of}", value)
 
 
-def unknown(what: str, name: str, known: Iterable[str], otherwise: str = "choose from none") -> BadInputError:
+def expect_path(path: object) -> None:
+    """Refuse what names no file."""
+    require(isinstance(path, (str, os.PathLike)), "path", "be the name of a file", path)
+
+
+def unknown(
+    what: str, name: object, known: Iterable[str], otherwise: str = "choose from none"
+) -> BadInputError:
     """The error for a name that is not known, with the nearest one that is, or ``otherwise`` if none is."""
     names = list(known)
     if not names:
-        return BadInputError(f"unknown {what} {name!r}: {otherwise}")
-    near = difflib.get_close_matches(name, names, n=1)
+        return BadInputError(f"unknown {what} {name!r}: {otherwise}", what)
+    near = difflib.get_close_matches(str(name), names, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
-    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}")
+    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}", what)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -58,21 +79,14 @@ def located(place: object, kinds: tuple[type[Exception], ...] = (ValueError,)) -
     try:
         yield
     except kinds as error:
-        raise BadInputError(f"{place}: {one_line(error)}") from error
+        raise BadInputError(f"{place}: {one_line(error)}", getattr(error, "place", ())) from error
 
 
 class ProblemError(BadInputError):
-    """A problem that contradicts itself.
-
-    ``place`` says where its cause stands in a problem file, as far as that is known: the name of a table
-    alone, or with what is inside of it, such as ``("contact", 0, "friction")`` for the first obstacle.
-    ``part`` is the table.
-    """
+    """A problem that contradicts itself."""
 
     def __init__(self, place: str | Place, message: str) -> None:
-        super().__init__(message)
-        self.place = (place,) if isinstance(place, str) else place
-        self.part = self.place[0]
+        super().__init__(message, place)
 
 
 @contextmanager

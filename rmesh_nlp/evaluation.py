@@ -41,8 +41,11 @@ def difference(a: float, b: float) -> float:
 
 
 def is_finite(values: ArrayLike) -> bool:
-    """Whether all are finite."""
-    return bool(np.all(np.isfinite(values)))
+    """Whether all are finite numbers."""
+    try:
+        return bool(np.all(np.isfinite(np.asarray(values, dtype=float))))
+    except (TypeError, ValueError):  # texts, lists of different lengths
+        return False
 
 
 def largest_side(points: Array) -> float:

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import nearest
+from rmesh_nlp.errors import BadInputError, nearest
 from rmesh_nlp.evaluation import ROUNDING
 
 LONGEST = 1000
@@ -95,12 +95,12 @@ class Expression:
 def value_of(text: str, names: Mapping[str, Any]) -> Any:
     """The value of an expression whose names stand for symbols; a ValueError says what is not allowed."""
     if len(text) > LONGEST:
-        raise ValueError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
+        raise BadInputError(f"an expression of {len(text)} characters is too long ({LONGEST} are allowed)")
     try:
         return _walk(_parsed(text), {**names, "pi": ca.SX(np.pi)})
     except (SyntaxError, RecursionError, MemoryError) as error:
         symbols = f" of {' and '.join(', '.join(names).rsplit(', ', 1))}" if names else ""
-        raise ValueError(f"{text[:60]!r} is not an expression{symbols}") from error
+        raise BadInputError(f"{text[:60]!r} is not an expression{symbols}") from error
 
 
 def _parsed(text: str) -> ast.expr:
@@ -115,13 +115,13 @@ def _walk(node: ast.AST, names: dict[str, Any]) -> Any:
     value = _value(node, names)
     constant = isinstance(value, (ca.SX, ca.DM)) and value.is_constant()
     if constant and not np.isfinite(float(value)):
-        raise ValueError(f"{ast.unparse(node)[:60]!r} is not a finite number")
+        raise BadInputError(f"{ast.unparse(node)[:60]!r} is not a finite number")
     return value
 
 
 def _value(node: ast.AST, names: dict[str, Any]) -> Any:
     if isinstance(node, ast.BinOp) and isinstance(node.op, ast.BitXor):
-        raise ValueError(f"{ast.unparse(node)[:60]!r}: powers are written with **, not ^")
+        raise BadInputError(f"{ast.unparse(node)[:60]!r}: powers are written with **, not ^")
     if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
         # a bool is an int to Python; whole numbers as floats, so that 9**9**9 cannot fill the memory
         if not isinstance(node.value, bool) and abs(node.value) <= 1e300:
@@ -129,7 +129,7 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
     elif isinstance(node, ast.Name):
         if node.id in names:
             return names[node.id]
-        raise ValueError(f"unknown name {node.id!r}{nearest(node.id, (*names, *FUNCTIONS))}")
+        raise BadInputError(f"unknown name {node.id!r}{nearest(node.id, (*names, *FUNCTIONS))}")
     elif isinstance(node, (ast.BinOp, ast.UnaryOp)) and type(node.op) in _OPERATORS:
         operands = (node.left, node.right) if isinstance(node, ast.BinOp) else (node.operand,)
         return _OPERATORS[type(node.op)](*(_walk(operand, names) for operand in operands))
@@ -141,14 +141,14 @@ def _value(node: ast.AST, names: dict[str, Any]) -> Any:
         return reduce(ca.logic_and, [_OPERATORS[type(op)](a, b) for op, a, b in tests])
     elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
         return _call(node, node.func.id, names)
-    raise ValueError(f"{ast.unparse(node)[:60]!r} is not allowed in an expression")
+    raise BadInputError(f"{ast.unparse(node)[:60]!r} is not allowed in an expression")
 
 
 def _call(node: ast.Call, name: str, names: dict[str, Any]) -> Any:
     if name not in FUNCTIONS:
-        raise ValueError(f"unknown function {name!r}{nearest(name, FUNCTIONS)}")
+        raise BadInputError(f"unknown function {name!r}{nearest(name, FUNCTIONS)}")
     arguments = [_walk(argument, names) for argument in node.args]
     try:
         return FUNCTIONS[name](*arguments)
     except (NotImplementedError, TypeError):
-        raise ValueError(f"{name} does not take {len(arguments)} arguments") from None
+        raise BadInputError(f"{name} does not take {len(arguments)} arguments") from None

@@ -10,7 +10,7 @@ from functools import cache
 from numbers import Integral, Real
 from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError, require, unknown
 
 S = TypeVar("S", bound="Settings")
 
@@ -32,17 +32,12 @@ class Number:
         """Raise a BadInputError that names the value if it is not such a number."""
         number = isinstance(value, Real) and not isinstance(value, bool)
         if self.least is not None:
-            if not (number and isinstance(value, Integral) and int(value) >= self.least):
-                raise BadInputError(f"{name} must be a whole number of at least {self.least}, got {value!r}")
-            return
-        if self.infinite and value == math.inf:
-            return
-        if not (number and 0 < value < math.inf):
-            raise BadInputError(f"{name} must be positive and finite, got {value!r}")
-        if not value > self.above:
-            raise BadInputError(f"{name} must be above {self.above:g}, got {value!r}")
-        if not value < self.below:
-            raise BadInputError(f"{name} must be below {self.below:g}, got {value!r}")
+            is_whole = number and isinstance(value, Integral) and int(value) >= self.least
+            require(is_whole, name, f"be a whole number of at least {self.least}", value)
+        elif not (self.infinite and value == math.inf):
+            require(number and 0 < value < math.inf, name, "be positive and finite", value)
+            require(value > self.above, name, f"be above {self.above:g}", value)
+            require(value < self.below, name, f"be below {self.below:g}", value)
 
 
 Positive = Annotated[float, Number()]
@@ -72,15 +67,8 @@ class Open:
                     raise BadInputError(f"{name} may not have {one}, got {value[one]!r}")
 
 
-@dataclass(frozen=True)
-class Settings:
-    """Base of the settings of a method.
-
-    A subclass is a frozen dataclass all of whose fields have defaults, each documented with its source
-    or with the benchmark that chose it. A field's type says what it may be: one of the types of number
-    above, by itself, in a tuple, or as an alternative to None; or settings themselves. Only what concerns
-    several fields is left to the subclass.
-    """
+class Checked:
+    """Base of a dataclass whose fields are what their types say, such as ``Positive``."""
 
     def __post_init__(self) -> None:
         for name, kind in self._kinds().items():
@@ -90,7 +78,18 @@ class Settings:
     @cache
     def _kinds(cls) -> dict[str, Any]:
         hints = get_type_hints(cls, include_extras=True)
-        return {field.name: hints[field.name] for field in fields(cls)}
+        return {field.name: hints[field.name] for field in fields(cls)}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Settings(Checked):
+    """Base of the settings of a method.
+
+    A subclass is a frozen dataclass all of whose fields have defaults, each documented with its source
+    or with the benchmark that chose it. A field's type says what it may be: one of the types of number
+    above, by itself, in a tuple, or as an alternative to None; or settings themselves. Only what concerns
+    several fields is left to the subclass.
+    """
 
     @classmethod
     def of(cls: type[S], given: Settings | Mapping[str, object] | None) -> S:
@@ -100,9 +99,9 @@ class Settings:
         if isinstance(given, cls):
             return given
         if not isinstance(given, Mapping):
-            raise BadInputError(
-                f"{cls.__name__.lower()} must be {cls.__name__} or a mapping of its fields, got {given!r}"
-            )
+            name = cls.__name__
+            said = f"{name.lower()} must be {name} or a mapping of its fields, got {given!r}"
+            raise BadInputError(said, name.lower())
         return cls().having(given)
 
     @classmethod
@@ -172,7 +171,7 @@ WORDS: Mapping[object, str] = {
 }
 
 
-def _check(name: str, value: object, kind: Any) -> None:
+def _check(name: str, value: Any, kind: Any) -> None:
     """Raise a BadInputError if a value is not what the type of its field says, beyond what Python's says."""
     plain = get_origin(kind) or kind
     if plain is Annotated:
@@ -184,14 +183,13 @@ def _check(name: str, value: object, kind: Any) -> None:
         if value is not None:
             _check(name, value, get_args(kind)[0])
     elif plain is tuple and get_origin(get_args(kind)[0]) is Annotated:
-        if not (isinstance(value, (tuple, list)) and value):
-            raise BadInputError(f"{name} must be one or more numbers, got {value!r}")
+        require(isinstance(value, (tuple, list)) and value, name, "be one or more numbers", value)
         for one in value:
             _check(name, one, get_args(kind)[0])
-    elif plain in WORDS and not isinstance(value, plain):
-        raise BadInputError(f"{name} must be {WORDS[plain]}, got {value!r}")
-    elif isinstance(kind, type) and issubclass(kind, Settings) and not isinstance(value, kind):
-        raise BadInputError(f"{name} must be settings of the method, or a mapping, got {value!r}")
+    elif plain in WORDS:
+        require(isinstance(value, plain), name, f"be {WORDS[plain]}", value)
+    elif isinstance(kind, type) and issubclass(kind, Settings):
+        require(isinstance(value, kind), name, "be settings of the method, or a mapping", value)
 
 
 def check_positive(**values: float | None) -> None:

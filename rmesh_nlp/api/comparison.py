@@ -58,7 +58,7 @@ class Comparison:
         """
         good = [solution for solution in self.solutions.values() if solution.success]
         if not good:
-            raise ValueError("no formulation succeeded; see the messages of .records")
+            raise BadInputError("no formulation succeeded; see the messages of .records")
         return min(good, key=_last)
 
     def frame(self) -> pd.DataFrame:

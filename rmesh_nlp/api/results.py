@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rmesh_nlp.errors import expect
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import read_results
 from rmesh_nlp.solving.solution import Solution
@@ -52,7 +52,7 @@ def plot(*solutions: Solution, what: str = "mesh", **style: Any) -> list[Axes]:
     from rmesh_nlp.solving import plotting
 
     if not solutions:
-        raise ValueError("nothing to draw: give one or several solutions")
+        raise BadInputError("nothing to draw: give one or several solutions")
     for solution in solutions:
         expect("what is drawn", solution, Solution)
     n, extent = len(solutions), np.ptp(solutions[0].problem.mesh.p, axis=1)

@@ -14,7 +14,7 @@ from numbers import Integral
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import BadInputError, unknown
+from rmesh_nlp.errors import BadInputError, require, unknown
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
@@ -161,9 +161,13 @@ def _elastic(
 ) -> ContactProblem:
     nx, ny = as_size(n)
     if nx % 2:
-        raise ValueError(f"{name}: the load begins at x = 2, so the number of columns must be even, got {nx}")
+        raise BadInputError(
+            f"{name}: the load begins at x = 2, so the number of columns must be even, got {nx}"
+        )
     if bottom * ny >= 1:
-        raise ValueError(f"{name}: the bottom row is moved up to {bottom}, beyond the next one of {ny} rows")
+        raise BadInputError(
+            f"{name}: the bottom row is moved up to {bottom}, beyond the next one of {ny} rows"
+        )
     grid = rectangle(nx, ny, x=(0, 4), diagonal="falling")
     p = np.where([[False], [True]] & (grid.p == 0), bottom, grid.p)
     sides, top = grid.boundaries, grid.boundaries["top"]
@@ -205,7 +209,9 @@ def as_size(n: Size) -> tuple[int, int]:
     pair = as_tuple(n.lower().split("x") if isinstance(n, str) else n)
     pair = tuple(int(part) if isinstance(part, str) and part.isdecimal() else part for part in pair)
     if len(pair) > 2 or any(not isinstance(k, Integral) or k < 2 for k in pair):
-        raise ValueError(f"the size must be a whole number of at least 2, or two such as 12x6, got {n!r}")
+        raise BadInputError(
+            f"the size must be a whole number of at least 2, or two such as 12x6, got {n!r}", "n"
+        )
     return int(pair[0]), int(pair[-1])
 
 
@@ -219,6 +225,5 @@ def _delta(delta: Delta | None, name: str, size: tuple[int, int]) -> tuple[float
         numbers = [float(value) for value in as_tuple(delta.split(",") if isinstance(delta, str) else delta)]
     except (TypeError, ValueError):
         numbers = []
-    if len(numbers) not in (1, 2):
-        raise ValueError(f"delta must be a number, two of them, or none, got {delta!r}")
+    require(len(numbers) in (1, 2), "delta", "be a number, two of them, or none", delta)
     return numbers[0], numbers[-1]

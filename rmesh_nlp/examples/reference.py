@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.examples.paper import EXAMPLES
 from rmesh_nlp.problem import ContactProblem, ExactSolution
@@ -34,7 +35,7 @@ def with_reference(problem: ContactProblem) -> ContactProblem:
     if problem.exact is not None:
         return problem
     if problem.name not in GRIDS:
-        raise ValueError(f"there is no reference solution for {problem.name!r}")
+        raise BadInputError(f"there is no reference solution for {problem.name!r}")
     return replace(problem, exact=reference_solution(EXAMPLES[problem.name](GRIDS[problem.name])))
 
 
@@ -57,7 +58,7 @@ def reference_solution(fine: ContactProblem) -> ExactSolution:
     p = np.round(fine.mesh.p, DECIMALS)
     x, y = np.unique(p[0]), np.unique(p[1])
     if x.size * y.size != p.shape[1]:
-        raise ValueError(
+        raise BadInputError(
             f"a reference solution needs nodes on a rectangular grid: {p.shape[1]} nodes lie on "
             f"{x.size} x {y.size} grid lines"
         )

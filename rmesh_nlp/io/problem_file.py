@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from rmesh_nlp.errors import one_line
+from rmesh_nlp.errors import expect_path, one_line
 from rmesh_nlp.io import problem_messages as messages
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_messages import ProblemFileError, Source
@@ -56,6 +56,7 @@ def read_table(path: str | Path) -> ProblemTable:
 
 def read_tables(path: str | Path, kind: type[T]) -> T:
     """The checked tables of a file of a kind; a ProblemFileError has one line per error."""
+    expect_path(path)
     source = Source(Path(path), read_toml(Path(path)))
     marks = MARKS.keys() & source.data
     if marks and not marks & kind.model_fields.keys():

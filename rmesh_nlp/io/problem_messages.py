@@ -82,18 +82,17 @@ class Source:
     def at(self, *place: str | int) -> Iterator[None]:
         """Name file and place in any ValueError that does not yet.
 
-        An error such as "radius must be positive" or "unknown formulation 'x'" is one of the entry of that
-        name there, or of a table around it: classes and functions begin so where an argument is wrong.
+        An error that names the argument to which it belongs is one of the entry of that name there, or of a
+        table around it.
         """
         try:
             yield
         except ProblemFileError:
             raise
         except ValueError as error:
-            said = one_line(error)
-            begin = re.match(r"(?:unknown )?(\w+) (?:must |is |= |')", said)
-            entries = [(*table, begin[1]) for table in outwards(place)] if begin else []
-            raise self.error(self.first([*entries, place]), said) from error
+            inside = getattr(error, "place", ())
+            entries = [(*table, *inside) for table in outwards(place)] if inside else []
+            raise self.error(self.first([*entries, place]), one_line(error)) from error
 
 
 def as_text(value: object) -> str:

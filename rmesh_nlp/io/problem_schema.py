@@ -25,6 +25,7 @@ from pydantic import (
 )
 from skfem import MeshTri
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.expressions import value_of
 from rmesh_nlp.io.problem_messages import Source
 from rmesh_nlp.io.problem_values import (
@@ -180,8 +181,9 @@ def call(what: str, makes: Sequence[Callable[..., M]], given: Mapping[str, objec
             return make(**given)
         forms.append(", ".join(name if name in needs else f"[{name}]" for name in takes))
         known |= takes.keys()
-    head = next((f"{name} is not taken: " for name in given if name not in known), "")
-    raise ValueError(f"{head}{what} takes {', or '.join(forms)}")
+    place = tuple(name for name in given if name not in known)[:1]
+    head = f"{place[0]} is not taken: " if place else ""
+    raise BadInputError(f"{head}{what} takes {', or '.join(forms)}", place)
 
 
 @taking(*SHAPES.values())

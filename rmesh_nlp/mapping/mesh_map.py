@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, cross
 from rmesh_nlp.fem.fields import NONE, Bends, Design, Field, Modes, unknown_field
 from rmesh_nlp.meshes.curves import Curve
@@ -214,19 +215,19 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
     for still, what in ((held, "held at a function of position"), (loaded, "under a point load")):
         moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]
         if moved:  # its given value or load would not follow, or would go along
-            raise ValueError(f"node {moved[0]} is {what} and cannot move")
+            raise BadInputError(f"node {moved[0]} is {what} and cannot move")
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
     lost = np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))
     if lost.size:
         x, y = mesh.p[:, lost[0]]
-        raise ValueError(
+        raise BadInputError(
             f"node {lost[0]} at ({x:.6g}, {y:.6g}) is to slide, but it is on no straight piece of boundary "
             "or interface, and on no curve that is given"
         )
     tangent = np.where(forced, any_tangent, tangent)
     for node, leader in motion.tied:
         if node == leader or leader in tied:
-            raise ValueError(f"node {node} cannot be tied to node {leader}, which is tied itself")
+            raise BadInputError(f"node {node} cannot be tied to node {leader}, which is tied itself")
         if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:
             both_slide = mobility[node] == mobility[leader] == Mobility.SLIDING
             if not (
@@ -234,7 +235,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
                 and along[leader] < 0
                 and abs(cross(tangent[:, node], tangent[:, leader])) < SEVEN_DIGITS
             ):
-                raise ValueError(
+                raise BadInputError(
                     f"node {node} cannot be tied to node {leader}: it cannot make the moves of that node"
                 )
     mobility[list(tied)] = Mobility.TIED

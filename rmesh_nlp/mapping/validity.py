@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, cross
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.fields import NONE, ElementGroup, constant_field
@@ -90,9 +91,10 @@ def validity(problem: ContactProblem, free: MeshMap) -> Validity:
     if motion.min_angle > 0:
         angle = least_angles(problem.mesh.p, triangles)
         if np.min(angle) < motion.min_angle - np.rad2deg(ROUNDING):
-            raise ValueError(
+            raise BadInputError(
                 f"min_angle is {motion.min_angle} degrees, but element {int(np.argmin(angle))} of the "
-                f"initial mesh has an angle of {np.min(angle):.4g}"
+                f"initial mesh has an angle of {np.min(angle):.4g}",
+                "min_angle",
             )
         moves = np.any(free.positions.index != NONE, axis=0) | _shaped(free)
         at_risk = np.flatnonzero(np.any(moves[triangles], axis=0))

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Index, largest_side
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
@@ -60,7 +61,7 @@ def from_arrays(
         t = counter_clockwise(p, t)
     mesh = MeshTri(np.ascontiguousarray(p), np.ascontiguousarray(t))
     if wrong := fault(mesh):
-        raise ValueError(wrong)
+        raise BadInputError(wrong)
     return _named(mesh, boundaries or {}, subdomains or {}, number)
 
 
@@ -76,15 +77,17 @@ def named(
 def _checked(p: NDArray, t: NDArray) -> tuple[NDArray, Index]:
     """Nodes (2, nodes) and triangles (3, elements) whose numbers are theirs."""
     if p.ndim != 2 or p.shape[1] != 2:
-        raise ValueError(f"nodes must be an array of shape (nodes, 2), got {p.shape}")
+        raise BadInputError(f"nodes must be an array of shape (nodes, 2), got {p.shape}")
     for node in np.flatnonzero(~np.all(np.isfinite(p), axis=1)):
-        raise ValueError(f"node {node} is at ({p[node, 0]}, {p[node, 1]})")
+        raise BadInputError(f"node {node} is at ({p[node, 0]}, {p[node, 1]})")
     if t.ndim != 2 or t.shape[1] != 3 or t.shape[0] == 0:
-        raise ValueError(f"triangles must be an array of shape (elements, 3), got {t.shape}")
+        raise BadInputError(f"triangles must be an array of shape (elements, 3), got {t.shape}")
     if not np.issubdtype(t.dtype, np.integer):
-        raise ValueError(f"triangles must hold node numbers, got values of type {t.dtype}")
+        raise BadInputError(f"triangles must hold node numbers, got values of type {t.dtype}")
     for bad in np.flatnonzero(np.any((t < 0) | (t >= len(p)), axis=1)):
-        raise ValueError(f"triangle {bad} has nodes {t[bad].tolist()}, but nodes run from 0 to {len(p) - 1}")
+        raise BadInputError(
+            f"triangle {bad} has nodes {t[bad].tolist()}, but nodes run from 0 to {len(p) - 1}"
+        )
     return p.T, t.astype(np.int64).T
 
 
@@ -101,7 +104,7 @@ def _without_duplicates(p: NDArray, t: Index) -> tuple[NDArray, Index, Index]:
         number = np.searchsorted(merged, number)
         p, t = p[:, merged], number[t]
     for triangle in np.flatnonzero((t[0] == t[1]) | (t[1] == t[2]) | (t[0] == t[2])):
-        raise ValueError(f"triangle {triangle} has a repeated node")
+        raise BadInputError(f"triangle {triangle} has a repeated node")
     return p, t, number
 
 
@@ -122,11 +125,11 @@ def _named(
     }
     for name, members in elements.items():
         if np.any((members < 0) | (members >= mesh.t.shape[1])):
-            raise ValueError(f"the subdomain {name!r} has a triangle that the mesh has not")
+            raise BadInputError(f"the subdomain {name!r} has a triangle that the mesh has not")
     for kind, names in (("boundary", facets), ("subdomain", elements)):
         for name, members in names.items():  # scikit-fem would drop empty ones silently
             if members.size == 0:
-                raise ValueError(f"the {kind} {name!r} is empty")
+                raise BadInputError(f"the {kind} {name!r} is empty")
     mesh = mesh.with_boundaries({**(mesh.boundaries or {}), **facets}) if facets else mesh
     return mesh.with_subdomains({**(mesh.subdomains or {}), **elements}) if elements else mesh
 
@@ -139,14 +142,14 @@ def _chosen(corners: NDArray, predicate: Callable[[Any], Any], among: Index) -> 
 def _facets(mesh: MeshTri, name: str, edges: NDArray, number: Index) -> Index:
     """Numbers of the facets between pairs of nodes (edges, 2), these by their old numbers."""
     if edges.size and (edges.ndim != 2 or edges.shape[1] != 2):
-        raise ValueError(f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}")
+        raise BadInputError(f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}")
     edges = edges if edges.size else np.zeros((0, 2), dtype=np.int64)
     ends = number[edges.T]
     size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
     keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
     wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
     for a, b in edges[~np.isin(wanted, keys)]:
-        raise ValueError(f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle")
+        raise BadInputError(f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle")
     return np.flatnonzero(np.isin(keys, wanted))
 
 

@@ -19,8 +19,10 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial import cKDTree
 from skfem import MeshTri
 
+from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, is_finite, magnitude, slope_of
 from rmesh_nlp.meshes.geometry import members_of
+from rmesh_nlp.settings import Number
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
 SAMPLES = 4000
@@ -114,11 +116,9 @@ class Circle(Curve):
     radius: float
 
     def __post_init__(self) -> None:
-        values = [*self.centre, self.radius]
-        if len(values) != 3 or not is_finite(values) or not self.radius > 0:
-            raise ValueError(
-                f"a circle needs a finite centre and a positive radius, got {self.centre}, {self.radius}"
-            )
+        is_place = is_finite(self.centre) and np.shape(self.centre) == (2,)
+        require(is_place, "centre", "be two finite numbers", self.centre)
+        Number().check("radius", self.radius)
 
     interval = (-np.pi, np.pi)
     closed = True
@@ -148,11 +148,10 @@ class Spline(Curve):
     closed: bool = False
 
     def __post_init__(self) -> None:
-        p = np.asarray(self.points, dtype=float)
-        if p.ndim != 2 or p.shape[0] < 4 or p.shape[1] != 2 or not is_finite(p):
-            raise ValueError("a spline needs four or more points of two finite numbers each")
+        if not is_finite(self.points) or np.shape(self.points)[1:] != (2,) or len(self.points) < 4:
+            raise BadInputError("a spline needs four or more points of two finite numbers each", "points")
         if not np.all(np.any(np.diff(self._through, axis=0) != 0, axis=1)):
-            raise ValueError("two points of a spline that follow each other are the same")
+            raise BadInputError("two points of a spline that follow each other are the same")
 
     @property
     def _through(self) -> Array:
@@ -204,15 +203,19 @@ class Parametrised(Curve):
     closed: bool = False
 
     def __post_init__(self) -> None:
+        for name, function in (("x", self.x), ("y", self.y)):
+            require(callable(function), name, "be a function of t", function)
+        if not is_finite(self.interval) or np.shape(self.interval) != (2,) or not np.diff(self.interval) > 0:
+            raise BadInputError(
+                f"the interval of a curve must increase and be finite, got {self.interval}", "interval"
+            )
         low, high = self.interval
-        if not (np.isfinite(low) and np.isfinite(high) and low < high):
-            raise ValueError(f"the interval of a curve must increase and be finite, got {self.interval}")
         points = self.at(np.linspace(low, high, 50))
         if not is_finite(points):
-            raise ValueError("a curve must be finite over its interval")
+            raise BadInputError("a curve must be finite over its interval")
         ends = points[:, [0, -1]]
         if self.closed and magnitude(ends[:, 0] - ends[:, 1]) > 1e-9 * np.max(np.abs(ends) + 1e-300):
-            raise ValueError("a closed curve must end where it begins")
+            raise BadInputError("a closed curve must end where it begins")
 
     @cached_property
     def functions(self) -> Pair:  # noqa: D102
@@ -225,13 +228,13 @@ def fitted_circle(points: Array) -> Circle:
     25 (1976) 8-14).
     """  # noqa: D205
     if points.shape[1] < 3:
-        raise ValueError(f"a circle cannot be fitted to {points.shape[1]} nodes")
+        raise BadInputError(f"a circle cannot be fitted to {points.shape[1]} nodes")
     middle = points.mean(axis=1)
     x, y = points - middle[:, None]
     matrix = np.column_stack([2 * x, 2 * y, np.ones(x.size)])
     (a, b, c), _, rank, _ = np.linalg.lstsq(matrix, x**2 + y**2, rcond=1e-10)
     if rank < 3:
-        raise ValueError("a circle cannot be fitted to nodes on a straight line")
+        raise BadInputError("a circle cannot be fitted to nodes on a straight line")
     return Circle((float(middle[0] + a), float(middle[1] + b)), float(np.sqrt(c + a**2 + b**2)))
 
 
@@ -243,12 +246,12 @@ def spline_through(points: Array, edges: NDArray) -> Spline:
         neighbours.setdefault(b, []).append(a)
     ends = [node for node, near in neighbours.items() if len(near) == 1]
     if any(len(near) > 2 for near in neighbours.values()) or len(ends) not in (0, 2):
-        raise ValueError("a spline needs a boundary of one piece without branches")
+        raise BadInputError("a spline needs a boundary of one piece without branches")
     order = [min(ends or neighbours)]
     while further := [node for node in neighbours[order[-1]] if node not in (*order[-2:-1], order[0])]:
         order.append(further[0])
     if len(order) < len(neighbours):
-        raise ValueError("a spline needs a boundary of one piece")
+        raise BadInputError("a spline needs a boundary of one piece")
     return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), not ends)
 
 

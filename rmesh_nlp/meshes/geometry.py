@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.errors import Place, ProblemError, unknown
+from rmesh_nlp.errors import BadInputError, Place, ProblemError, unknown
 from rmesh_nlp.evaluation import Index, cross, largest_side
 
 NAMELESS = (
@@ -87,7 +87,7 @@ def node_at(mesh: MeshTri, place: tuple[float, float]) -> int:
     node = int(np.argmin(distance))
     if not distance[node] <= SEVEN_DIGITS * largest_side(mesh.p):
         x, y = mesh.p[:, node]
-        raise ValueError(f"no node at {list(place)}; the nearest is node {node} at [{x:.6g}, {y:.6g}]")
+        raise BadInputError(f"no node at {list(place)}; the nearest is node {node} at [{x:.6g}, {y:.6g}]")
     return node
 
 

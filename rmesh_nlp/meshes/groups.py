@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.arrays import MeshRepairWarning
 
 
@@ -32,7 +33,7 @@ def _gmsh(text: str, data: bytes) -> list[str]:
     groups = _in_binary(data.partition(b"$Entities\n")[2]) if is_binary == "1" else _in_text(text)
     for tags in groups:
         if len(tags) > 1 and not set(map(abs, tags)) <= named_tags:
-            raise ValueError(f"one entity is in the physical groups {tags}: name all, save as 4.1")
+            raise BadInputError(f"one entity is in the physical groups {tags}: name all, save as 4.1")
     said = "physical groups have one name, {}, and all but one lose it: give each its own"
     return [said.format(name) for name in _repeated([name for _, name in names])]
 
@@ -71,11 +72,13 @@ def _abaqus(text: str) -> list[str]:
                 left_out.append(name)
     blocks = sets["ELEMENT"]
     if "" in blocks and any(blocks[blocks.index("") :]):
-        raise ValueError("has *ELEMENT blocks without ELSET before others with one: give each its own")
+        raise BadInputError("has *ELEMENT blocks without ELSET before others with one: give each its own")
     if len(sets["NODE"]) > 1:
-        raise ValueError(f"has {len(sets['NODE'])} blocks of *NODE, of which one is read: make one of them")
+        raise BadInputError(
+            f"has {len(sets['NODE'])} blocks of *NODE, of which one is read: make one of them"
+        )
     for name in _repeated([*filter(None, blocks), *sets["ELSET"]]) + _repeated(sets["NSET"]):
-        raise ValueError(f"has the set {name} twice: give each part a name of its own")
+        raise BadInputError(f"has the set {name} twice: give each part a name of its own")
     said = "sets are left out: {}; write the numbers of their nodes as *NSET"
     return [said.format(", ".join(left_out))] if left_out else []
 

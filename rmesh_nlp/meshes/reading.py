@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from skfem import MeshTri
 
-from rmesh_nlp.errors import located, one_line
+from rmesh_nlp.errors import BadInputError, expect_path, located, one_line
 from rmesh_nlp.evaluation import ROUNDING, Index
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, sides
@@ -44,10 +44,10 @@ def read_file(path: Path) -> meshio.Mesh:
     """
     kind = _format(path)
     if not path.is_file():
-        raise ValueError(f"{path}: cannot be read as a mesh: there is no such file")
+        raise BadInputError(f"{path}: cannot be read as a mesh: there is no such file")
     size = path.stat().st_size
     if size == 0:
-        raise ValueError(f"{path}: cannot be read as a mesh: it is empty{AGAIN}")
+        raise BadInputError(f"{path}: cannot be read as a mesh: it is empty{AGAIN}")
     seconds = SECONDS + SECONDS_PER_BYTE * size
     said = io.StringIO()  # meshio prints what it dislikes
     try:
@@ -56,13 +56,13 @@ def read_file(path: Path) -> meshio.Mesh:
             warnings.simplefilter("ignore")
             file = meshio.read(path, kind)
     except _TooLongError:
-        raise ValueError(
+        raise BadInputError(
             f"{path}: cannot be read as a mesh: the reader of {kind} found no end within {seconds:.0f} s; "
             "the file may be damaged"
         ) from None
     except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
         reason = _reason(error, said.getvalue())
-        raise ValueError(f"{path}: cannot be read as a mesh of the format {kind}: {reason}") from error
+        raise BadInputError(f"{path}: cannot be read as a mesh of the format {kind}: {reason}") from error
     with located(path):
         check_groups(kind, path)
     return file
@@ -95,7 +95,9 @@ def _format(path: Path) -> str:
     kinds = meshio.extension_to_filetypes.get(suffix, [])
     if not kinds:
         choices = ", ".join(sorted(meshio.extension_to_filetypes))
-        raise ValueError(f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {choices}")
+        raise BadInputError(
+            f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {choices}"
+        )
     if len(kinds) == 1:
         return str(kinds[0])
     with contextlib.suppress(OSError), path.open("rb") as file:
@@ -140,15 +142,14 @@ def read_mesh(path: str | Path) -> MeshTri:
         If the file cannot be read, or not in time, has other cells than triangles with straight
         edges (lines and points may come along), or is not plane.
     """
+    expect_path(path)
     file = read_file(Path(path))
     if any(key.startswith("skfem:") for key in file.cell_data):
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
         return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
-    try:
+    with located(path):
         return _mesh(file)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
 
 
 def _mesh(file: meshio.Mesh) -> MeshTri:
@@ -156,18 +157,18 @@ def _mesh(file: meshio.Mesh) -> MeshTri:
     for kind in kinds:
         if kind not in PLAIN_CELLS:
             count = sum(len(block.data) for block in file.cells if block.type == kind)
-            raise ValueError(
+            raise BadInputError(
                 f"has {count} cells of type {kind!r}: only triangles with straight edges can be used"
             )
     if "triangle" not in kinds:
         # gmsh may have left them out
         made_by_gmsh = any(key.startswith("gmsh:") for key in file.cell_data)
-        raise ValueError(f"has no triangles{HINT_OF_GMSH if made_by_gmsh else ''}")
+        raise BadInputError(f"has no triangles{HINT_OF_GMSH if made_by_gmsh else ''}")
     points = np.asarray(file.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise ValueError(f"its points have shape {points.shape}: expected two or three coordinates each")
+        raise BadInputError(f"its points have shape {points.shape}: expected two or three coordinates each")
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > ROUNDING * np.max(np.ptp(points, axis=0)):
-        raise ValueError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
+        raise BadInputError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
     groups = _groups(file)
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
     between = _outer_edges(triangles, file.point_sets or {})
@@ -229,6 +230,6 @@ def _members(name: Any, chosen: Any, position: int) -> Index:
             return members
     except (IndexError, TypeError, ValueError):
         pass
-    raise ValueError(
+    raise BadInputError(
         f"the set {name!r} is no list of cells, perhaps one of sets: write out its cells, or leave it out"
     )

@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.reading import read_mesh
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import Number, check_positive
 
 Point = tuple[float, float]
 Vertex = tuple[Point, float, Point | None]
@@ -41,14 +42,12 @@ def rectangle(
     Each cell is cut from lower left to upper right ("rising") or from upper left ("falling").
     """
     for name, n in (("nx", nx), ("ny", ny)):
-        if not isinstance(n, (int, np.integer)) or n < 1:
-            raise ValueError(f"{name} must be a whole number of at least 1, got {n!r}")
+        Number(least=1).check(name, n)
     for name, ends in (("x", x), ("y", y)):
-        if np.shape(ends) != (2,) or not (is_finite(ends) and ends[0] < ends[1]):
-            raise ValueError(f"{name} must be two increasing numbers, got {ends}")
+        is_interval = is_finite(ends) and np.shape(ends) == (2,) and ends[0] < ends[1]
+        require(is_interval, name, "be two increasing numbers", ends)
     _affordable(2 * nx * ny)
-    if diagonal not in DIAGONALS:
-        raise ValueError(f"diagonal must be one of {', '.join(DIAGONALS)}, got {diagonal!r}")
+    require(diagonal in DIAGONALS, "diagonal", f"be one of {', '.join(DIAGONALS)}", diagonal)
     nodes = np.stack(np.meshgrid(np.linspace(*x, nx + 1), np.linspace(*y, ny + 1), indexing="ij"), axis=-1)
     number = np.arange((nx + 1) * (ny + 1)).reshape(nx + 1, ny + 1)
     ll, lr, ul, ur = (a.ravel() for a in (number[:-1, :-1], number[1:, :-1], number[:-1, 1:], number[1:, 1:]))
@@ -76,7 +75,7 @@ def plate_with_hole(h: float, *, size: float = 10.0, radius: float = 2.5) -> Mes
     """A square (0, size)^2 with a round hole in its middle; boundaries left, right, bottom, top, hole."""
     check_positive(h=h, size=size, radius=radius)
     if not radius < size / 2:
-        raise ValueError(f"the hole of radius {radius} does not fit into a square of side {size}")
+        raise BadInputError(f"the hole of radius {radius} does not fit into a square of side {size}")
     _affordable(2.3 * (size / h) ** 2)
 
     c, r = size / 2, radius
@@ -96,7 +95,7 @@ def half_disc(h: float, *, radius: float = 1.0, contact: float = 0.1, h_contact:
     """
     check_positive(h=h, radius=radius, contact=contact, h_contact=h_contact)
     if not contact < radius:
-        raise ValueError(f"the contact half-length {contact} must be smaller than the radius {radius}")
+        raise BadInputError(f"the contact half-length {contact} must be smaller than the radius {radius}")
     _affordable(2.3 * ((radius / h) ** 2 + (contact / h_contact) ** 2))
 
     low, centre = radius - np.sqrt(radius**2 - contact**2), (0, radius)
@@ -117,7 +116,7 @@ def wedge_block(h: float, *, width: float = 4.0, height: float = 1.0, rise: floa
     """
     check_positive(h=h, width=width, height=height)
     if not 0 <= rise < height:
-        raise ValueError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
+        raise BadInputError(f"the rise {rise} must be at least 0 and smaller than the height {height}")
     points = [(0, rise), (width / 2, 0), (width, rise), (width, height), (0, height)]
     return _polygon(points, h, {"wedge": [0, 1], "right": [2], "top": [3], "left": [4]})
 
@@ -129,15 +128,17 @@ def polygon(points: list[Point], h: float, boundaries: dict[str, list[int]] | No
     default edge i is called ``edge-i``.
     """
     check_positive(h=h)
-    if len(points) < 3 or not is_finite(points):
-        raise ValueError(f"a polygon needs 3 or more finite points, got {points}")
+    if not is_finite(points) or np.shape(points)[1:] != (2,) or len(points) < 3:
+        raise BadInputError(f"a polygon needs 3 or more finite points, got {points}", "points")
     if crossing := _crossing_edges(np.asarray(points, dtype=float)):
-        raise ValueError("edges {} and {} of the polygon cross".format(*crossing))
+        raise BadInputError("edges {} and {} of the polygon cross".format(*crossing))
     names = boundaries or {f"edge-{i}": [i] for i in range(len(points))}
     for name, edges in names.items():
         for edge in edges:
             if not 0 <= edge < len(points):
-                raise ValueError(f"the boundary {name!r} names edge {edge}; edges run to {len(points) - 1}")
+                raise BadInputError(
+                    f"the boundary {name!r} names edge {edge}; edges run to {len(points) - 1}"
+                )
     return _polygon(points, h, names)
 
 
@@ -166,7 +167,7 @@ def _drawn(loops: list[list[Vertex]], boundaries: dict[str, list[int]]) -> MeshT
     try:
         gmsh = import_module("gmsh")
     except (ImportError, OSError) as error:  # OSError: its library needs libGLU
-        raise ValueError(f"this shape needs gmsh: pip install rmesh-nlp[gmsh] ({error})") from error
+        raise BadInputError(f"this shape needs gmsh: pip install rmesh-nlp[gmsh] ({error})") from error
     gmsh.initialize(interruptible=False)
     try:
         gmsh.option.setNumber("General.Terminal", 0)
@@ -186,7 +187,7 @@ def _drawn(loops: list[list[Vertex]], boundaries: dict[str, list[int]]) -> MeshT
     except ValueError:
         raise
     except Exception as error:  # gmsh raises bare Exceptions
-        raise ValueError(f"gmsh cannot mesh this shape: {error}") from error
+        raise BadInputError(f"gmsh cannot mesh this shape: {error}") from error
     finally:
         gmsh.finalize()
 
@@ -203,4 +204,6 @@ def _lines(geo: Any, loop: list[Vertex]) -> list[int]:
 
 def _affordable(triangles: float) -> None:
     if triangles > LARGEST:
-        raise ValueError(f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}")
+        raise BadInputError(
+            f"this would be a mesh of about {triangles:.0e} triangles, more than {LARGEST:.0e}"
+        )

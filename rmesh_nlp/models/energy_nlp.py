@@ -20,6 +20,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import gaps, slips
@@ -144,7 +145,7 @@ def relocation(
     measured in units of ``length``.
     """
     if not objective.collapses:
-        raise ValueError(f"{objective.text!r} is not the energy with terms in the positions alone")
+        raise BadInputError(f"{objective.text!r} is not the energy with terms in the positions alone")
     parts = discretise(problem)
     free, n_u, n_s, n_contact = parts.mesh_map, parts.n_u, parts.n_s, parts.n_contact
     replaced = objective.has_barrier and parts.problem.motion.min_angle == 0

@@ -61,10 +61,13 @@ def weights(regularisation: float | str | Sequence[float], name: str = "regulari
     try:
         values = tuple(float(value) for value in given)
     except (TypeError, ValueError):
-        raise BadInputError(f"{name} must be a number or a list of numbers, got {regularisation!r}") from None
+        raise BadInputError(
+            f"{name} must be a number or a list of numbers, got {regularisation!r}", name
+        ) from None
     if not values or not all(np.isfinite(v) and v >= 0 for v in values) or 0 in values[:-1]:
         raise BadInputError(
-            f"{name} must be positive and finite, and only its last value may be 0, got {regularisation!r}"
+            f"{name} must be positive and finite, and only its last value may be 0, got {regularisation!r}",
+            name,
         )
     return values
 

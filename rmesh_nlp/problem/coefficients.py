@@ -17,7 +17,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.errors import located, one_line
+from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.vectorised import columnwise
 
@@ -64,7 +64,7 @@ def at(coefficient: Coefficient, x: Expression, y: Expression) -> Expression:
     value = _called(coefficient, x, y) if callable(coefficient) else coefficient
     is_one = isinstance(value, Real) or getattr(value, "shape", None) in ((), (1,), x.shape)
     if isinstance(x, ca.SX | ca.MX) and not is_one:
-        raise ValueError(f"one number is needed, got {one_line(repr(value))[:60]}")
+        raise BadInputError(f"one number is needed, got {one_line(repr(value))[:60]}")
     return value
 
 
@@ -75,19 +75,24 @@ def _called(coefficient: PositionFunction, x: Expression, y: Expression) -> Expr
         try:
             value = coefficient(x, y)
         except TypeError as error:
-            raise ValueError(f"a function of position must take x and y: {error}") from error
+            raise BadInputError(f"a function of position must take x and y: {error}") from error
         except RuntimeError as error:
             if "truth value" not in str(error):
                 raise
-            raise ValueError(BRANCH) from None
+            raise BadInputError(BRANCH) from None
     if isinstance(x, ca.SX | ca.MX) and isinstance(value, float) and np.isnan(value):
-        raise ValueError(NOT_SYMBOLIC)
+        raise BadInputError(NOT_SYMBOLIC)
     return value
 
 
 def where(condition: Expression, a: Expression, b: Expression) -> Expression:
     """``a`` where the condition holds, else ``b``: what ``if`` cannot say in a function of position."""
-    return ca.if_else(condition, a, b)
+    try:
+        return ca.if_else(condition, a, b)
+    except NotImplementedError:
+        got = ", ".join(one_line(repr(given))[:60] for given in (condition, a, b))
+        said = f"where takes a condition on x and y and two values, got {got}"
+        raise BadInputError(said, "condition") from None
 
 
 def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficient") -> Array:
@@ -99,7 +104,7 @@ def on_points(coefficient: Coefficient, points: NDArray, what: str = "coefficien
             values = np.full(points.shape[1:], float(at(coefficient, *POSITION)))
     x, y = points.reshape(2, -1)
     for bad in np.flatnonzero(~np.isfinite(values)):
-        raise ValueError(f"{what} is {values.flat[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")
+        raise BadInputError(f"{what} is {values.flat[bad]} at ({x[bad]:.6g}, {y[bad]:.6g})")
     return values
 
 
@@ -144,11 +149,11 @@ class PiecewiseLinear:
     def __post_init__(self) -> None:
         got = f"got x={self.x}, y={self.y}"
         if len(self.x) != len(self.y) or len(self.x) < 2:
-            raise ValueError(f"a piecewise-linear function needs 2 or more points, {got}")
+            raise BadInputError(f"a piecewise-linear function needs 2 or more points, {got}")
         if not is_finite([*self.x, *self.y]):
-            raise ValueError(f"a piecewise-linear function must be finite, {got}")
+            raise BadInputError(f"a piecewise-linear function must be finite, {got}")
         if np.any(np.diff(self.x) <= 0):
-            raise ValueError(f"breakpoints must increase, got x={self.x}")
+            raise BadInputError(f"breakpoints must increase, got x={self.x}")
 
     @property
     def kinks(self) -> tuple[float, ...]:

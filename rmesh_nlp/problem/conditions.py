@@ -10,9 +10,11 @@ import casadi as ca
 import numpy as np
 from skfem import MeshTri
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, largest_side
 from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
+from rmesh_nlp.settings import Checked, Limit
 
 
 def as_tuple(value: Any) -> tuple[Any, ...]:
@@ -62,7 +64,7 @@ class Dirichlet:
 
 
 @dataclass(frozen=True)
-class PointLoad:
+class PointLoad(Checked):
     """A force at one node, which does not move: the load would go with it.
 
     In the plane the energy under a point load has no bound as the mesh is refined, so energies of different
@@ -75,10 +77,11 @@ class PointLoad:
         Per unit thickness, one entry per displacement component.
     """
 
-    node: int
+    node: Limit
     force: tuple[float, ...]
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "force", as_tuple(self.force))
 
 
@@ -108,13 +111,13 @@ def symmetric(mesh: MeshTri, boundary: str, components: int = 2) -> Dirichlet:
 
     Raises
     ------
-    ValueError
+    BadInputError
         If the boundary is not parallel to an axis of coordinates.
     """
     extent = np.ptp(mesh.p[:, nodes_of(mesh, boundary)], axis=1)
     flat = extent <= ROUNDING * largest_side(mesh.p)
     if not np.any(flat):
-        raise ValueError(
+        raise BadInputError(
             f"the boundary {boundary!r} is not parallel to an axis: symmetry needs one that is, turn the mesh"
         )
     if components == 1:

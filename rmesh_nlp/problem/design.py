@@ -6,17 +6,20 @@ is the amplitude of a motion of boundary nodes. :func:`rmesh_nlp.ContactProblem.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache, cached_property
+from numbers import Real
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Expression, is_finite
 from rmesh_nlp.expressions import FUNCTIONS
 from rmesh_nlp.problem.coefficients import POSITION, Coefficient, PositionFunction, at, once
+from rmesh_nlp.problem.conditions import as_tuple
 
 RESERVED = ("x", "y", "pi", "inf", "nan", *FUNCTIONS)
 """Names that expressions of position have already."""
@@ -86,8 +89,7 @@ class Shape:
 
     def __post_init__(self) -> None:
         _check(self)
-        if len(self.motion) != 2:
-            raise ValueError(f"the motion of {self.name!r} needs 2 components, got {self.motion}")
+        require(len(as_tuple(self.motion)) == 2, "motion", "have 2 components", self.motion)
 
     @property
     def symbol(self) -> ca.SX:
@@ -112,27 +114,29 @@ class Constraint:
     bounds: tuple[float, Any]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.bounds, Sequence) or len(self.bounds) != 2:
-            raise ValueError(f"the bounds of {str(self.value)!r} must be two numbers, got {self.bounds!r}")
-        if isinstance(self.bounds[1], ca.SX):
+        what, pair = f"the bounds of {str(self.value)!r} must", as_tuple(self.bounds)
+        if len(pair) != 2 or not all(isinstance(bound, (Real, ca.SX)) for bound in pair):
+            raise BadInputError(f"{what} be two numbers, got {self.bounds!r}", "bounds")
+        if isinstance(pair[1], ca.SX):
             return
-        lower, upper = (float(bound) for bound in self.bounds)
+        lower, upper = (float(bound) for bound in pair)
         if not (lower <= upper and lower < np.inf and upper > -np.inf and np.isfinite([lower, upper]).any()):
-            said = "must increase, one of them finite"
-            raise ValueError(f"the bounds of {str(self.value)!r} {said}, got {[lower, upper]}")
+            raise BadInputError(f"{what} increase, one of them finite, got {[lower, upper]}", "bounds")
         object.__setattr__(self, "bounds", (lower, upper))
 
 
 def _check(variable: DesignVariable | Shape) -> None:
     name, start, bounds = variable.name, variable.start, variable.bounds
     if not (isinstance(name, str) and name.isidentifier()) or name in RESERVED or name.startswith("_"):
-        raise ValueError(f"a design variable needs a name of its own such as 'h0', got {name!r}")
-    if np.shape(bounds) != (2,) or not (is_finite(bounds) and bounds[0] < bounds[1]):
+        raise BadInputError(f"a design variable needs a name of its own such as 'h0', got {name!r}", "name")
+    if not is_finite(bounds) or np.shape(bounds) != (2,) or not bounds[0] < bounds[1]:
         said = np.array(bounds).tolist()
-        raise ValueError(f"the bounds of {name!r} must be finite and increase, got {said}")
+        raise BadInputError(f"the bounds of {name!r} must be finite and increase, got {said}", "bounds")
     object.__setattr__(variable, "bounds", tuple(bounds))
-    if not bounds[0] <= start <= bounds[1]:
-        raise ValueError(f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}")
+    if not (is_finite(start) and bounds[0] <= start <= bounds[1]):
+        raise BadInputError(
+            f"{name!r} starts at {start}, which is not within its bounds {list(bounds)}", "start"
+        )
 
 
 @dataclass(frozen=True)

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from numbers import Real
 from typing import ClassVar, TypeVar
 
 import casadi as ca
-import numpy as np
 from skfem.models.elasticity import lame_parameters
 
 from rmesh_nlp.display import describe
-from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.errors import BadInputError, require
+from rmesh_nlp.evaluation import Expression, is_finite
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
+from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.settings import Number, check_positive
+
+YOUNGS = 100
+"""Lamé's lambda over a mu below 0.5 from which on the two are rather Young's modulus and Poisson's ratio."""
 
 LOCKING = 0.45
 """Poisson's ratio from which on linear triangles in plane strain are too stiff."""
@@ -75,12 +80,13 @@ class Elastic(ABC):
     def __post_init__(self) -> None:
         if is_number(self.lame_mu) and is_number(self.lame_lambda):
             a, mu = self.lame_lambda, self.lame_mu
-            finite = np.isfinite(a) and np.isfinite(mu)
-            if not (finite and mu > 0 and a + 2 * mu > 0 and self.in_plane_lambda + mu > 0):
+            if not (is_finite([a, mu]) and mu > 0 and a + 2 * mu > 0 and self.in_plane_lambda + mu > 0):
                 said = "are not those of an elastic solid: mu > 0 and lambda + mu > 0 are needed"
-                raise ValueError(f"Lamé coefficients lambda={a}, mu={mu} {said}")
-        if len(self.body_force) != 2:
-            raise ValueError(f"the body force needs 2 components, got {self.body_force}")
+                raise BadInputError(f"Lamé coefficients lambda={a}, mu={mu} {said}", "lame_mu")
+            if mu < 0.5 and a > YOUNGS * mu:
+                said = f"lambda={a:g}, mu={mu:g} are Lamé coefficients: Young's modulus and Poisson's ratio"
+                warnings.warn(f"{said} go to {type(self).__name__}.from_young", stacklevel=3)
+        require(len(as_tuple(self.body_force)) == 2, "body_force", "have 2 components", self.body_force)
 
     @classmethod
     def from_young(
@@ -92,10 +98,12 @@ class Elastic(ABC):
         """The law with Young's modulus E in N/m^2 and Poisson's ratio nu, -1 < nu < 0.5."""
         if not isinstance(young, ca.SX):
             Number().check("young", young)
-        if not isinstance(poisson, ca.SX) and not (isinstance(poisson, Real) and -1 < float(poisson) < 0.5):
-            raise ValueError(f"poisson must lie between -1 and 0.5, got {poisson}")
-        lame_lambda, lame_mu = lame_parameters(young, poisson)
-        return cls(lame_lambda, lame_mu, body_force)
+        is_ratio = isinstance(poisson, ca.SX) or (isinstance(poisson, Real) and -1 < float(poisson) < 0.5)
+        require(is_ratio, "poisson", "lie between -1 and 0.5", poisson)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # these are Lamé coefficients
+            lame_lambda, lame_mu = lame_parameters(young, poisson)
+            return cls(lame_lambda, lame_mu, body_force)
 
     @property
     def load(self) -> tuple[Coefficient, ...]:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.display import figure
-from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.conditions import as_tuple
-from rmesh_nlp.settings import check_positive
+from rmesh_nlp.settings import Checked, Part, check_positive
 
 BY_BARRIER = "by auto, and with a regularisation: only positive"
 """What becomes of the least area where a distortion is minimised with the energy: it is a barrier."""
@@ -32,14 +32,12 @@ class Relative:
 
     def __post_init__(self) -> None:
         check_positive(relative=self.fraction)
-        if self.fraction > 1:
-            raise BadInputError(
-                f"relative must be a part of the shortest edge at the node, at most 1, got {self.fraction!r}"
-            )
+        said = "be a part of the shortest edge at the node, at most 1"
+        require(self.fraction <= 1, "relative", said, self.fraction)
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(Checked):
     """How far nodes may move: the set M of (2.1), (2.2), kept valid.
 
     Without further rules interior nodes are free, boundary nodes and nodes on interfaces
@@ -72,7 +70,7 @@ class Motion:
 
     delta: float | tuple[float, float] | Relative | None = None
     pinned: tuple[Where, ...] = ()
-    min_area_fraction: float = 0.01
+    min_area_fraction: Part = 0.01
     slides: tuple[Where, ...] = ()
     free: tuple[Where, ...] = ()
     tied: tuple[tuple[int, int], ...] = ()
@@ -83,29 +81,30 @@ class Motion:
         if self.delta is not None and not isinstance(self.delta, Relative):
             given = as_tuple(self.delta)
             pair = given * 2 if len(given) == 1 else given
-            if len(pair) != 2 or not all(isinstance(value, Real) for value in pair):
-                raise ValueError(f"delta must be a number, two numbers, Relative or None, got {self.delta!r}")
-            if pair != (0, 0) and not all(0 < value < np.inf for value in pair):
-                raise ValueError(f"delta must be positive and finite, or 0, got {self.delta}")
+            is_pair = len(pair) == 2 and all(isinstance(value, Real) for value in pair)
+            require(is_pair, "delta", "be a number, two numbers, Relative or None", self.delta)
+            is_width = pair == (0, 0) or all(0 < value < np.inf for value in pair)
+            require(is_width, "delta", "be positive and finite, or 0", self.delta)
             object.__setattr__(self, "delta", (float(pair[0]), float(pair[1])))
-        if not 0 < self.min_area_fraction < 1:
-            raise ValueError(f"min_area_fraction must lie between 0 and 1, got {self.min_area_fraction}")
-        if not 0 <= self.min_angle < 60:
-            raise ValueError(f"min_angle must be at least 0 and less than 60 degrees, got {self.min_angle}")
+        super().__post_init__()
+        angle = self.min_angle
+        is_angle = isinstance(angle, Real) and 0 <= angle < 60
+        require(is_angle, "min_angle", "be at least 0 and less than 60 degrees", angle)
         for name in RULES:
             places = as_tuple(getattr(self, name))
             for place in places:
-                if not isinstance(place, (str, Integral)):
-                    raise ValueError(f"{name} must be names of boundaries or node numbers, got {place!r}")
+                is_place = isinstance(place, (str, Integral))
+                require(is_place, name, "be names of boundaries or node numbers", place)
             plain = tuple(place if isinstance(place, str) else int(place) for place in places)
             object.__setattr__(self, name, plain)
-        for pair in self.tied:
-            if not (isinstance(pair, (tuple, list)) and len(pair) == 2):
-                raise ValueError(f"tied must be pairs of node numbers, got {pair!r}")
+        for pair in as_tuple(self.tied):
+            is_pair = isinstance(pair, (tuple, list)) and len(pair) == 2
+            require(is_pair, "tied", "be pairs of node numbers", pair)
+        require(isinstance(self.curves, Mapping), "curves", "be a mapping from boundaries", self.curves)
         for name, curve in self.curves.items():
             if not isinstance(curve, Curve):
                 said = f"the curve of {name!r} must be a Circle, Spline or Parametrised, got {curve!r}"
-                raise ValueError(said)
+                raise BadInputError(said, ("curves", name))
 
     @property
     def is_fixed(self) -> bool:

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from rmesh_nlp.display import describe, figure
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.errors import BadInputError, require
+from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import (
     OPEN,
     POSITION,
@@ -23,6 +24,7 @@ from rmesh_nlp.problem.coefficients import (
     is_number,
     on_points,
 )
+from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.settings import check_positive
 
 Vector = tuple[float, float]
@@ -33,10 +35,10 @@ GAPS = ("node", "edge")
 
 
 def unit(normal: Vector) -> Vector:
-    """The vector of length 1 in a direction; a ValueError if it is none."""
+    """The vector of length 1 in a direction; a BadInputError if it is none."""
+    is_direction = np.shape(normal) == (2,) and is_finite(normal) and np.any(normal)
+    require(is_direction, "normal", "be a non-zero vector", normal)
     length = float(np.hypot(*normal))
-    if not 0 < length < np.inf:
-        raise ValueError(f"normal must be a non-zero vector, got {normal}")
     return normal[0] / length, normal[1] / length
 
 
@@ -101,13 +103,13 @@ class Obstacle:
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
             object.__setattr__(self, "kinks", self.offset.kinks)
-        length = float(np.linalg.norm(self.normal))
+        object.__setattr__(self, "normal", as_tuple(self.normal))
+        length = np.linalg.norm(self.normal) if is_finite(self.normal) else np.nan
         if not abs(length - 1) <= 1e-12:
-            raise ValueError(f"the contact normal {self.normal} has length {length}, not 1")
+            raise BadInputError(f"the contact normal {self.normal} has length {length}, not 1", "normal")
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
-            raise ValueError("friction needs a problem with two displacement components")
-        if self.gap not in GAPS:
-            raise ValueError(f"gap must be {' or '.join(map(repr, GAPS))}, got {self.gap!r}")
+            raise BadInputError("friction needs a problem with two displacement components", "friction")
+        require(self.gap in GAPS, "gap", f"be {' or '.join(map(repr, GAPS))}", self.gap)
 
     @classmethod
     def line(
@@ -123,6 +125,7 @@ class Obstacle:
         ``normal`` points from the line to the body and may have any length but zero.
         """
         n = unit(normal)
+        require(len(as_tuple(point)) == 2, "point", "have 2 components", point)
         return cls(boundary, n, partial(_off_line, n, point), friction=friction, coulomb=coulomb)
 
     @classmethod
@@ -150,8 +153,7 @@ class Obstacle:
         The gap is measured along the curve's normal at the undeformed node, the slip along its tangent
         there, both linearly in the displacement. Scale and kind of ``level`` do not matter to first order.
         """
-        if not callable(level):
-            raise ValueError(f"curve must be an expression of x and y that is zero on it, got {level}")
+        require(callable(level), "curve", "be an expression of x and y that is zero on it", level)
         return cls(boundary, friction=friction, level=level, coulomb=coulomb)
 
     @classmethod
@@ -172,8 +174,9 @@ class Obstacle:
         """
         if is_number(radius):
             check_positive(radius=radius)
-        if not all(np.isfinite(value) for value in centre if is_number(value)):
-            raise ValueError(f"centre must be finite, got {centre}")
+        pair = as_tuple(centre)
+        is_place = len(pair) == 2 and is_finite([value for value in pair if is_number(value)])
+        require(is_place, "centre", "be finite", centre)
         sign = -1.0 if inside else 1.0
         return cls.curve(boundary, partial(_off_circle, centre, radius, sign), friction, coulomb)
 

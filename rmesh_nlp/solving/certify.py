@@ -16,7 +16,7 @@ from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ContactSystem
-from rmesh_nlp.errors import expect, expect_list, one_line
+from rmesh_nlp.errors import BadInputError, expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.objective_text import load_of
@@ -80,7 +80,7 @@ def bounded(
     """The certificate of the two states of an assessment."""
     given, final = assessment.given, assessment.final
     if given.continuous is None or final.continuous is None:
-        raise ValueError(f"there is nothing to certify: the solution is {assessment.status.value}")
+        raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
     problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)

@@ -196,7 +196,7 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
         if name not in accepted:
             names = ", ".join(one if isinstance(one, str) else one.name for one in formulations)
             near = nearest(name, sorted(accepted))
-            raise BadInputError(f"{name} = {value!r} is not an option of {names}{near}")
+            raise BadInputError(f"{name} = {value!r} is not an option of {names}{near}", name)
 
 
 def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:

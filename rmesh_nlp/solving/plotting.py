@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
+from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
@@ -36,9 +37,9 @@ def plot(
     of the displacement space.
     """
     if what not in PICTURES:
-        raise ValueError(f"unknown picture {what!r}: choose from {', '.join(PICTURES)}")
+        raise unknown("picture", what, PICTURES)
     if what == "pressure" and not problem.contact_sets:
-        raise ValueError(f"the problem {problem.name!r} has no contact, and so no pressure")
+        raise BadInputError(f"the problem {problem.name!r} has no contact, and so no pressure")
     if axes is None:
         from matplotlib import pyplot  # the windows that it can open are for this alone
 

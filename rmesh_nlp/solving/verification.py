@@ -8,7 +8,7 @@ import numpy as np
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.display import Rows, Shown
-from rmesh_nlp.errors import expect
+from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
@@ -105,7 +105,7 @@ def verify_gradient(
     outer = Outer.of(problem, objective)
     function, n = outer.function, outer.n
     if n == 0:
-        raise ValueError(f"no node of {problem.name!r} may move: there is no gradient to test")
+        raise BadInputError(f"no node of {problem.name!r} may move: there is no gradient to test")
     rng = np.random.default_rng(seed)
     q, direction = (1 - FIRST_STEP) * outer.variables(seed=int(rng.integers(2**31))), rng.uniform(-1, 1, n)
     while not outer.is_valid(q + FIRST_STEP * direction):

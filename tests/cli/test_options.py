@@ -25,7 +25,7 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[PlannedSolve]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("rmesh_nlp.cli.solving.perform", note)
-    monkeypatch.setattr("rmesh_nlp.study.comparison.perform", note)
+    monkeypatch.setattr("rmesh_nlp.study.engine.perform", note)
     return found
 
 

@@ -296,8 +296,11 @@ def test_rules_that_cannot_be_obeyed_are_named(motion: Motion, change: dict, mes
         (lambda: Motion((1, 2, 3)), "two numbers, Relative or None, got"),
         (lambda: Motion(Relative(0.0)), "relative must be positive and finite, got 0.0"),
         (lambda: Motion(Relative(1.1)), "relative must be a part of .*, at most 1, got 1.1"),
-        (lambda: Motion(0.1, min_area_fraction=1.0), "between 0 and 1, got 1.0"),
-        (lambda: Motion(0.1, min_area_fraction=0.0), "between 0 and 1, got 0.0"),
+        (lambda: Motion(0.1, min_area_fraction=1.0), "min_area_fraction must be below 1, got 1.0"),
+        (
+            lambda: Motion(0.1, min_area_fraction=0.0),
+            "area_fraction must be positive and finite, got 0.0",
+        ),
         (lambda: Motion(0.1, min_angle=60.0), "less than 60 degrees, got 60.0"),
         (lambda: Motion(0.1, min_angle=-1.0), "at least 0"),
         (lambda: Motion(0.1, pinned=(1.5,)), "pinned must be names of boundaries or node numbers, got 1.5"),

@@ -191,7 +191,7 @@ def test_arrays_and_problems_are_refused(name: str) -> None:
     mesh = MeshTri(np.ascontiguousarray(nodes.T), np.ascontiguousarray(triangles.T))
     with pytest.raises(ProblemError, match=message) as caught:
         ContactProblem(mesh.with_boundaries({"left": [0]}), Laplace(1.0), ("left",))
-    assert caught.value.part == "mesh"
+    assert caught.value.place == ("mesh",)
 
 
 @pytest.mark.parametrize(("beside", "hangs"), [(0.0, True), (1e-6, True), (-1e-6, True), (4e-6, False)])

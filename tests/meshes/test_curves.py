@@ -179,8 +179,8 @@ TWO_LINES, TWO_LOOPS = [[0, 1, 4, 5], [1, 2, 5, 6]], [[0, 1, 2, 4, 5, 6], [1, 2,
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Circle((0.0, 0.0), 0.0), "positive radius"),
-        (lambda: Circle((0.0, np.inf), 1.0), "finite centre"),
+        (lambda: Circle((0.0, 0.0), 0.0), "radius must be positive"),
+        (lambda: Circle((0.0, np.inf), 1.0), "centre must be two finite numbers"),
         (lambda: Spline(((0.0, 0.0), (1.0, 1.0), (2.0, 0.0))), "four or more"),
         (lambda: Spline(((0.0, 0.0), (1.0, 1.0), (1.0, 1.0), (2.0, 0.0))), "follow each other are the same"),
         (lambda: Spline(((0.0, 0.0), (1.0, 1.0), (2.0, 1.0), (0.0, 0.0)), closed=True), "are the same"),

@@ -41,7 +41,7 @@ def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPa
         return solve(self, *arguments)
 
     monkeypatch.setattr(ContactSolver, "solve", slow)
-    assert fixed.solve(example("6.2", (4, 2))).contact_time_s == 2.0
+    assert fixed.solve(example("6.2", (4, 2))).trace.contact_time_s == 2.0
 
 
 @pytest.mark.parametrize(

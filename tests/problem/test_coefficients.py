@@ -185,12 +185,12 @@ def test_moduli_of_engineers_become_lame_coefficients(kind: type[Elastic]) -> No
         (lambda: PiecewiseLinear((0.0, 1.0), (1.0,)), "2 or more points"),
         (lambda: PiecewiseLinear((0.0, 0.0), (1.0, 2.0)), "must increase"),
         (lambda: PiecewiseLinear((0.0, 1.0), (0.0, np.nan)), "must be finite"),
-        (lambda: PlaneStrain(1.0, 1.0, (1.0,)), "needs 2 components"),
+        (lambda: PlaneStrain(1.0, 1.0, (1.0,)), "body_force must have 2 components"),
         (lambda: PlaneStrain.from_young(0.0, 0.3), "young must be positive and finite, got 0.0"),
         (lambda: PlaneStrain.from_young(1.0, 0.5), "poisson must lie between -1 and 0.5, got 0.5"),
         (lambda: PlaneStrain.from_young(1.0, -1.0), "between -1 and 0.5, got -1.0"),
         (lambda: PlaneStrain.from_young(None, 0.3), "young must be positive and finite, got None"),
-        (lambda: PlaneStrain.from_young(1.0, "x"), "between -1 and 0.5, got x"),
+        (lambda: PlaneStrain.from_young(1.0, "x"), "between -1 and 0.5, got 'x'"),
     ],
 )
 def test_what_is_no_material_and_no_function_is_refused(make: object, message: str) -> None:

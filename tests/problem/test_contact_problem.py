@@ -1,5 +1,6 @@
 """Contact problems as a whole: obstacles, loads, refinement, words, and mistakes that are named."""
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -12,17 +13,20 @@ from rmesh_nlp.assessment.admissible import admissible
 from rmesh_nlp.contact.penetration import deepest, penetrations
 from rmesh_nlp.contact.setup_warnings import setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.mapping import MeshMap, Mobility
 from rmesh_nlp.meshes import named
-from rmesh_nlp.meshes.curves import Circle, Parametrised
+from rmesh_nlp.meshes.curves import Circle, Parametrised, Spline
 from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import (
     NO_CONTACT,
     ContactProblem,
+    DesignVariable,
     Dirichlet,
     Laplace,
     Motion,
@@ -34,6 +38,7 @@ from rmesh_nlp.problem import (
     Relative,
     Traction,
 )
+from rmesh_nlp.problem.coefficients import where
 from rmesh_nlp.problem.conditions import symmetric
 from rmesh_nlp.problem.contact_problem import locally_refined, refined
 from rmesh_nlp.problem.motion import BY_BARRIER
@@ -114,7 +119,7 @@ def between_nodes(x: Any, y: Any) -> Any:
 def test_contradictions_name_their_part(base: dict, change: dict, part: str, message: str) -> None:
     with pytest.raises(ProblemError, match=message) as caught:
         ContactProblem(**(base | change))
-    assert caught.value.part == part
+    assert caught.value.place[0] == part
 
 
 RUBBING = tuple(replace(wall, coulomb=0.3) for wall in (WALL, Obstacle.line("left", (0.0, 0.0), (1.0, 0.0))))
@@ -389,3 +394,40 @@ def test_point_load_pins_its_node_and_does_its_work() -> None:
     assert admissible(parts).energy == pytest.approx(energy, rel=1e-12)
     with pytest.raises(ValueError, match="under a point load and cannot move"):
         MeshMap.of(replace(problem, motion=Motion(0.05, free=(node,))))
+
+
+MISUSED = [
+    ("body_force", lambda: PlaneStrain.from_young(1000, 0.3, body_force=-9.81)),
+    ("lame_mu", lambda: PlaneStrain("soft", 1.0)),
+    ("node", lambda: PointLoad((0.5, 0.5), (0, -1))),
+    ("delta", lambda: Motion(delta="large")),
+    ("min_angle", lambda: Motion(min_angle="large")),
+    ("curves", lambda: Motion(curves=Circle((0, 0), 1))),
+    ("radius", lambda: Circle((0, 0), -1)),
+    ("centre", lambda: Circle(3, 1)),
+    ("points", lambda: Spline("abc")),
+    ("x", lambda: Parametrised("t", "t", (0, 1))),
+    ("normal", lambda: Obstacle.line("bottom", 0, 1)),
+    ("centre", lambda: Obstacle.circle("bottom", 1, 1)),
+    ("start", lambda: DesignVariable("a", "x", (0, 1))),
+    ("bounds", lambda: DesignVariable("a", 0.5, ("x", "y"))),
+    ("x", lambda: rectangle(2, 2, x=("a", "b"))),
+    ("path", lambda: read_mesh(5)),
+    ("condition", lambda: where("a", 1, 2)),
+]
+
+
+@pytest.mark.parametrize(("argument", "misuse"), MISUSED)
+def test_a_misused_argument_is_one_line_that_names_it(argument, misuse):
+    with pytest.raises(BadInputError) as caught:
+        misuse()
+    assert caught.value.place == (argument,)
+    assert len(str(caught.value).splitlines()) == 1
+
+
+def test_young_and_poisson_taken_for_lames_coefficients_are_told():
+    with pytest.warns(UserWarning, match=r"lambda=1000, mu=0\.3 are .*PlaneStrain\.from_young"):
+        PlaneStrain(1000, 0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        PlaneStrain.from_young(1.0, 0.499)
