@@ -1,17 +1,6 @@
 """A general solver for mathematical programs with complementarity constraints.
 
 >>> from rmesh_nlp.mpcc import MPCC, solve
-
-What other folders use of its modules:
-
-- ``ampl``
-- ``lifting``: lift
-- ``lpec``: descent, linearise
-- ``options``: Options
-- ``reading``: read
-- ``result``: in_words
-- ``solver``: solve
-- ``stationarity``: stationarity
 """
 
 from rmesh_nlp.mpcc.bilevel import bilevel

@@ -1,23 +1,4 @@
-"""A contact problem as a user describes it: mesh, laws, supports, loads, contact, and how nodes may move.
-
-What other folders use of its modules:
-
-- ``body``: Body, determinants, Edges, gradients, sides_on
-- ``coefficients``: at, Coefficient, is_nonzero, is_number, on_points, once, OPEN, POSITION
-- ``conditions``: as_tuple, symmetric
-- ``contact_problem``: locally_refined, refined, renumbered
-- ``data``: ContactSet, ProblemData
-- ``design``: at_design, Constraint, Level, names_in, RESERVED, substituted, symbol
-- ``enclosures``: resolved
-- ``laws``: Elastic, energy_density, Laplace, Law, LOCKING
-- ``lines``: bent, element_zones, line_facets, on_curve, sliding_directions
-- ``motion``: Relative, Where
-- ``obstacle``: GAPS, Obstacle, unit
-- ``quadrature``: is_split, line_rule, MIDPOINT, traction_degree, triangle_rule
-- ``rigid``: in_words, kernel, rigid_motions
-- ``switches``: affine_switches, HIGH, polynomial_degree, switches
-- ``units``: after, bracketed, NO_UNITS, Units, units_of
-"""
+"""A contact problem as a user describes it: mesh, laws, supports, loads, contact, and how nodes may move."""
 
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
