@@ -14,10 +14,9 @@ Coefficients at vertices are the values there; that of an edge ab with the middl
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Expression
+from rmesh_nlp.evaluation import Array
 
 SIDES: dict[int, tuple[tuple[int, int], ...]] = {1: (), 2: ((0, 1),), 3: ((0, 1), (1, 2), (2, 0))}
 """Pairs of vertices of points, edges and triangles, in the order of the functions at edges."""
@@ -45,25 +44,6 @@ def slopes(order: int, shares: Array) -> Array:
         for row, (a, b) in enumerate(SIDES[n], n):
             result[row, a], result[row, b] = 2 * shares[b], 2 * shares[a]
     return result
-
-
-def of_part(order: int, corners: Expression) -> Expression:
-    """``T`` with ``functions(corners @ m) = T @ functions(m)``, m the coordinates in a part of the cell.
-
-    ``corners`` (vertices, vertices) are the barycentric coordinates of its corners, one column each.
-    """
-    if order == 1:
-        return corners
-    n = corners.shape[0]
-    pairs = [*((i, i) for i in range(n)), *SIDES[n]]
-    rows = [
-        [
-            (1 if i == j else 2) * (corners[i, k] * corners[j, m] + corners[i, m] * corners[j, k]) / 2
-            for k, m in pairs
-        ]
-        for i, j in pairs
-    ]
-    return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
 
 def to_coefficients(order: int, vertices: int) -> Array:

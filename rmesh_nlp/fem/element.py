@@ -10,14 +10,13 @@ of the pieces on both sides, triangles as well, to which the same applies.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import cached_property, lru_cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Expression, kind_of
+from rmesh_nlp.evaluation import Array, Expression, Index, kind_of
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
 from rmesh_nlp.vectorised import Columns, columnwise
 
@@ -34,15 +33,15 @@ class PointSums:
     ``shares`` (vertices, points) are the barycentric coordinates of the points. What was evaluated last is
     kept, for all equal sums: the contact system of a mesh and derivatives of its energy need the same.
 
-    An element is cut where a column of values of switches (vertices, switches) has two signs. ``pieces``
-    gives them, after the vertices of the pieces (2 vertices, pieces), and matrices (sums sums, pieces) by
-    which the sums of each enter those of the element: ``(X,) -> (vertices, matrices, values)``.
+    ``cut`` is there if a jump of f may cross an element: ``(X,) -> (sums, values)``, the sums of the pieces
+    of the element between its zeros, and the values of switches (vertices, switches). It is taken where a
+    column of these has two signs.
     """
 
     def __init__(
-        self, function: ca.Function, shares: Array, weights: Array, pieces: ca.Function | None = None
+        self, function: ca.Function, shares: Array, weights: Array, cut: ca.Function | None = None
     ) -> None:
-        self.function, self.shares, self.weights, self.pieces = function, shares, weights, pieces
+        self.function, self.shares, self.weights, self.cut = function, shares, weights, cut
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, PointSums) and self._key == other._key
@@ -52,24 +51,17 @@ class PointSums:
 
     @cached_property
     def _key(self) -> tuple[str, bytes, bytes, str]:
-        pieces = "" if self.pieces is None else self.pieces.serialize()
-        return self.function.serialize(), self.shares.tobytes(), self.weights.tobytes(), pieces
+        cut = "" if self.cut is None else self.cut.serialize()
+        return self.function.serialize(), self.shares.tobytes(), self.weights.tobytes(), cut
 
     def __call__(self, X: Expression) -> Expression:
         """The argument of an element function, from its first one: all sums for each component of f."""
-        if self.pieces is None:
-            points = ca.horzsplit(ca.reshape(X, 2, -1) @ ca.DM(self.shares))
-            # by the function itself, which may have free symbols
-            values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in points))
-            return ca.vec(ca.DM(self.weights) @ values.T)
-        whole, n = PointSums(self.function, self.shares, self.weights), len(self.weights)
-        places, matrices, _ = self.pieces(X)
-        return ca.vec(
-            sum(
-                ca.reshape(matrix, n, n) @ ca.reshape(whole(place), n, -1)
-                for place, matrix in zip(ca.horzsplit(places), ca.horzsplit(matrices), strict=True)
-            )
-        )
+        if self.cut is not None:
+            return self.cut(X)[0]
+        points = ca.horzsplit(ca.reshape(X, 2, -1) @ ca.DM(self.shares))
+        # by the function itself, which may have free symbols
+        values = ca.horzcat(*(self.function(*ca.vertsplit(point)) for point in points))
+        return ca.vec(ca.DM(self.weights) @ values.T)
 
     def evaluated(self, X: Array, count: int) -> list[Array]:
         """The first so many of sums, their derivatives and second ones, at X (2 vertices, elements).
@@ -79,8 +71,8 @@ class PointSums:
         kept = _kept(self)
         if not (kept and count <= len(kept[1]) and np.array_equal(kept[0], X)):
             kept[:] = X, self._at(X, count)
-            if self.pieces is not None:
-                self._put_pieces(X, kept[1])
+            if self.cut is not None:
+                self._put_cut(X, kept[1])
         return kept[1][:count]
 
     def _at(self, X: Array, count: int) -> list[Array]:
@@ -97,51 +89,27 @@ class PointSums:
             weights = weights[..., None, :] * self.shares
         return (weights.reshape(-1, weights.shape[-1]) @ values).reshape(-1, values.shape[-1])
 
-    def _put_pieces(self, X: Array, results: list[Array]) -> None:
+    def _put_cut(self, X: Array, results: list[Array]) -> None:
         """Put sums of pieces, and their derivatives, in the place of those of elements that are cut."""
-        switches, pieces = _of_pieces(self._key[3], len(results), X.shape[1])
+        switches, sums = _of_cut(self._key[3], len(results), X.shape[1])
         signs = np.sign(switches([X])[0]).reshape(-1, len(X) // 2, X.shape[1])
         cut = np.flatnonzero(np.any(np.ptp(signs, axis=1) == 2, axis=0))
         for first in range(0, cut.size, TOGETHER):
             batch = cut[first : first + TOGETHER]
-            values = self._chained(pieces([X[:, np.resize(batch, TOGETHER)]]), len(results))
-            for result, value in zip(results, values, strict=True):
-                result[:, batch] = value.reshape(-1, TOGETHER)[:, : batch.size]
-
-    def _chained(self, of_X: list[Array], count: int) -> Iterator[Array]:
-        """Sums of TOGETHER elements and their derivatives, from vertices and matrices of pieces and theirs.
-
-        Letters of indices: sums t of elements e, and s of their pieces p, of components c of f; numbers x and
-        z of X; coordinates d and f of vertices v and w of pieces.
-        """
-        corner, n = (len(self.shares), 2), len(self.weights)
-        by = [(2 * len(self.shares),) * k for k in range(count)]
-        Y = [y.reshape(*k, -1, *corner, TOGETHER) for k, y in zip(by, of_X[::2], strict=True)]
-        M = [m.reshape(*k, -1, n, n, TOGETHER) for k, m in zip(by, of_X[1::2], strict=True)]
-        S = [
-            each.reshape(*(2,) * k, -1, n, *corner[:1] * k, len(Y[0]), TOGETHER)
-            for k, each in enumerate(self._at(np.moveaxis(Y[0], 0, 2).reshape(*by[1], -1), count))
-        ]
-        yield np.einsum("pste,cspe->cte", M[0], S[0])
-        if count > 1:
-            slope = np.einsum("dcsvpe,xpvde->xcspe", S[1], Y[1], optimize=True)
-            result = np.einsum("xpste,cspe->xcte", M[1], S[0]) + np.einsum("pste,xcspe->xcte", M[0], slope)
-            yield result.reshape(*corner, *result.shape[1:]).transpose(1, 2, 3, 0, 4)
-        if count > 2:
-            second = np.einsum("dfcsvwpe,xpvde,zpwfe->xzcspe", S[2], Y[1], Y[1], optimize=True)
-            second += np.einsum("dcsvpe,xzpvde->xzcspe", S[1], Y[2], optimize=True)
-            mixed = np.einsum("xpste,zcspe->xzcte", M[1], slope, optimize=True)
-            result = np.einsum("xzpste,cspe->xzcte", M[2], S[0]) + mixed + mixed.swapaxes(0, 1)
-            result += np.einsum("pste,xzcspe->xzcte", M[0], second)
-            yield result.reshape(*corner, *corner, *result.shape[2:]).transpose(1, 3, 4, 5, 0, 2, 6)
+            values = sums([X[:, np.resize(batch, TOGETHER)]])
+            for order, (result, value) in enumerate(zip(results, values, strict=True)):
+                result[self._numbers(len(result), order)[:, None], batch] = value[:, : batch.size]
 
     def in_matrix(self, column: Expression, order: int) -> Expression:
         """The matrix (sums, 2 vertices, ...) of derivatives by X of the numbers of an element."""
-        shape = [2] * order + [-1, len(self.weights)] + [len(self.shares)] * order
-        numbers = np.arange(column.shape[0]).reshape(shape)
-        columns = [axis for k in range(order) for axis in (order + 2 + k, k)]
-        numbers = numbers.transpose(*columns, order, order + 1).ravel()
+        numbers = self._numbers(column.shape[0], order)
         return ca.reshape(column[numbers.tolist()], -1, (2 * len(self.shares)) ** order)
+
+    def _numbers(self, size: int, order: int) -> Index:
+        """Which of so many numbers stand in the matrix of :meth:`in_matrix`, column by column."""
+        shape = [2] * order + [-1, len(self.weights)] + [len(self.shares)] * order
+        columns = [axis for k in range(order) for axis in (order + 2 + k, k)]
+        return np.arange(size).reshape(shape).transpose(*columns, order, order + 1).ravel()
 
 
 @lru_cache(maxsize=8)  # loads of the regions of a problem
@@ -163,17 +131,15 @@ def _derivatives(text: str, count: int, n: int) -> Columns:
 
 
 @lru_cache
-def _of_pieces(text: str, count: int, n: int) -> tuple[Columns, Columns]:
-    """Switches at the vertices of n elements; and vertices and matrices of the pieces of TOGETHER elements.
-
-    The latter with their derivatives by all of X, and second ones, up to ``count``.
-    """
-    pieces = ca.Function.deserialize(text)
-    X = ca.SX.sym("X", pieces.size1_in(0))
-    *results, switches = map(ca.densify, pieces(X))
-    for k in range(2 * count - 2):
-        results.append(ca.densify(ca.jacobian(results[k], X)))
-    whole = ca.Function("pieces", [X], results)
+def _of_cut(text: str, count: int, n: int) -> tuple[Columns, Columns]:
+    """Switches at the vertices of n elements; and sums of TOGETHER that are cut, with their derivatives."""
+    cut = ca.Function.deserialize(text)
+    X = ca.SX.sym("X", cut.size1_in(0))
+    sums, switches = map(ca.densify, cut(X))
+    results = [sums]
+    for _ in range(1, count):
+        results.append(ca.densify(ca.jacobian(results[-1], X)))
+    whole = ca.Function("cut", [X], results)
     return columnwise(ca.Function("switches", [X], [switches]), n), columnwise(whole, TOGETHER)
 
 

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.fem.bernstein import functions, of_part
-from rmesh_nlp.fem.cells import Blended, Cell, Straight
+from rmesh_nlp.fem.bernstein import functions
+from rmesh_nlp.fem.cells import Blended, Cell, Straight, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
-from rmesh_nlp.fem.pieces import cuts, pieces_of, piecewise
+from rmesh_nlp.fem.pieces import cuts, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
@@ -45,14 +45,15 @@ def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Fun
     work = cell.at(shares[:, 0]).det / 2 * ca.dot(means.T, cell.u)
     function = ca.Function("load_energy", [*cell.columns, ca.vec(means)], [-work, NO_ROWS])
     load = ca.Function("load", [x, y], [ca.densify(ca.SX(vector(law.load, x, y)))], OPEN)
-    switches, pieces = cuts(cell, law.load, quadrature), None
+    switches, cut = cuts(cell, law.load, quadrature), None
     if switches:
-        each = pieces_of(cell, switches)
-        places = ca.horzcat(*(ca.vec(cell.X @ corners) for corners, _ in each))
-        shapes = ca.horzcat(*(ca.vec(share * of_part(cell.order, corners)) for corners, share in each))
+        sums = sum(
+            weight * shape_functions(cell.order, at) @ load(*ca.vertsplit(cell.X @ at)).T
+            for at, weight in piecewise(cell, law.load, quadrature)
+        )
         signs = [ca.vertcat(*(s(*ca.vertsplit(x)) for x in ca.horzsplit(cell.X))) for s in switches]
-        pieces = ca.Function("pieces", cell.columns[:1], [places, shapes, ca.horzcat(*signs)], OPEN)
-    return function, PointSums(load, shares, functions(cell.order, shares) * weights, pieces)
+        cut = ca.Function("cut", cell.columns[:1], [ca.vec(sums), ca.horzcat(*signs)], OPEN)
+    return function, PointSums(load, shares, functions(cell.order, shares) * weights, cut)
 
 
 @once

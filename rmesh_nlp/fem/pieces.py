@@ -6,7 +6,7 @@ assessment has pieces as numbers, and of switches of any kind: :mod:`rmesh_nlp.a
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 
@@ -30,25 +30,20 @@ def cuts(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str)
 
 
 def piecewise(cell: Straight, coefficients: Sequence[Coefficient], degree: int | str) -> Rule:
-    """The cell's rule on each of its pieces between the affine switches of coefficients."""
-    rule = list(cell.rule(degree))
-    return [
-        (corners @ points, share * weight)
-        for corners, share in pieces_of(cell, cuts(cell, coefficients, degree))
-        for points, weight in rule
-    ]
-
-
-def pieces_of(cell: Straight, switches: Sequence[ca.Function]) -> list[tuple[Expression, Expression]]:
-    """Barycentric coordinates (corners, corners) of the corners of pieces, one column each, and their shares.
+    """The cell's rule on each of its pieces between the affine switches of coefficients.
 
     Where a switch has no zero in the cell it makes pieces without measure.
     """
     corners = ca.horzsplit(ca.SX.eye(cell.X.shape[1]))
     pieces: list[Piece] = [([ca.vertcat(0, corner) for corner in corners], ca.SX(1))]
-    for switch in switches:
+    for switch in cuts(cell, coefficients, degree):
         pieces = [part for piece in pieces for part in _cut(_valued(piece, cell, switch))]
-    return [(ca.horzcat(*corners)[1:, :], share) for corners, share in pieces]
+    rule = list(cell.rule(degree))
+    return [
+        (ca.horzcat(*corners)[1:, :] @ points, share * weight)
+        for corners, share in pieces
+        for points, weight in rule
+    ]
 
 
 def _valued(piece: Piece, cell: Straight, switch: ca.Function) -> Piece:
@@ -57,34 +52,27 @@ def _valued(piece: Piece, cell: Straight, switch: ca.Function) -> Piece:
     return corners, piece[1]
 
 
-def _cut(piece: Piece) -> Iterator[Piece]:
-    """Two pieces of an edge, four of a triangle, where the switch has one sign on each.
+def _cut(piece: Piece) -> list[Piece]:
+    """Two pieces of an edge, three of a triangle, where the switch has one sign on each.
 
-    A triangle is halved from its middle value to the zero between the other two corners, and each half once
-    more on the side that is left.
+    In a triangle p is a corner between whose opposite ones the switch has no zero.
     """
     corners, share = piece
     if len(corners) == 2:
-        yield from _halved(piece, 0, 1)
-        return
-    for i in (0, 1, 0):
-        first, second = corners[i : i + 2]
-        ascend = first[0] <= second[0]
-        corners[i : i + 2] = ca.if_else(ascend, first, second), ca.if_else(ascend, second, first)
-    low, high = _halved((corners, share), 0, 2)
-    yield from _halved(low, 0, 1)
-    yield from _halved(high, 1, 2)
+        zero, at = _zero(*corners)
+        return [([corners[0], zero], at * share), ([zero, corners[1]], (1 - at) * share)]
+    p, q, r = corners
+    is_first, is_second = q[0] * r[0] >= 0, p[0] * r[0] >= 0
+    p, q, r = (
+        ca.if_else(is_first, a, ca.if_else(is_second, b, c)) for a, b, c in ((p, q, r), (q, r, p), (r, p, q))
+    )
+    (on_q, to_q), (on_r, to_r) = _zero(p, q), _zero(p, r)
+    three = [p, on_q, on_r], [on_q, q, r], [on_q, r, on_r]
+    return list(zip(three, [to_q * to_r * share, (1 - to_q) * share, to_q * (1 - to_r) * share], strict=True))
 
 
-def _halved(piece: Piece, i: int, j: int) -> Iterator[Piece]:
-    """The piece without corner j, then without corner i: the zero on the side between them is in its place.
-
-    Without a zero there it is corner i.
-    """
-    corners, share = piece
-    a, b = corners[i], corners[j]
+def _zero(a: Expression, b: Expression) -> tuple[Expression, Expression]:
+    """The zero of the switch between two corners, a where there is none, and how far it is on the way."""
     has_zero = a[0] * b[0] < 0
     at = ca.if_else(has_zero, a[0] / ca.if_else(has_zero, a[0] - b[0], 1), 0)  # derivatives are numbers too
-    zero = (1 - at) * a + at * b
-    yield [zero if k == j else corner for k, corner in enumerate(corners)], at * share
-    yield [zero if k == i else corner for k, corner in enumerate(corners)], (1 - at) * share
+    return (1 - at) * a + at * b, at
