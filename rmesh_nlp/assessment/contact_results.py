@@ -9,7 +9,7 @@ import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array, cross
-from rmesh_nlp.fem.contact_pressure import is_even, nodal_forces, on_vertices, recovered
+from rmesh_nlp.fem.contact_pressure import Recovered, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
@@ -69,29 +69,26 @@ def contact_results(
         name = boundary.value if isinstance(boundary, Place) else str(boundary)
         if name in results:
             name = f"{name} {part.number + 1}"
-        forces, rubbing = nodal_forces(space, nodes, part, state.normal_force, state.tangential_force)
-        normal, along = float(np.sum(forces)), float(np.sum(rubbing))
-        on = on_vertices(space, nodes, part, forces)
+        pressure, friction = recovered(space, nodes, part, state.normal_force, state.tangential_force)
+        normal, along = float(np.sum(pressure.nodal)), float(np.sum(friction.nodal))
         results[name] = ContactResult(
             normal_force=normal,
             tangential_force=along if abs(along) > ROUNDING * normal else 0.0,
-            peak_pressure=float(np.max(recovered(space, part, on))),
-            contact_length=on.length(space.order, least),
-            **_vector(space, nodes, part, forces, rubbing),
+            peak_pressure=float(np.max(pressure.values)),
+            contact_length=pressure.length(least),
+            **_vector(nodes, pressure, friction),
         )
     return results
 
 
-def _vector(
-    space: DisplacementSpace, nodes: Array, part: ContactSet, forces: Array, friction: Array
-) -> dict[str, float]:
-    """Force and moment of normal and tangential forces at nodes; none of a scalar problem."""
-    if space.problem.components == 1:
+def _vector(nodes: Array, pressure: Recovered, friction: Recovered) -> dict[str, float]:
+    """Force and moment of the forces at nodes; none of a scalar problem."""
+    if pressure.space.problem.components == 1:
         return {}
-    acting = np.flatnonzero((forces != 0) | (friction != 0))
-    x, y = points = space.points(nodes)[:, acting]
-    n_x, n_y = part.obstacle.normals(points)
-    f_x, f_y = forces[acting] * (n_x, n_y) + friction[acting] * (n_y, -n_x)
+    acting = np.flatnonzero((pressure.nodal != 0) | (friction.nodal != 0))
+    x, y = points = pressure.space.points(nodes)[:, acting]
+    n_x, n_y = pressure.part.obstacle.normals(points)
+    f_x, f_y = pressure.nodal[acting] * (n_x, n_y) + friction.nodal[acting] * (n_y, -n_x)
     totals = {"force_x": f_x, "force_y": f_y, "moment": x * f_y - y * f_x}
     return {name: float(np.sum(values)) for name, values in totals.items()}
 
@@ -99,14 +96,14 @@ def _vector(
 def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> Iterator[str]:
     """A sentence for each peak of the pressure, well above its neighbours, that may have no limit."""
     for part in space.contact_sets if space.problem.components == 2 else ():
-        on = on_vertices(space, nodes, part, *nodal_forces(space, nodes, part, state.normal_force))
-        pressure = recovered(space, part, on)[: space.n_vertices]
+        (on,) = recovered(space, nodes, part, state.normal_force)
+        pressure = on.values[: space.n_vertices]
         top = int(np.argmax(pressure))
         beside = on.cells[::-1][on.cells == top]
         if not pressure[top] > PEAKED * np.max(pressure[beside], initial=0.0):
             continue
         is_kink = np.any(np.isclose(nodes[0, top], part.obstacle.kinks))
-        is_end = on.ends[top] and not is_even(space, part)[top] and not _is_sharp(space, part, nodes, top)
+        is_end = on.ends[top] and not on.even_ends[top] and not _is_sharp(space, part, nodes, top)
         if is_kink or is_end:
             place = "a kink of the foundation of" if is_kink else "the end of the contact boundary"
             text = f"the largest pressure is at {place} {str(part.obstacle.boundary)!r}, where it may have "

@@ -13,7 +13,9 @@ there that of a pressure which continues from the nodes beside it.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -21,8 +23,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, Mask, largest_side
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.meshes.geometry import lengths, signed_areas
-from rmesh_nlp.problem import Place
+from rmesh_nlp.meshes.geometry import lengths
 from rmesh_nlp.problem.data import ContactSet
 
 BEYOND = (0.0, 0.0736, 0.2735, 0.567, 0.8828, 1.2), (-1.0, -0.5, 0.0, 0.5, 1.0, 0.5)
@@ -42,11 +43,13 @@ class End(NamedTuple):
     nodes: Index
 
 
-def ends(space: DisplacementSpace, part: ContactSet) -> Iterator[End]:
-    """The ends of a contact boundary at which the gap is given and closed."""
-    problem, beside = space.problem, defaultdict[int, list[int]](list)
-    vertices, gaps, _ = problem.given_gaps(problem.contact_sets[part.number])
+@lru_cache(maxsize=8)  # it does not depend on where the nodes are
+def ends(space: DisplacementSpace, number: int) -> tuple[End, ...]:
+    """The ends of a contact boundary, by its number, at which the gap is given and closed."""
+    problem, part, found = space.problem, space.contact_sets[number], list[End]()
+    vertices, gaps, _ = problem.given_gaps(problem.contact_sets[number])
     shared = vertices[np.abs(gaps) <= ROUNDING * largest_side(problem.mesh.p)].tolist()
+    beside = defaultdict[int, list[int]](list)
     for a, b in contact_edges(problem, part.obstacle).T.tolist() if shared else ():
         beside[a].append(b)
         beside[b].append(a)
@@ -57,9 +60,9 @@ def ends(space: DisplacementSpace, part: ContactSet) -> Iterator[End]:
                 path.append(sum(beside[path[-1]]) - path[-2])
             along = np.array(path)
             nodes = along[1:] if space.order == 1 else space.nodes_at(along[:-1], along[1:])
-            n_free = np.cumprod(np.isin(nodes[:3], part.nodes)).sum()
-            if n_free:
-                yield End(path, nodes[:n_free])
+            if n_free := np.cumprod(np.isin(nodes[:3], part.nodes)).sum():
+                found.append(End(path, nodes[:n_free]))
+    return tuple(found)
 
 
 def force_at_end(order: int, length: Sequence[Expression], force: Sequence[Expression]) -> Expression:
@@ -99,7 +102,7 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
         forces = np.zeros(space.n_nodes)
         if force.size:
             forces[part.nodes] = force[part.rows]
-            for end in ends(space, part):
+            for end in ends(space, part.number):
                 along = lengths(X, np.stack([end.vertices[:-1], end.vertices[1:]])).tolist()
                 shared = force_at_end(space.order, along, forces[end.nodes].tolist())
                 forces[end.vertices[0]] += float(shared) if number else max(float(shared), 0.0)
@@ -107,29 +110,78 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
     return result
 
 
-class OnVertices(NamedTuple):
-    """The cells of a contact set on which a node is free, and the forces of its nodes on their vertices.
+@dataclass(frozen=True, eq=False)
+class Recovered:
+    """Forces at the nodes of a contact set, and the stress that is recovered from them.
 
-    ``cells`` (corners, n) are edges or triangles of ``size`` (n,); ``weights`` (vertices,) are the integrals
-    of the barycentric coordinates, ``forces`` (vertices,) those of the pressure times these.
+    ``nodal`` (nodes,) has those at shared vertices. ``cells`` (corners, n) are the edges or triangles on
+    which a node is free, of ``size`` (n,).
     """
 
+    space: DisplacementSpace
+    part: ContactSet
+    nodal: Array
     cells: Index
     size: Array
-    weights: Array
-    forces: Array
 
-    @property
+    @cached_property
+    def weights(self) -> Array:
+        """(vertices,) integrals of the barycentric coordinates."""
+        share = np.tile(self.size / len(self.cells), len(self.cells))
+        return np.asarray(np.bincount(self.cells.ravel(), share, self.space.n_vertices), dtype=float)
+
+    @cached_property
+    def forces(self) -> Array:
+        """(vertices,) integrals of the stress times the barycentric coordinates."""
+        at_vertices, at_edges = np.split(self.nodal, [self.space.n_vertices])
+        for end in self.space.problem.mesh.facets if at_edges.size else ():
+            at_vertices = at_vertices + np.bincount(end, at_edges / 2, at_vertices.size)
+        return at_vertices
+
+    @cached_property
     def means(self) -> Array:
-        """(vertices,) forces over weights, zero off the contact set: means of the pressure."""
+        """(vertices,) forces over weights, zero off the contact set: means of the stress."""
         return np.divide(self.forces, self.weights, np.zeros_like(self.forces), where=self.weights > 0)
 
-    @property
+    @cached_property
     def ends(self) -> Mask:
         """(vertices,) where a contact boundary ends."""
-        return np.bincount(self.cells.ravel(), minlength=self.weights.size) == 1
+        return np.asarray(np.bincount(self.cells.ravel(), minlength=self.weights.size) == 1)
 
-    def length(self, order: int, least: float) -> float:
+    @cached_property
+    def even_ends(self) -> Mask:
+        """(vertices,) where it ends in a plane of symmetry."""
+        fixed = self.part.nodes[~may_slip(self.space, self.part)]
+        return self.ends & np.isin(np.arange(self.ends.size), fixed)
+
+    @cached_property
+    def values(self) -> Array:
+        """(nodes,) the stress; zero off the contact set.
+
+        Means are those at the centroids of the vertices' weights, from which the stress continues linearly,
+        but no pressure below zero. In a plane of symmetry it is even; at order 1 the first two vertices are
+        taken together there, since errors of their forces cancel: on a quarter of a ring, 6 edges long, a
+        pressure of 5.2 had 6.4 and 5.1 at them.
+        """
+        means, weights, space = self.means, self.weights, self.space
+        result = means.copy()
+        if len(self.cells) == 2:
+            own, other, size = self._both_ways
+            slope = (means[other] - means[own]) / (2 * (weights[own] + weights[other]) - size)
+            is_even = self.even_ends[own]
+            step = np.where(is_even, 0.0, 2 / (2 - self.ends[own]) * (size - weights[own]) * slope)
+            result -= np.bincount(own, step, result.size)
+            if space.order == 1:
+                own, other = own[is_even], other[is_even]
+                result[own] = (self.forces[own] + self.forces[other]) / (weights[own] + weights[other])
+        result[np.sign(result) != np.sign(means)] = 0.0
+        result = np.append(result, np.zeros(space.n_nodes - means.size))
+        if space.order == 2:
+            edges = np.unique(space.nodes_of(self.cells)[len(self.cells) :])
+            result[edges] = np.mean(result[space.problem.mesh.facets[:, edges - means.size]], axis=0)
+        return result
+
+    def length(self, least: float) -> float:
         """Of the boundary where it presses; of an interior obstacle an area.
 
         Contact ends within the edge beyond the last vertex with more force than ``least``, or at order 2 in
@@ -138,89 +190,42 @@ class OnVertices(NamedTuple):
         pressing = self.forces > least
         if len(self.cells) == 3:
             return float(np.sum(self.weights[pressing]))
-        both, before = np.all(pressing[self.cells], axis=0), np.zeros((2, pressing.size))
-        total, means = float(np.sum(self.size[both])), self.means
-        for last, other in (self.cells, self.cells[::-1]):
-            np.add.at(before[0], last[both], self.size[both])
-            np.add.at(before[1], last[both], (self.size * means[other])[both])
-        for last, other in (self.cells, self.cells[::-1]):
-            at = pressing[last] & ~pressing[other]
-            edge, force = before[:, last[at]]
-            reach = np.interp(self.forces[last[at]] / np.maximum(force, 1e-300), *BEYOND)
-            edge = np.where(edge > 0, edge, self.size[at])
-            total += float(np.sum(np.minimum(np.maximum(reach, 1 - order) * edge, self.size[at])))
-        return total
+        last, other, size = self._both_ways
+        beside = np.bincount(last, self.means[other], pressing.size)  # beyond contact it is zero
+        inside = np.sum(size[pressing[last] & pressing[other]]) / 2
+        ends = pressing[last] & ~pressing[other]
+        last, size = last[ends], size[ends]
+        edge = 2 * self.weights[last] - size
+        reach = np.interp(self.forces[last] / np.maximum(edge * beside[last], 1e-300), *BEYOND)
+        reach = np.maximum(reach, 1 - self.space.order) * np.where(edge > 0, edge, size)
+        return float(inside + np.sum(np.minimum(reach, size)))
+
+    @property
+    def _both_ways(self) -> tuple[Index, Index, Array]:
+        """Of edges, from either end: this vertex, the other one, and the length."""
+        return self.cells.ravel(), self.cells[::-1].ravel(), np.tile(self.size, 2)
 
 
-def on_vertices(space: DisplacementSpace, X: Array, part: ContactSet, force: Array) -> OnVertices:
-    """Forces at nodes (nodes,) on the vertices of a contact set, at vertex positions (2, vertices)."""
-    n, problem = space.n_vertices, space.problem
-    if part.obstacle.boundary is Place.INTERIOR:
-        cells, size = problem.triangles, signed_areas(X, problem.triangles)
-    else:
-        cells = contact_edges(problem, part.obstacle)
-        size = lengths(X, cells)
+def recovered(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Array) -> list[Recovered]:
+    """The stresses of forces as of :func:`nodal_forces`, at vertex positions (2, vertices)."""
+    cells, size = space.contact_cells(part.obstacle, X)
     is_open = np.any(np.isin(space.nodes_of(cells), part.nodes), axis=0)
     cells, size = cells[:, is_open], size[is_open]
-    weights, forces = np.zeros(n), force[:n].copy()
-    for corner in cells:
-        np.add.at(weights, corner, size / len(cells))
-    for end in problem.mesh.facets if space.order == 2 else ():
-        np.add.at(forces, end, force[n:] / 2)
-    return OnVertices(cells, size, weights, forces)
+    return [Recovered(space, part, each, cells, size) for each in nodal_forces(space, X, part, *of_gaps)]
 
 
-def recovered(space: DisplacementSpace, part: ContactSet, on: OnVertices) -> Array:
-    """(nodes,) the stress that is recovered from forces on vertices; zero off the contact set.
-
-    Means are those at the centroids of the vertices' weights, from which the stress continues linearly, but
-    no pressure below zero. In a plane of symmetry it is even; at order 1 the first two vertices are taken
-    together there, since errors of their forces cancel: on a quarter of a ring, 6 edges long, a pressure of
-    5.2 had 6.4 and 5.1 at them.
-    """
-    means, weights = on.means, on.weights
-    result = np.append(means, np.zeros(space.n_nodes - means.size))
-    if len(on.cells) == 2:
-        even, is_end = is_even(space, part), on.ends
-        for own, other in (on.cells, on.cells[::-1]):
-            apart = 2 * (weights[own] + weights[other]) - on.size
-            step = 2 / (2 - is_end[own]) * (on.size - weights[own]) * (means[other] - means[own]) / apart
-            pair = even[own] & is_end[own]
-            np.subtract.at(result, own, np.where(pair, 0.0, step))
-            if space.order == 1:
-                own, other = own[pair], other[pair]
-                result[own] = (on.forces[own] + on.forces[other]) / (weights[own] + weights[other])
-        result[: means.size][np.sign(result[: means.size]) != np.sign(means)] = 0.0
-    if space.order == 2:
-        edges = np.unique(space.nodes_of(on.cells)[len(on.cells) :])
-        result[edges] = np.mean(result[space.problem.mesh.facets[:, edges - means.size]], axis=0)
-    return result
-
-
-def contact_stresses(
-    space: DisplacementSpace, X: Array, normal: Array, tangential: Array
-) -> tuple[Array, Array]:
-    """(nodes,) pressure and tangential stress of forces (gaps,), of all contact sets together."""
-    pressure, along = np.zeros((2, space.n_nodes))
+def contact_stresses(space: DisplacementSpace, X: Array, normal: Array, tangential: Array) -> Array:
+    """(2, nodes) pressure and tangential stress of forces (gaps,), of all contact sets together."""
+    total = np.zeros((2, space.n_nodes))
     for part in space.contact_sets:
-        for stress, force in zip(
-            (pressure, along), nodal_forces(space, X, part, normal, tangential), strict=True
-        ):
-            stress += recovered(space, part, on_vertices(space, X, part, force))
-    return pressure, along
+        total += [each.values for each in recovered(space, X, part, normal, tangential)]
+    return total
 
 
 def vertex_pressures(space: DisplacementSpace, X: Array, part: ContactSet, force: Array) -> Array:
     """(vertices of the set,) means of the pressure at vertices without a given gap by forces (gaps,)."""
-    means = on_vertices(space, X, part, *nodal_forces(space, X, part, force)).means
+    means = recovered(space, X, part, force)[0].means
     return means[part.nodes[part.nodes < means.size]]
-
-
-def is_even(space: DisplacementSpace, part: ContactSet) -> Mask:
-    """(nodes,) whether a contact boundary that ends here ends in a plane of symmetry."""
-    even = np.zeros(space.n_nodes, dtype=bool)
-    even[part.nodes] = ~may_slip(space, part)
-    return even
 
 
 def may_slip(space: DisplacementSpace, part: ContactSet) -> Mask:

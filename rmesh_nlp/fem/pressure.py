@@ -174,7 +174,7 @@ def _integral(
     function = ca.Function("force", ca.vertsplit(symbols), [force])
     at_node = ca.Function("force", ca.vertsplit(symbols), [force, NO_ROWS])
     groups = [on.group(at_node, [field.at(nodes[None]) for field in fields])]
-    for end in ends(on.space, part):
+    for end in ends(on.space, part.number):
         X = ca.SX.sym("X", 2, len(end.vertices))
         columns = [ca.SX.sym("lambda", end.nodes.size) for _ in fields]
         along = [ca.norm_2(X[:, k + 1] - X[:, k]) for k in range(len(end.vertices) - 1)]

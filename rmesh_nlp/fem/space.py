@@ -175,16 +175,21 @@ class DisplacementSpace:
         """
         weights: list[Array] = [np.zeros(0)]
         for part in self.contact_sets:
-            if part.obstacle.boundary is Place.INTERIOR:
-                cells, length = self.problem.triangles, signed_areas(X, self.problem.triangles)
-            else:
-                cells = contact_edges(self.problem, part.obstacle)
-                length = lengths(X, cells)
+            cells, size = self.contact_cells(part.obstacle, X)
             nodes = self.nodes_of(cells)
-            share = np.tile(length / len(nodes), len(nodes))
-            whole = np.bincount(nodes.ravel(), share, self.n_nodes)
+            whole = np.bincount(nodes.ravel(), np.tile(size / len(nodes), len(nodes)), self.n_nodes)
             weights.append(np.asarray(whole[part.nodes], dtype=float))
         return np.concatenate(weights)
+
+    def contact_cells(self, obstacle: Obstacle, X: Array) -> tuple[Index, Array]:
+        """(2 or 3, n) vertices of contact edges, or of all triangles for an obstacle in the interior.
+
+        And their lengths or areas (n,) at vertex positions (2, vertices).
+        """
+        if obstacle.boundary is Place.INTERIOR:
+            return self.problem.triangles, signed_areas(X, self.problem.triangles)
+        edges = contact_edges(self.problem, obstacle)
+        return edges, lengths(X, edges)
 
     @cached_property
     def _edge_names(self) -> tuple[Index, Index]:
