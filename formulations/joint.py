@@ -123,7 +123,7 @@ class Joint(Formulation):
             *program.split(x)[:2], *program.forces(lam_g)
         )
         begin = outer.relocation.split(outer.energy.unknowns(q, contact.equilibrium.u))
-        result = solver(program.unknowns(*begin), monitor=track)
+        result = solver(program.joined(*begin), monitor=track)
         track.with_violations(result.history.get("inf_pr", []))
         return program, result
 

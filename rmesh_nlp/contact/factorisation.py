@@ -43,9 +43,10 @@ def factorised(K: sp.csc_array) -> Solve:
     return _by_superlu(K, "MMD_AT_PLUS_A").solve
 
 
-def factorised_lu(K: sp.csc_array) -> Solve:
-    """Sparse factorisation of a matrix that is not symmetric."""
-    return splu(K, permc_spec="COLAMD").solve
+def factorised_lu(K: sp.csc_array) -> tuple[Solve, Solve]:
+    """Sparse factorisation of a matrix that is not symmetric; the second one solves with its transpose."""
+    solve = splu(K, permc_spec="COLAMD").solve
+    return solve, partial(solve, trans="T")
 
 
 class Condensed:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.contact.factorisation import Condensed, Solve, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
+from rmesh_nlp.optimize.activity import both_vanish
 from rmesh_nlp.optimize.status import Status
 
 
@@ -103,7 +104,7 @@ class ContactSystem:
         friction = -self.slip_bound * active.sliding
         if friction.size:
             F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
-        inside, solve = rotated.factor(active)
+        inside, solve, _ = rotated.factor(active)
         w[inside] = solve(rotated.combined(active, F - rotated.K @ w)[inside])
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
@@ -111,8 +112,22 @@ class ContactSystem:
             if self.coulomb is not None:
                 friction = friction - active.sliding * self.coulomb * normal_force
             friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
-        u = rotated.back(w)
+        u = rotated.basis @ w
         return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
+
+    def weak(self, state: Equilibrium) -> Mask:
+        """(gaps,) where strict complementarity fails: there u(X) has one-sided derivatives only.
+
+        Gap and normal force both vanish, or slip vanishes while the friction is at its bound.
+        """
+        force, length = self.force_scale, max(magnitude(state.u), 1e-300)
+        weak = both_vanish((self.normals @ state.u + self.offset) / length, state.normal_force / force)
+        if self.slip_bound.size:
+            slip = self.tangents @ state.u
+            reserve = self.bound(state.normal_force) - np.abs(state.tangential_force)
+            acts = True if self.frictional is None else self.frictional
+            weak |= acts & both_vanish(slip / length, reserve / force)
+        return weak
 
     @property
     def force_scale(self) -> float:
@@ -170,6 +185,14 @@ class Equilibrium:
     iterations: int
 
 
+class Factors(NamedTuple):
+    """Solutions with the stiffness over the unknowns ``inside``, and with its transpose."""
+
+    inside: Index
+    solve: Solve
+    transposed: Solve
+
+
 class RotatedSystem:
     """The stiffness in coordinates in which every gap and slip is one unknown (plus a constant).
 
@@ -177,44 +200,38 @@ class RotatedSystem:
     """
 
     def __init__(self, system: ContactSystem) -> None:
-        basis, self.normal, self.tangent = _contact_basis(system)
-        self.basis = basis
+        self.basis, self.normal, self.tangent = _contact_basis(system)
         self.slips = self.tangent >= 0  # False where the tangential displacement is given
-        self.K = system.stiffness if basis is None else sp.csc_array(basis.T @ system.stiffness @ basis)
-        self.F = self.turned(system.load)
+        plain = self.basis.nnz == self.basis.shape[0] and np.all(self.basis.data == 1)
+        self.K = system.stiffness if plain else sp.csc_array(self.basis.T @ system.stiffness @ self.basis)
+        self.F = self.basis.T @ system.load
         self._coulomb = system.coulomb
-        self._factor: tuple[bytes, Index, Solve] | None = None
-
-    def turned(self, force: Array) -> Array:
-        """Forces (m,) or (m, k) in these coordinates."""
-        return force if self.basis is None else (self.basis.T @ force)
-
-    def back(self, w: Array) -> Array:
-        """Displacements u of these coordinates w."""
-        return w if self.basis is None else (self.basis @ w)
+        self._factor: tuple[bytes, Factors] | None = None
 
     def sticking(self, active: ActiveSet) -> Mask:
         """Nodes whose slip the active set holds."""
         return self.slips & (active.sliding == 0) if active.sliding.size else np.zeros_like(self.slips)
 
-    def factor(self, active: ActiveSet) -> tuple[Index, Solve]:
-        """The free unknowns and solutions with their stiffness, whose last factors are kept.
+    def factor(self, active: ActiveSet) -> Factors:
+        """Factors of the stiffness over the free unknowns; the last ones are kept.
 
         So derivatives at a contact solution need no factorisation of their own.
         """
-        if self._factor is None or self._factor[0] != active.key():
+        pull, sticking = self.coupling(active), self.sticking(active)
+        of_pull = b"" if pull is None else pull.data.tobytes() + pull.indices.tobytes()
+        key = active.touching.tobytes() + sticking.tobytes() + of_pull
+        if self._factor is None or self._factor[0] != key:
             free = np.ones(self.F.size, dtype=bool)
             free[self.normal[active.touching]] = False
-            free[self.tangent[self.sticking(active)]] = False
+            free[self.tangent[sticking]] = False
             inside = np.flatnonzero(free)
             self._factor = None  # its memory first
-            pull = self.coupling(active)
             if pull is None:
-                solve = factorised(self.K[:, inside][inside])
+                solve = transposed = factorised(self.K[:, inside][inside])
             else:
-                solve = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
-            self._factor = active.key(), inside, solve
-        return self._factor[1:]
+                solve, transposed = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
+            self._factor = key, Factors(inside, solve, transposed)
+        return self._factor[1]
 
     def coupling(self, active: ActiveSet) -> sp.csr_array | None:
         """C, which adds the rows of the gaps of sliding nodes to those of their slips: ``s F`` times.
@@ -235,8 +252,8 @@ class RotatedSystem:
         return force if pull is None else (force + pull @ force)
 
 
-def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, Index]:
-    """Basis of ``u = basis @ w`` (None for the identity), and the entries of w that are N u and T u.
+def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:
+    """Basis of ``u = basis @ w``, and the entries of w that are N u and T u.
 
     They are -1 where T u is given, or no friction acts. A gap takes the place of the component of u nearest
     to the normal, a slip that of the other one.
@@ -263,8 +280,6 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array | None, Index, I
     values = np.concatenate([N.data, own.data, np.ones(rest.size)])
     where = np.append(rows, rest), np.concatenate([N.indices, own.indices, rest])
     inverse = sp.csr_array((values, where), shape=(n, n))
-    if inverse.nnz == n and np.all(inverse.data == 1):
-        return None, normal, tangent
     # its blocks are of one or two rows, so the square of what is beside the diagonal is a diagonal again
     diagonal = inverse.diagonal()
     beside = sp.diags_array(1 / diagonal) @ (inverse - sp.diags_array(diagonal))

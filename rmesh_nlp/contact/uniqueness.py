@@ -51,7 +51,7 @@ def condensed(system: ContactSystem) -> Array:
     """(k, k) stiffness of gaps, and then of slips where friction acts, with all else free."""
     rotated = replace(system, coulomb=None).rotated  # the factors of the solution are kept
     every = np.ones(system.offset.size, dtype=bool)
-    inside, solve = rotated.factor(ActiveSet(every, np.zeros(every.size, dtype=np.int8)))
+    inside, solve, _ = rotated.factor(ActiveSet(every, np.zeros(every.size, dtype=np.int8)))
     held = np.append(rotated.normal, rotated.tangent[rotated.slips])
     columns = rotated.K[:, held].toarray()
     return columns[held] - columns[inside].T @ solve(columns[inside])

@@ -1,7 +1,7 @@
 """The discretisation of a problem: what its contact solver and all its models are made of.
 
 Unknowns of each kind (outer variables q, displacements u, slips s, contact forces) are numbered from zero; a
-model puts them one after the other (:meth:`~rmesh_nlp.fem.fields.Field.numbered_from`).
+model puts them one after the other (:class:`~rmesh_nlp.discretisation.numbering.Numbering`).
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from rmesh_nlp.discretisation.numbering import Numbering
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.contact_terms import gap_field, slip_field
 from rmesh_nlp.fem.energy import displacement_field
@@ -80,6 +81,17 @@ class Discretisation:
         )
 
     @cached_property
+    def unknowns(self) -> Numbering:
+        """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions of contact."""
+        friction = dict.fromkeys(("slip", "friction_minus", "friction_plus"), self.n_s)
+        return Numbering(q=self.n_q, u=self.n_u, normal_force=self.n_contact, **friction)
+
+    @cached_property
+    def pairs(self) -> Numbering:
+        """The complementarity pairs: gaps, ``s - u_t >= 0`` and ``s + u_t >= 0`` where friction may act."""
+        return Numbering(gaps=self.n_contact, minus=self.n_s, plus=self.n_s)
+
+    @cached_property
     def vertices(self) -> VertexParameters:
         """The vertex positions as parameters of what is solved at positions that are given."""
         return VertexParameters(self.problem)
@@ -105,8 +117,7 @@ class Discretisation:
 
         Displacement and slip are in units of ``length``.
         """
-        sizes = (self.n_q, self.n_u, self.n_contact, self.n_s, self.n_s)
-        u, normal, slip, minus, plus = np.cumsum(sizes).tolist()
+        _, u, normal, slip, minus, plus = (place.start for place in self.unknowns.places.values())
         return Fields(
             self.space,
             self.mesh_map.positions,

@@ -11,7 +11,8 @@ and of a. What is left of the outer problem is small,
 
 with the active move limits, element areas and constraints linearised: an MPCC whose stationarity at zero is
 that of the outer problem (the same multipliers, the other equations being regular). It is labelled by
-:mod:`rmesh_nlp.mpcc.stationarity`. It costs one factorisation, and a back-substitution per biactive pair.
+:mod:`rmesh_nlp.mpcc.stationarity`. It costs a back-substitution per biactive
+pair, and a factorisation where those are not all active.
 
 Its rates are in units of the first-order residual (:mod:`rmesh_nlp.models.residual`): the largest one on the
 mesh as given is 1. Members of pairs are zero below ``ZERO`` in units of the largest displacement and of the
@@ -91,7 +92,8 @@ class Branches:
 def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     """The MPCC in d, a and b; None if the KKT conditions are singular or constraints violated."""
     program, n, first = at.program, at.program.parts.n_q, at.program.n_equations
-    g, lower, upper = at.rows[first : program.n_g], program.lower[first:], program.upper[first:]
+    g = at.rows[first : program.rows["G"].start]
+    lower, upper = program.lower[first:], program.upper[first:]
     violation = np.max(np.maximum(lower - g, g - upper), initial=0.0)
     if violation > tolerance or at.factors is None:
         return None
@@ -107,7 +109,7 @@ def _reduced(at: KKTPoint, tolerance: float, unit: float) -> MPCC | None:
     areas = sp.hstack([areas, sp.csr_array((areas.shape[0], k))])
     constraints = sp.vstack([sp.csr_array(total(at.jacobian[first + own].toarray())), areas])
     slope = total(at.slope)
-    second = total(at.jacobian[program.n_g + program.n_pairs + at.pairs].toarray())
+    second = total(at.jacobian[program.rows["H"].start + at.pairs].toarray())
     if not all(is_finite(part) for part in (slope, second, constraints.data)):
         return None
     # the members a and b in units of their changes for changes of d of one

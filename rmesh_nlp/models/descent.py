@@ -15,7 +15,6 @@ from rmesh_nlp.evaluation import Array, cross
 from rmesh_nlp.fem.fields import NONE
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_model import Reduced
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.trust_region import Evaluation, LocalRadii, NewtonResult, minimise
 from rmesh_nlp.problem import signed_areas
 
@@ -38,7 +37,7 @@ def descend(
     ``options`` are those of :func:`rmesh_nlp.optimize.trust_region.minimise`. Points at which elements are
     not valid are not taken.
     """
-    relocation, curvature = function.energy.relocation, curvature_of(function)
+    relocation = function.energy.relocation
     has_barrier = function.objective.has_barrier
     is_guarded = has_barrier or relocation.n_valid > 0
 
@@ -48,7 +47,7 @@ def descend(
         point = function(x)
         if not np.isfinite(point.value):
             return None
-        return Evaluation(point.value, point.gradient, lambda: curvature(point))
+        return Evaluation(point.value, point.gradient, lambda: function.hessian(point))
 
     local = LocalRadii(
         lambda x: node_widths(relocation, x), lambda x, step: longest_valid(relocation, x, step)

@@ -12,14 +12,14 @@ magnitude per contact node with friction. ``joint`` solves it; its derivatives a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.discretisation import Discretisation, Numbering, discretise
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Block, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
@@ -65,15 +65,13 @@ class Relocation:
     @cached_property
     def assembled(self) -> Assembled:
         """Objective, all rows and derivatives by ``x``, each built when it is first asked for."""
-        first = self.parts.n_contact + 2 * self.parts.n_s
-        valid = replace(self.validity.upright_group, rows=self.validity.group.rows + first)
-        return Assembled((*self.groups, valid), self.x, ca.MX(0, 1), self.n_rows)
+        valid = self.validity.upright_group.shifted(self.rows["valid"].start)
+        return Assembled((*self.groups, valid), self.x, ca.MX(0, 1), self.rows.size)
 
     @cached_property
     def nlp(self) -> NLP:
         """The NLP with its derivatives; rows: gaps, the two slip rows of each contact node, validity."""
-        free, rest = self.parts.mesh_map, np.full(self.parts.n_u + self.parts.n_s, np.inf)
-        ends = np.cumsum([0, self.parts.n_q, self.parts.n_u, self.parts.n_s]).tolist()
+        free, rest = self.parts.mesh_map, np.full(self.unknowns.size - self.parts.n_q, np.inf)
         return NLP(
             x=self.x,
             p=ca.MX(0, 1),
@@ -81,52 +79,47 @@ class Relocation:
             g=self.assembled.g,
             lbx=np.concatenate([free.lower, -rest]),
             ubx=np.concatenate([free.upper, rest]),
-            lbg=np.concatenate([np.zeros(self.n_rows - self.n_valid), self.validity.bound]),
-            ubg=np.full(self.n_rows, np.inf),
+            lbg=np.append(np.zeros(self.parts.pairs.size), self.validity.bound),
+            ubg=np.full(self.rows.size, np.inf),
             derivatives=self.assembled.derivatives,
-            parts=dict(zip(("q", "u", "slip"), ca.vertsplit(self.x, ends), strict=True)),
+            parts={name: self.x[place] for name, place in self.unknowns.places.items()},
         )
 
-    @property
-    def n_x(self) -> int:
-        """Number of unknowns."""
-        return self.parts.n_q + self.parts.n_u + self.parts.n_s
+    @cached_property
+    def unknowns(self) -> Numbering:
+        """Where q, u and s are in ``x``."""
+        return Numbering(q=self.parts.n_q, u=self.parts.n_u, slip=self.parts.n_s)
 
-    @property
-    def n_rows(self) -> int:
-        """Number of rows."""
-        return self.parts.n_contact + 2 * self.parts.n_s + self.n_valid
+    @cached_property
+    def rows(self) -> Numbering:
+        """Where the rows are: ``gaps``, ``minus``, ``plus`` and ``valid``."""
+        return Numbering(**self.parts.pairs.sizes, valid=self.n_valid)
 
     @property
     def n_valid(self) -> int:
         """Number of validity rows."""
         return self.validity.size
 
-    @property
-    def gap_rows(self) -> slice:
-        """Rows of the gaps."""
-        return slice(0, self.parts.n_contact)
-
-    @property
-    def slip_rows(self) -> slice:
-        """Rows ``s + u_t >= 0``; those of ``s - u_t >= 0`` are before them."""
-        return slice(self.parts.n_contact + self.parts.n_s, self.parts.n_contact + 2 * self.parts.n_s)
-
     def split(self, x: Array) -> tuple[Array, Array, Array]:
         """Outer variables, displacements and slips of ``x``, the last two in the unit of the problem."""
-        q, u, s = np.split(x, [self.parts.n_q, self.parts.n_q + self.parts.n_u])
+        q, u, s = self.unknowns.split(x)
         return q, u * self.length, s * self.length
 
-    def unknowns(self, q: Array, u: Array, s: Array) -> Array:
+    def joined(self, q: Array, u: Array, s: Array) -> Array:
         """The unknowns ``x`` of outer variables, displacements and slips in the unit of the problem."""
         return np.concatenate([q, u / self.length, s / self.length])
 
     def forces(self, lam_g: Array) -> tuple[Array, Array]:
         """Contact forces, normal and (n_s,) tangential, that multipliers of the NLP are."""
         # CasADi's multiplier of an active lower bound is negative
-        rows = -lam_g[: self.parts.n_contact + 2 * self.parts.n_s] / self.length
-        normal, minus, plus = np.split(rows, [self.parts.n_contact, self.parts.n_contact + self.parts.n_s])
+        normal, minus, plus, _ = self.rows.split(-lam_g / self.length)
         return normal, plus - minus
+
+    def multipliers(self, normal_force: Array, friction: Array) -> Array:
+        """Of all rows, by contact forces, normal and (n_s,) tangential: those of both slips as one."""
+        forces = np.zeros(self.rows.size)
+        forces[self.rows["gaps"]], forces[self.rows["plus"]] = normal_force, friction
+        return forces
 
     def nodes(self, q: Array) -> Array:
         """Node positions (2, nodes)."""

@@ -20,9 +20,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
-from rmesh_nlp.discretisation import Discretisation, discretise
+from rmesh_nlp.discretisation import Discretisation, Numbering, discretise
 from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.constraints import ConstraintRows, constraint_rows
@@ -67,18 +66,23 @@ class ContactPoint:
     equilibrium: Equilibrium
 
     @property
+    def friction(self) -> tuple[Array, Array, Array]:
+        """(gaps,) slip magnitudes and the multipliers of both slip rows; empty without friction."""
+        if self.system.slip_bound.size == 0:
+            return (np.zeros(0),) * 3
+        return self.system.friction(self.equilibrium)
+
+    @property
     def weak(self) -> Mask:
         """Contact nodes without strict complementarity: gradients other than the energy's are one of many."""
-        return weakly_active(self.system, self.equilibrium)
+        return self.system.weak(self.equilibrium)
 
 
 @dataclass(frozen=True)
 class Bilevel:
     """The MPCC in ``x`` and where its parts are; ``length``, ``force`` and ``value`` are units of the model.
 
-    ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units. The
-    first ``n_equations`` rows of ``mpcc.g`` determine displacement, forces and sums at fixed outer variables;
-    ``constraints`` follow them, then element areas. Rows of ``assembled`` are those of g, of G and of H.
+    ``summed`` has the sums that objective and constraints are functions of, ``sums`` (m,) their units.
     """
 
     parts: Discretisation
@@ -88,25 +92,23 @@ class Bilevel:
     value: float
     summed: Functional
     sums: Array
-    n_equations: int
     constraints: ConstraintRows
     x: ca.MX
 
-    @property
-    def n_pairs(self) -> int:
-        """Number of complementarity pairs."""
-        return self.parts.n_contact + 2 * self.parts.n_s
+    @cached_property
+    def unknowns(self) -> Numbering:
+        """Where the unknowns are in ``x``."""
+        return Numbering(**self.parts.unknowns.sizes, sums=self.sums.size)
+
+    @cached_property
+    def rows(self) -> Numbering:
+        """Where the rows are: of g, of G and of H."""
+        return rows_of(self.parts, self.sums.size, self.constraints.size)
 
     @property
-    def n_g(self) -> int:
-        """Number of rows of g."""
-        return self.n_equations + self.constraints.size + self.parts.validity.bound.size
-
-    @property
-    def sizes(self) -> tuple[int, ...]:
-        """Numbers of the unknowns ``q, u, lambda, s, mu-, mu+, sigma``."""
-        n_s = self.parts.n_s
-        return self.parts.n_q, self.parts.n_u, self.parts.n_contact, n_s, n_s, n_s, self.sums.size
+    def n_equations(self) -> int:
+        """Number of rows that determine displacement, forces and sums at fixed outer variables."""
+        return self.rows["constraints"].start
 
     @cached_property
     def lower(self) -> Array:
@@ -124,23 +126,21 @@ class Bilevel:
     def mpcc(self) -> MPCC:
         """The symbolic MPCC."""
         free, rows = self.parts.mesh_map, self.assembled.g
-        free_above = np.full(sum(self.sizes) - free.n, np.inf)
-        names = ("q", "u", "normal_force", "slip", "friction_minus", "friction_plus", "sums")
-        ends = np.cumsum([0, *self.sizes]).tolist()
-        parts = zip(names, self.sizes, ca.vertsplit(self.x, ends), strict=True)
+        free_above, first = np.full(self.unknowns.size - free.n, np.inf), ("q", "u", "normal_force")
+        parts = self.unknowns.places.items()
         return MPCC(
             x=self.x,
             f=self.assembled.f,
-            g=rows[: self.n_g],
-            G=rows[self.n_g : self.n_g + self.n_pairs],
-            H=rows[self.n_g + self.n_pairs :],
+            g=rows[: self.rows["G"].start],
+            G=rows[self.rows["G"]],
+            H=rows[self.rows["H"]],
             lbx=np.concatenate([free.lower, -free_above]),
             ubx=np.concatenate([free.upper, free_above]),
             lbg=self.lower,
             ubg=self.upper,
             derivatives=self.assembled.derivatives,
             # those of friction and of sums only if there are any
-            parts={name: part for name, size, part in parts if size or name in names[:3]},
+            parts={name: self.x[at] for name, at in parts if self.unknowns.sizes[name] or name in first},
         )
 
     def pair_rows(self, pairs: Index) -> Index:
@@ -152,28 +152,34 @@ class Bilevel:
 
     def split(self, x: Array) -> tuple[Array, Array, Array, Array]:
         """Outer variables, displacement unknowns, normal and tangential contact forces (in N/m) of ``x``."""
-        q, u, normal, _, minus, plus, _ = np.split(x, np.cumsum(self.sizes[:-1]))
+        q, u, normal, _, minus, plus, _ = self.unknowns.split(x)
         tangential = np.zeros(self.parts.n_contact if self.parts.friction_rows.size else 0)
         tangential[self.parts.friction_rows] = (plus - minus) * self.force
         return q, u * self.length, normal * self.force, tangential
 
     def point(self, point: ContactPoint) -> Array:
         """The unknowns ``x`` of a contact solution."""
-        x = kkt_unknowns(point, self.parts.friction_rows) / _units(self.length, self.force, self.sizes)
+        units = _units(self.parts, self.length, self.force)
+        x = kkt_unknowns(point, self.parts.friction_rows) / units
         return np.append(x, self.summed.sum_values(x) / self.sums)
 
 
-def _units(length: float, force: float, sizes: tuple[int, ...]) -> Array:
-    """Of the unknowns ``(q, u, lambda, s, mu-, mu+)``, ``sizes`` their numbers."""
-    return np.repeat((1.0, length, force, length, force, force), sizes[:6])
+def _units(parts: Discretisation, length: float, force: float) -> Array:
+    """Units of the unknowns ``(q, u, lambda, s, mu-, mu+)``."""
+    return np.repeat((1.0, length, force, length, force, force), list(parts.unknowns.sizes.values()))
+
+
+def rows_of(parts: Discretisation, sums: int, constraints: int) -> Numbering:
+    """The rows of g, by numbers of sums and of constraints, and those of G and of H."""
+    equations = {"equilibrium": parts.n_u, "bounds": parts.n_s, "sums": sums}
+    others = {"constraints": constraints, "areas": parts.validity.size}
+    return Numbering(**equations, **others, G=parts.pairs.size, H=parts.pairs.size)
 
 
 def kkt_unknowns(point: ContactPoint, friction_rows: Index) -> Array:
     """The unknowns ``(q, u, lambda, s, mu-, mu+)`` of the KKT conditions at a contact solution."""
-    parts = [point.q, point.equilibrium.u, point.equilibrium.normal_force]
-    if friction_rows.size:
-        parts += [part[friction_rows] for part in point.system.friction(point.equilibrium)]
-    return np.concatenate(parts)
+    friction = (part[friction_rows] for part in point.friction)
+    return np.concatenate([point.q, point.equilibrium.u, point.equilibrium.normal_force, *friction])
 
 
 def in_units_of(parts: Discretisation, objective: Objective, start: ContactPoint) -> Bilevel:
@@ -204,53 +210,50 @@ def bilevel(
     If that is a function of sums, these are in units of their size at ``start``, see :func:`kkt_unknowns`.
     """
     parts = discretise(problem)
-    free, n_u, n_c, n_s = parts.mesh_map, parts.n_u, parts.n_contact, parts.n_s
-    first = free.n + n_u
-    fields = parts.fields(length)
+    fields, unknowns = parts.fields(length), parts.unknowns
     assert fields.forces is not None
     physical = fields._replace(forces=fields.forces.in_units(force))
     outer = objective.on(physical)
     constraints = constraint_rows(parts.problem.constraints, physical)
     summed = Functional([], (*outer.sums, *constraints.sums))
-    n_sums, first_sum = len(summed.sums), first + n_c + 3 * n_s
-    units = _units(length, force, (free.n, n_u, n_c, n_s, n_s, n_s))
+    units, n_sums = _units(parts, length, force), len(summed.sums)
     sums = np.ones(n_sums) if start is None else summed.sizes(start / units)
-    n_x = first_sum + n_sums
-    of_sums = replace(unknown_field((n_sums, 1), first_sum), scale=sums[:, None])
+    of_sums = replace(unknown_field((n_sums, 1), unknowns.size), scale=sums[:, None])
+    rows = rows_of(parts, n_sums, constraints.size)
+    equilibrium, bounds, first_sum = (rows[name].start for name in ("equilibrium", "bounds", "sums"))
 
-    # rows of g: equilibrium, slip stationarity, sums, constraints, areas; then of G and H
     bulk = [*strain(fields), *loads(fields, parts.problem.rule)]
-    groups = [gradient_group(group, -free.n, force) for group in bulk]
+    groups = [gradient_group(group, equilibrium - unknowns["u"].start, force) for group in bulk]
     groups += contact_force_groups(fields, parts.displacement.index)
-    groups += [gradient_group(group, n_u - (first + n_c), force) for group in friction(fields)]
-    groups += bound_force_groups(fields, n_u)
+    rough = friction(fields)
+    groups += [gradient_group(group, bounds - unknowns["slip"].start, force) for group in rough]
+    groups += bound_force_groups(fields, bounds)
     for k, (terms, unit) in enumerate(zip(summed.sums, sums, strict=True)):
-        groups += [as_row(scaled_group(group, -1 / unit), n_u + n_s + k) for group in terms]
-    groups.append(identity_group(first_sum, n_u + n_s + np.arange(n_sums)))
-    n_equations, area_bound = n_u + n_s + n_sums, parts.validity.bound
-    groups += [group.shifted(n_equations) for group in constraints.groups]
+        groups += [as_row(scaled_group(group, -1 / unit), first_sum + k) for group in terms]
+    groups.append(identity_group(unknowns.size, first_sum + np.arange(n_sums)))
+    first = rows["constraints"].start
+    groups += [group.shifted(first) for group in constraints.groups]
     first_of = len(outer.sums)
     for row, functional in enumerate(constraints.values):
         if functional.sums:
             own = _part(of_sums, first_of, len(functional.sums))
-            groups.append(as_row(functional.combined(own), n_equations + row))
+            groups.append(as_row(functional.combined(own), first + row))
             first_of += len(functional.sums)
-    groups.append(parts.validity.upright_group.shifted(n_equations + constraints.size))
-    n_g = n_equations + constraints.size + area_bound.size
-    pairs = [*gaps(fields, n_g), *slips(fields, n_g + n_c)]
-    groups += [group.in_units(length) for group in pairs]
-    n_pairs = n_c + 2 * n_s
-    first_h = n_g + n_pairs
-    groups.append(identity_group(first, first_h + np.arange(n_c)))
-    groups.append(identity_group(first + n_c + n_s, first_h + n_c + np.arange(2 * n_s)))
+    groups.append(parts.validity.upright_group.shifted(rows["areas"].start))
+    first, pairs = rows["G"].start, parts.pairs
+    of_pairs = [*gaps(fields, first + pairs["gaps"].start), *slips(fields, first + pairs["minus"].start)]
+    groups += [group.in_units(length) for group in of_pairs]
+    for name, pair in zip(("normal_force", "friction_minus", "friction_plus"), pairs.places, strict=True):
+        numbers = rows["H"].start + np.arange(pairs.size)[pairs[pair]]
+        groups.append(identity_group(unknowns[name].start, numbers))
     of_outer = outer.groups
     if outer.sums:
         of_outer = [*of_outer, outer.combined(_part(of_sums, 0, len(outer.sums)))]
     groups += [scaled_group(group, 1 / value) for group in of_outer]
 
-    x = ca.MX.sym("x", n_x)
-    assembled = Assembled(groups, x, ca.MX(0, 1), n_g + 2 * n_pairs)
-    return Bilevel(parts, assembled, length, force, value, summed, sums, n_equations, constraints, x)
+    x = ca.MX.sym("x", unknowns.size + n_sums)
+    assembled = Assembled(groups, x, ca.MX(0, 1), rows.size)
+    return Bilevel(parts, assembled, length, force, value, summed, sums, constraints, x)
 
 
 def _part(field: Field, first: int, size: int) -> Field:

@@ -8,9 +8,10 @@ the held members. With the adjoint multipliers nu of a function F, ``C_y^T nu = 
     F' = F_q + C_q^T nu,      F'' d = Lambda_qq d + Lambda_qy y' + C_q^T nu',
     C_y y' = -C_q d,          C_y^T nu' = -(Lambda_yq d + Lambda_yy y'),
 
-one factorisation of C_y, and two solves with it for each product (the second-order adjoint). They are the
-derivatives of F wherever strict complementarity holds. Elsewhere the members of the biactive pairs that are
-held are variables a of their own, C(q, y) = a, and F' has a part for each (:mod:`rmesh_nlp.models.branches`).
+two solves with C_y for each product (the second-order adjoint), by the factors of the contact solve
+(:class:`Factors`). They are the derivatives of F wherever strict complementarity holds.
+Elsewhere the members of the biactive pairs that are held are variables a of their own, C(q, y) = a, and F'
+has a part for each (:mod:`rmesh_nlp.models.branches`).
 """
 
 from __future__ import annotations
@@ -20,13 +21,13 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
-from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.contact.system import ActiveSet, ContactSystem, RotatedSystem
 from rmesh_nlp.evaluation import Array, Block, Index, Mask, Symmetric, is_finite
 from rmesh_nlp.fem.assembly import Sums
 from rmesh_nlp.models.kkt_model import Bilevel, ContactPoint
-from rmesh_nlp.optimize.activity import ZERO
+from rmesh_nlp.models.second_derivatives import Hessian
 
 
 class KKTConditions:
@@ -35,7 +36,7 @@ class KKTConditions:
     def __init__(self, program: Bilevel) -> None:
         self.program = program
         self._block = Block(program.assembled.first.pattern, slice(None), slice(None))
-        self._last: tuple[ContactPoint, KKTPoint] | None = None
+        self._last: KKTPoint | None = None
 
     @cached_property
     def hessian(self) -> tuple[Sums, Symmetric]:
@@ -45,13 +46,46 @@ class KKTConditions:
 
     def at(self, point: ContactPoint) -> KKTPoint:
         """The KKT point of a contact solution, whose active set is held."""
-        if self._last is None or self._last[0].equilibrium is not point.equilibrium:
+        if self._last is None or self._last.contact.equilibrium is not point.equilibrium:
             x = self.program.point(point)
             (value,), slope, rows, nonzeros = self.program.assembled.first(x, None)
             jacobian = sp.csr_array(self._block(nonzeros))
             held = held_by(self.program, point.equilibrium.active)
-            self._last = point, KKTPoint(self, x, float(value), slope, rows, jacobian, held)
-        return self._last[1]
+            self._last = KKTPoint(self, point, x, float(value), slope, rows, jacobian, held)
+        return self._last
+
+
+class Factors:
+    """The KKT conditions C_y, factorised.
+
+    In the coordinates of the contact system their Schur complement over the displacements that contact leaves
+    free is the stiffness that the contact solve has factorised, in units of its own. Held displacements and
+    forces, which few conditions couple, have factors of their own.
+    """
+
+    def __init__(
+        self, conditions: sp.csr_array, rotated: RotatedSystem, active: ActiveSet, unit: float
+    ) -> None:
+        self._unit, self._free = unit, rotated.factor(active)
+        others = sp.eye_array(conditions.shape[0] - rotated.basis.shape[0])
+        self._turn = sp.block_diag([rotated.basis, others], format="csr")
+        conditions = self._turn.T @ conditions @ self._turn
+        inside = self._free.inside
+        self._others = np.delete(np.arange(conditions.shape[0]), inside)
+        others = sp.csc_array(conditions[self._others])
+        self._local = splu(others[:, self._others])
+        self._couplings = others[:, inside], conditions[inside][:, self._others]
+
+    def __call__(self, right: Array, transposed: bool) -> Array:
+        """Solutions with the conditions, or with their transpose."""
+        (down, up), free, trans = self._couplings, self._free.solve, "N"
+        if transposed:
+            (down, up), free, trans = (up.T, down.T), self._free.transposed, "T"
+        right = self._turn.T @ right
+        others, result = self._local.solve(right[self._others], trans), np.empty(right.shape)
+        result[self._free.inside] = inside = self._unit * free(right[self._free.inside] - up @ others)
+        result[self._others] = others - self._local.solve(down @ inside, trans)
+        return self._turn @ result
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,6 +105,7 @@ class KKTPoint:
     """
 
     conditions: KKTConditions
+    contact: ContactPoint
     x: Array
     value: float
     slope: Array
@@ -91,8 +126,7 @@ class KKTPoint:
     @cached_property
     def members(self) -> tuple[Mask, Mask]:
         """Of which pairs G is held, else H; and which pairs are biactive."""
-        G, H = np.split(self.rows[self.program.n_g :], 2)
-        return held_members(self.program, self.jacobian, G, H, self.zero, self.held)
+        return held_members(self.program, self.contact.system, self.rows, self.zero, self.held)
 
     @cached_property
     def pairs(self) -> Index:
@@ -102,31 +136,40 @@ class KKTPoint:
     @cached_property
     def equations(self) -> Index:
         """Rows that determine y."""
-        program = self.program
-        first = program.n_g + np.arange(program.n_pairs)
-        held = np.where(self.members[0], first, first + program.n_pairs)
-        return np.concatenate([np.arange(program.n_equations), held])
+        every, rows = np.arange(self.rows.size), self.program.rows
+        pairs = np.where(self.members[0], every[rows["G"]], every[rows["H"]])
+        return np.concatenate([every[: self.program.n_equations], pairs])
 
     @cached_property
-    def of_q(self) -> sp.csr_array:
-        """C_q."""
-        return self.jacobian[self.equations][:, : self.program.parts.n_q]
-
-    @cached_property
-    def factors(self) -> SuperLU | None:
+    def factors(self) -> Factors | None:
         """Of C_y; None where it is singular or not defined."""
+        parts = self.program.parts
+        touching, minus, plus = parts.pairs.split(self.members[0])
+        sliding = np.zeros(parts.n_contact if parts.n_s else 0, dtype=np.int8)
+        sliding[parts.friction_rows] = minus.astype(np.int8) - plus
         if not is_finite(self.jacobian.data):
             return None
+        conditions = self.jacobian[self.equations][:, parts.n_q :]
+        unit = self.program.force / self.program.length
         try:
-            return splu(sp.csc_array(self.jacobian[self.equations][:, self.program.parts.n_q :]))
+            return Factors(conditions, self.contact.system.rotated, ActiveSet(touching, sliding), unit)
         except RuntimeError:
             return None
 
+    def solve(self, right: Array, transposed: bool = False) -> Array:
+        """Solutions with C_y, or with its transpose; NaN where there are no factors."""
+        return np.full(right.shape, np.nan) if self.factors is None else self.factors(right, transposed)
+
+    def along(self, slopes: Array, nu: Array) -> Array:
+        """``F_q + C_q^T nu``, each (..., n)."""
+        every = np.zeros((*nu.shape[:-1], self.rows.size))
+        every[..., self.equations] = nu
+        n_q = self.program.parts.n_q
+        return slopes[..., :n_q] + (self.jacobian.T @ every.T)[:n_q].T
+
     def multipliers(self, slopes: Array) -> Array:
-        """Nu of functions with derivatives ``slopes`` (..., x.size); NaN where there are no factors."""
-        if self.factors is None or slopes.size == 0:
-            return np.full((*slopes.shape[:-1], self.equations.size), np.nan)
-        return -self.factors.solve(slopes[..., self.program.parts.n_q :].T, "T").T
+        """Nu of functions with derivatives ``slopes`` (..., x.size)."""
+        return -self.solve(slopes[..., self.program.parts.n_q :].T, transposed=True).T
 
     def totals(self, slopes: Array) -> tuple[Array, Array]:
         """Derivatives by q, and by the held members of the biactive pairs, along contact solutions.
@@ -134,67 +177,33 @@ class KKTPoint:
         They are those of functions with derivatives ``slopes`` (..., x.size).
         """
         nu = self.multipliers(slopes)
-        by_q = slopes[..., : self.program.parts.n_q] + nu @ self.of_q
-        return by_q, -nu[..., self.program.n_equations + self.pairs]
+        return self.along(slopes, nu), -nu[..., self.program.n_equations + self.pairs]
 
     @cached_property
     def constraints(self) -> tuple[Array, Array]:
         """The problem's constraints (rows,), and their derivatives (rows, n_q) along contact solutions."""
-        first = self.program.n_equations
-        rows = slice(first, first + self.program.constraints.size)
+        rows = self.program.rows["constraints"]
         by_q, _ = self.totals(self.jacobian[rows].toarray())
         return self.rows[rows], by_q
 
-    def hessian(self, factor: float = 1.0, constraints: Array | None = None) -> ObjectiveHessian:
+    def hessian(self, factor: float = 1.0, constraints: Array | None = None) -> Hessian:
         """The second derivative of ``factor F + constraints . c``, c those of the problem, for products."""
-        program = self.program
+        program, n_q = self.program, self.program.parts.n_q
         slope, multipliers = factor * self.slope, np.zeros(self.rows.size)
         if constraints is not None:
-            multipliers[program.n_equations : program.n_equations + program.constraints.size] = constraints
+            multipliers[program.rows["constraints"]] = constraints
             slope = slope + self.jacobian.T @ multipliers
         multipliers[self.equations] = self.multipliers(slope)
         sums, symmetric = self.conditions.hessian
         (nonzeros,) = sums(self.x, None, np.array([factor]), multipliers)
-        lagrangian = sp.csr_array(symmetric(nonzeros))
-        return ObjectiveHessian(lagrangian, self.of_q, self.factors, program.parts.mesh_map.n_positions)
+        lagrangian, by_q = sp.csr_array(symmetric(nonzeros)), self.jacobian[:, :n_q]
 
+        def products(d: Array) -> Array:
+            y = -self.solve((by_q @ d)[self.equations])
+            change = (lagrangian @ np.concatenate([d, y])).T
+            return self.along(change, self.multipliers(change)).T
 
-class ObjectiveHessian:
-    """F'' at one point."""
-
-    def __init__(
-        self, lagrangian: sp.csr_array, of_q: sp.csr_array, factors: SuperLU | None, n_positions: int
-    ) -> None:
-        self._n_positions, n = n_positions, of_q.shape[1]
-        self.qq = lagrangian[:n, :n]
-        self._qy, self._yy = lagrangian[:n, n:], lagrangian[n:, n:]
-        self._yq = self._qy.T.tocsr()
-        self._of_q, self._of_q_t, self._factors = of_q, of_q.T.tocsr(), factors
-
-    def diagonal(self) -> Array:
-        """Size of the diagonal of Lambda_qq, of F'' for design variables, kept away from zero.
-
-        Lambda may be linear in a modulus or a load.
-        """
-        diagonal, designs = self.qq.diagonal(), np.arange(self._n_positions, self.qq.shape[0])
-        if designs.size:
-            units = np.eye(diagonal.size)[:, designs]
-            diagonal[designs] = self(units)[designs, np.arange(designs.size)]
-        return positive(diagonal)
-
-    def __call__(self, d: Array) -> Array:
-        """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
-        if self._factors is None:
-            return np.full(d.shape, np.nan)
-        y = -self._factors.solve(self._of_q @ d)
-        nu = -self._factors.solve(self._yq @ d + self._yy @ y, "T")
-        return self.qq @ d + self._qy @ y + self._of_q_t @ nu
-
-
-def positive(diagonal: Array) -> Array:
-    """Size of the diagonal, kept away from zero."""
-    diagonal = np.abs(diagonal)
-    return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+        return Hessian(lagrangian[:n_q, :n_q], program.parts.mesh_map.n_positions, products)
 
 
 def held_by(program: Bilevel, active: ActiveSet) -> Mask:
@@ -204,7 +213,7 @@ def held_by(program: Bilevel, active: ActiveSet) -> Mask:
 
 
 def held_members(
-    program: Bilevel, jacobian: sp.csr_array, G: Array, H: Array, zero: float, held: Mask | None
+    program: Bilevel, system: ContactSystem, rows: Array, zero: float, held: Mask | None
 ) -> tuple[Mask, Mask]:
     """Which members of the pairs determine the contact solution, and which pairs are biactive.
 
@@ -215,20 +224,20 @@ def held_members(
     convention; and where friction sets in with the contact force at a node that slides, whose one condition
     of its own is the contact pair.
     """
-    n_c, n_s, n_u = program.parts.n_contact, program.parts.friction_rows.size, program.parts.n_u
-    of_u = abs(jacobian[program.n_g : program.n_g + G.size, program.parts.n_q : program.parts.n_q + n_u])
-    moves = of_u.max(axis=1).toarray().ravel() > ZERO if G.size and n_u else np.zeros(G.size, bool)
+    G, H = rows[program.rows["G"]], rows[program.rows["H"]]
+    gaps, minus, plus = program.parts.pairs.places.values()
+    friction_rows = program.parts.friction_rows
+    moves, turns = np.diff(system.normals.indptr) > 0, np.diff(system.tangents.indptr)[friction_rows] > 0
     zero_G, zero_H = np.maximum(H, zero) >= G, zero >= H
     biactive = zero_G & zero_H & (zero >= G)
     held = np.array(zero_G if held is None else held)
-    gaps, minus, plus = slice(0, n_c), slice(n_c, n_c + n_s), slice(n_c + n_s, n_c + 2 * n_s)
-    held[gaps] &= moves[gaps]
-    biactive[gaps] &= moves[gaps]
-    if n_s:
-        is_open = ~held[gaps][program.parts.friction_rows]
+    held[gaps] &= moves
+    biactive[gaps] &= moves
+    if friction_rows.size:
+        is_open = ~held[gaps][friction_rows]
         slips = np.abs(G[plus] - G[minus]) > zero
         bare = H[minus] + H[plus] <= zero  # no friction
-        one_sided = ~moves[minus] | (bare & (is_open | slips))
+        one_sided = ~turns | (bare & (is_open | slips))
         forward = G[minus] <= G[plus]
         held[minus] = np.where(one_sided, forward, held[minus])
         held[plus] = np.where(one_sided, ~forward, held[plus])

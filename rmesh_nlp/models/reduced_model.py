@@ -24,6 +24,7 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import ElementConstraints, Relocation, relocation
 from rmesh_nlp.models.kkt_model import ContactPoint, in_units_of
 from rmesh_nlp.models.kkt_point import KKTConditions
+from rmesh_nlp.models.second_derivatives import Curvature, Hessian, Lifted
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class ReducedEnergy:
         self.contact_solves = self.cold_solves = self.factorisations = 0
         self._active: ActiveSet | None = None
         self._is_given_counted = False
-        self._last: ReducedPoint | None = None
+        self._last: ContactPoint | None = None
         rel = self.relocation
         self._rows = Block(rel.assembled.first.pattern, slice(None), slice(0, rel.parts.n_q))
         self._position_terms = element_values(rel.position_groups)
@@ -82,7 +83,7 @@ class ReducedEnergy:
 
     def of_positions(self, q: Array) -> float:
         """The terms of the objective in the positions alone; NaN where they are not defined."""
-        x = np.concatenate([q, np.zeros(self.relocation.n_x - q.size)])
+        x = np.concatenate([q, np.zeros(self.relocation.unknowns.size - q.size)])
         return float(sum(values.sum() for values in self._position_terms(x)))
 
     def is_defined(self, q: Array) -> bool:
@@ -97,6 +98,13 @@ class ReducedEnergy:
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``; the last point is remembered."""
+        point = self.solved(q)
+        if not isinstance(point, ReducedPoint):
+            self._last = point = self.of(point)
+        return point
+
+    def solved(self, q: Array) -> ContactPoint:
+        """The contact solution at ``q`` alone; the last one is remembered."""
         if self._last is not None and np.array_equal(self._last.q, q):
             return self._last
         system, given = self.model.system_at(q), None if np.any(q) else self.model.given
@@ -107,7 +115,7 @@ class ReducedEnergy:
             self.factorisations += equilibrium.iterations
             self._is_given_counted = self._is_given_counted or given is not None
         self._active = equilibrium.active
-        self._last = self.of(ContactPoint(np.array(q), system, equilibrium))
+        self._last = ContactPoint(np.array(q), system, equilibrium)
         return self._last
 
     def of(self, inner: ContactPoint) -> ReducedPoint:
@@ -118,23 +126,29 @@ class ReducedEnergy:
         value = equilibrium.energy + self.of_positions(q)
         return ReducedPoint(q, inner.system, equilibrium, value, gradient, True)
 
+    @cached_property
+    def _curvature(self) -> Curvature:
+        return Curvature(self.relocation)
+
+    def hessian(self, point: ContactPoint) -> Lifted:
+        """L'' at a contact solution."""
+        return self._curvature.at(self.unknowns(point.q, point.equilibrium.u), point)
+
     def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
         """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
 
         ``friction`` (n_s,) has the tangential forces where friction may act.
         """
-        rel = self.relocation
-        forces = np.zeros(rel.n_rows)
-        forces[rel.gap_rows], forces[rel.slip_rows] = normal_force, friction
-        _, gradient, _, rows = rel.assembled.first(x, None)
-        return gradient[: rel.parts.n_q] - self._rows(rows).T @ forces
+        _, gradient, _, rows = self.relocation.assembled.first(x, None)
+        forces = self.relocation.multipliers(normal_force, friction)
+        return gradient[: self.relocation.parts.n_q] - self._rows(rows).T @ forces
 
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""
         rel, slip = self.relocation, np.zeros(0)
         if rel.parts.n_s:
             slip = self.model.slips(rel.nodes(q), u, rel.parts.mesh_map.design(q))[rel.parts.friction_rows]
-        return rel.unknowns(q, u, np.abs(slip))
+        return rel.joined(q, u, np.abs(slip))
 
 
 def _has_upright(objective: Objective, relocation: Relocation, q: Array) -> bool:
@@ -164,13 +178,18 @@ class ReducedObjective:
 
     def __call__(self, q: Array) -> ReducedPoint:
         """Evaluate at ``q``."""
-        return self.of(self.energy(q))
+        return self.of(self.energy.solved(q))
 
     def of(self, inner: ContactPoint) -> ReducedPoint:
         """The objective where the contact solution is known."""
         at, unit = self.conditions.at(inner), self.conditions.program.value
         gradient, _ = at.totals(unit * at.slope)
         return ReducedPoint(inner.q, inner.system, inner.equilibrium, unit * at.value, gradient, False)
+
+    def hessian(self, point: ContactPoint, factor: float = 1.0, constraints: Array | None = None) -> Hessian:
+        """The second derivative of ``factor F + constraints . c`` at a contact solution."""
+        at = self.conditions.at(point)
+        return at.hessian(factor * self.conditions.program.value, constraints)
 
 
 Reduced = ReducedEnergy | ReducedObjective

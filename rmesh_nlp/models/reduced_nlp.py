@@ -6,7 +6,7 @@ together cost less than what solvers without them spend in more iterations. The 
 the second derivative where contact changes.
 
 For the energy L'' is a Schur complement of a sparse matrix in outer variables and displacements
-(:meth:`rmesh_nlp.models.second_derivatives.Hessian.lifted`). So its NLP has additional
+(:class:`rmesh_nlp.models.second_derivatives.Lifted`). So its NLP has additional
 unknowns w, one per displacement, of which its objective does not depend, and that matrix in place of the
 Hessian:
 
@@ -33,7 +33,7 @@ from rmesh_nlp.mapping.validity import is_upright
 from rmesh_nlp.models.energy_nlp import Relocation
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
 from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedObjective
-from rmesh_nlp.models.second_derivatives import Curvature, Lifted
+from rmesh_nlp.models.second_derivatives import Lifted
 from rmesh_nlp.optimize.callbacks import PythonFunction
 from rmesh_nlp.optimize.nlp import NLP, Derivatives
 
@@ -125,13 +125,12 @@ class _Second(PythonFunction):
 
 def _dense(function: ReducedObjective) -> tuple[ca.Sparsity, Values]:
     """Second derivatives of another objective than the energy, a dense matrix."""
-    n, conditions = function.energy.relocation.parts.n_q, function.conditions
+    n = function.energy.relocation.parts.n_q
     upper = ca.Sparsity.upper(n)
     at = tuple(np.array(index, dtype=np.int64) for index in upper.get_triplet())
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, multiples: Array) -> Array:
-        product = conditions.at(function(q)).hessian(factor * conditions.program.value, multiples)
-        hessian = product(np.eye(n))
+        hessian = function.hessian(function(q), factor, multiples)(np.eye(n))
         hessian = 0.5 * (hessian + hessian.T)  # symmetric up to rounding
         return (hessian if rows is None else hessian + rows)[at]
 
@@ -140,12 +139,12 @@ def _dense(function: ReducedObjective) -> tuple[ca.Sparsity, Values]:
 
 def _lifted(function: ReducedEnergy) -> tuple[ca.Sparsity, Values]:
     """Second derivatives of the energy, a sparse matrix in ``(q, w)``."""
-    curvature, pattern = Curvature(function), _pattern(function.relocation)
+    pattern, n_u = _pattern(function.relocation), function.relocation.parts.n_u
     columns = np.repeat(np.arange(pattern.shape[1], dtype=np.int64), np.diff(pattern.indptr))
     entries = columns * pattern.shape[0] + pattern.indices  # one number per entry, in ascending order
 
     def values(q: Array, factor: float, rows: sp.csc_array | None, _: Array) -> Array:
-        (row, column), data = _upper(curvature.at(function(q)).lifted(), factor, rows)
+        (row, column), data = _upper(function.hessian(function(q)), n_u, factor, rows)
         keys = column.astype(np.int64) * pattern.shape[0] + row
         place = np.minimum(np.searchsorted(entries, keys), entries.size - 1)
         inside = entries[place] == keys
@@ -156,7 +155,7 @@ def _lifted(function: ReducedEnergy) -> tuple[ca.Sparsity, Values]:
     return sparsity_of(pattern), values
 
 
-def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[Index, Array]:
+def _upper(hessian: Lifted, n_u: int, factor: float, rows: sp.csc_array | None) -> tuple[Index, Array]:
     """Places (2, entries) and values in the upper triangle over all unknowns: a lifted Hessian and the rows.
 
     The first is times a factor. Places may come several times.
@@ -164,14 +163,14 @@ def _upper(hessian: Lifted, factor: float, rows: sp.csc_array | None) -> tuple[I
     outer = factor * hessian.outer if rows is None else factor * hessian.outer + rows
     size = magnitude(outer.data) or 1.0
     # in these units of w the factor, which may be 0, need not be divided by
-    unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free
+    unit, number = np.sqrt(STIFF * size / hessian.stiffness.diagonal()), outer.shape[0] + hessian.free.inside
     # unknowns that contact determines
-    held = outer.shape[0] + np.delete(np.arange(hessian.n_u), hessian.free)
+    held = outer.shape[0] + np.delete(np.arange(n_u), hessian.free.inside)
     a, b, c = outer.tocoo(), hessian.mixed.tocoo(), hessian.stiffness.tocoo()
     first, second = (a.row, b.col, number[c.row], held), (a.col, number[b.row], number[c.col], held)
-    mixed, stiffness = np.sqrt(factor) * unit[b.row] * b.data, unit[c.row] * unit[c.col] * c.data
+    mixed, corner = np.sqrt(factor) * unit[b.row] * b.data, unit[c.row] * unit[c.col] * c.data
     places = np.stack([np.concatenate(first), np.concatenate(second)])
-    values = np.concatenate([a.data, mixed, stiffness, np.full(held.size, STIFF * size)])
+    values = np.concatenate([a.data, mixed, corner, np.full(held.size, STIFF * size)])
     upper = places[0] <= places[1]
     return places[:, upper], values[upper]
 
@@ -183,13 +182,13 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     variables that gap and slip there depend on. In the coordinates of contact the displacements of a node are
     turned into each other.
     """
-    rel, q = relocation, slice(0, relocation.parts.n_q)
-    u, index = slice(rel.parts.n_q, rel.parts.n_q + rel.parts.n_u), rel.displacement.index - rel.parts.n_q
+    rel, q, u = relocation, relocation.unknowns["q"], relocation.unknowns["u"]
+    index = rel.displacement.index - u.start
     component, node = np.nonzero(index >= 0)
     places = index[component, node], node
     of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.parts.n_u, index.shape[1]))
     turned, first = of_node @ of_node.T, sp.csr_array(rel.assembled.first.pattern, dtype=float)
-    gaps, slips = first[rel.gap_rows], first[rel.slip_rows]
+    gaps, slips = first[rel.rows["gaps"]], first[rel.rows["plus"]]
     follows = turned @ (gaps[:, u].T @ gaps[:, q] + slips[:, u].T @ slips[:, q])
     unknowns = sp.block_array(
         [[sp.eye_array(rel.parts.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]

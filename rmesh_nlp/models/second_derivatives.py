@@ -1,157 +1,111 @@
 """Second derivatives of the reduced model, as products with a vector.
 
-Of the reduced energy L(q) (:class:`Curvature`): with the active set of the contact solution held, and Lambda
-the Lagrangian of the energy NLP,
+Of the reduced energy L(q): with Lambda the Lagrangian of the energy NLP in ``x = (q, u, s)``, and ``S d`` the
+change of x with q along contact solutions, their active set held,
 
-    L'' d = Lambda_qq d + Lambda_qu u' + Lambda_qs s' - gamma_q^T lambda' - sigma_q^T tau',
+    L'' = S^T Lambda_xx S,    S = S_0 - S_1 K^-1 S_1^T Lambda_xx S_0,
 
-where ``u', s', lambda', tau'`` are the first-order changes of displacement, slip, normal and tangential
-contact force when the nodes move along d: one more solve with the factorised stiffness of the contact
-solve. The slips at fixed displacement, sigma, move where a foundation is curved.
-Those of any other objective are of :mod:`rmesh_nlp.models.kkt_point`.
+K the stiffness over the displacements that contact leaves free, which the contact solve has factorised, S_1
+the change of x with these displacements, and S_0 that with q while they stay. Second derivatives of any other
+objective are of :mod:`rmesh_nlp.models.kkt_point`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from itertools import pairwise
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.contact.sensitivity import TangentResponse
-from rmesh_nlp.evaluation import Array, Block, Index, Symmetric
-from rmesh_nlp.models.kkt_point import ObjectiveHessian, positive
-from rmesh_nlp.models.reduced_model import Reduced, ReducedEnergy, ReducedPoint
+from rmesh_nlp.evaluation import Array, Block, Symmetric
+from rmesh_nlp.models.energy_nlp import Relocation
+from rmesh_nlp.models.kkt_model import ContactPoint
 
 DENSE = 200
 """Outer variables up to which all products are formed at once: one solve with as many right sides costs less
 than the products of a step one by one (7 against 25 on Example 6.1 with 126 of them; as much with 286)."""
 
 
-@dataclass(frozen=True)
-class Blocks:
-    """Blocks of the Hessian of ``J - lambda . gap - tau . u_t`` in q, displacement u and slip s.
+class Hessian:
+    """F'' at one point.
 
-    ``gap`` (contact nodes, n_q) and ``slip`` (n_s, n_q) are the derivatives of the gaps and of the slips u_t
-    by q; those of slips are zero where no foundation is curved.
+    ``partial`` (n, n) is the second derivative of the Lagrangian at fixed displacement and forces;
+    ``products`` multiplies a vector (n,), or each column of a matrix (n, k), by F''. Of the variables the
+    first ``n_positions`` are of node positions, the others of a design.
     """
 
-    qq: sp.csc_array
-    qu: sp.csc_array
-    qs: sp.csc_array
-    gap: sp.csc_array
-    slip: sp.csc_array
+    def __init__(self, partial: sp.csr_array, n_positions: int, products: Callable[[Array], Array]) -> None:
+        self._partial, self._n_positions, self._products = partial, n_positions, products
+
+    def diagonal(self) -> Array:
+        """Size of the diagonal of ``partial``, of F'' for design variables, kept away from zero.
+
+        The Lagrangian may be linear in a modulus or a load.
+        """
+        diagonal, designs = self._partial.diagonal(), np.arange(self._n_positions, self._partial.shape[0])
+        if designs.size:
+            units = np.eye(diagonal.size)[:, designs]
+            diagonal[designs] = self(units)[designs, np.arange(designs.size)]
+        diagonal = np.abs(diagonal)
+        return np.maximum(diagonal, 1e-3 * np.max(diagonal, initial=1e-300))
+
+    def __call__(self, d: Array) -> Array:
+        """``F'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
+        return self._whole @ d if d.ndim == 1 and d.size <= DENSE else self._products(d)
+
+    @cached_property
+    def _whole(self) -> Array:
+        return self._products(np.eye(self._partial.shape[0]))
+
+
+class Lifted(Hessian):
+    """L'' as a Schur complement, ``outer - mixed^T stiffness^-1 mixed``, all three of them sparse.
+
+    ``free`` has the displacements that contact leaves free, and solutions with their ``stiffness``.
+    """
+
+    def __init__(
+        self,
+        partial: sp.csr_array,
+        n_positions: int,
+        outer: sp.csr_array,
+        mixed: sp.csc_array,
+        point: ContactPoint,
+    ) -> None:
+        super().__init__(partial, n_positions, self.products)
+        self.outer, self.mixed, rotated = outer, mixed, point.system.rotated
+        self.free = rotated.factor(point.equilibrium.active)
+        self.stiffness = rotated.K[:, self.free.inside][self.free.inside]
+
+    def products(self, d: Array) -> Array:
+        """``L'' d``."""
+        return self.outer @ d - self.mixed.T @ self.free.solve(self.mixed @ d)
 
 
 class Curvature:
     """Evaluates L'' at contact solutions of one problem; where blocks are in the whole is found once."""
 
-    def __init__(self, energy: ReducedEnergy) -> None:
-        self._energy, rel = energy, energy.relocation
-        q, u, s = (
-            slice(a, b) for a, b in pairwise(np.cumsum([0, rel.parts.n_q, rel.parts.n_u, rel.parts.n_s]))
-        )
-        upper, first = rel.assembled.second.pattern, rel.assembled.first.pattern
-        self._second = Symmetric(upper, rel.parts.n_q), Block(upper, q, u), Block(upper, q, s)
-        self._first = Block(first, rel.gap_rows, q), Block(first, rel.slip_rows, q)
+    def __init__(self, relocation: Relocation) -> None:
+        self._relocation, first, q = relocation, relocation.assembled.first.pattern, relocation.unknowns["q"]
+        self._hessian = Symmetric(relocation.assembled.second.pattern)
+        self._gaps, self._slips = (Block(first, relocation.rows[name], q) for name in ("gaps", "plus"))
 
-    def at(self, point: ReducedPoint) -> Hessian:
-        """L'' at a point, ready for products."""
-        rel, solved = self._energy.relocation, point.equilibrium
-        x, rows = self._energy.unknowns(point.q, solved.u), np.zeros(rel.n_rows)
-        rows[rel.gap_rows] = -solved.normal_force
-        if rel.parts.n_s:
-            rows[rel.slip_rows] = -solved.tangential_force[rel.parts.friction_rows]
-        (second,) = rel.assembled.second(x, None, np.ones(1), rows)
+    def at(self, x: Array, point: ContactPoint) -> Lifted:
+        """L'' at a contact solution, whose unknowns are ``x``."""
+        rel, system, solved = self._relocation, point.system, point.equilibrium
+        n_q, rows, rotated, active = rel.parts.n_q, rel.parts.friction_rows, system.rotated, solved.active
+        forces = rel.multipliers(solved.normal_force, solved.tangential_force[rows])
+        (second,) = rel.assembled.second(x, None, np.ones(1), -forces)
         *_, first = rel.assembled.first(x, None)
-        blocks = [block(second) for block in self._second] + [block(first) for block in self._first]
-        return Hessian(point, Blocks(*blocks), rel.parts.friction_rows)
-
-
-@dataclass(frozen=True)
-class Lifted:
-    """L'' as a Schur complement, ``outer - mixed^T stiffness^-1 mixed``, all three of them sparse.
-
-    Where the change of a displacement is known from that of q, at touching and at sticking nodes, it is put
-    in; what is left is the stiffness over the displacements that contact leaves free, ``free`` their numbers
-    in the coordinates of the contact system. ``n_u`` is the number of all displacements.
-    """
-
-    outer: sp.csc_array
-    mixed: sp.csc_array
-    stiffness: sp.csc_array
-    free: Index
-    n_u: int
-
-
-class Hessian:
-    """L'' at one point."""
-
-    def __init__(self, point: ReducedPoint, blocks: Blocks, friction_rows: Index) -> None:
-        self.qq = blocks.qq.T  # the same matrix, but by rows: a product takes half the time
-        self._qu, self._qs, self._gap, self._slip = blocks.qu, blocks.qs, blocks.gap, blocks.slip
-        self._uq, self._sq = blocks.qu.T, blocks.qs.T
-        self._active, self._rows = point.equilibrium.active, friction_rows
-        self._tangents = point.system.tangents[friction_rows]
-        self._sliding = np.zeros(0)
-        if friction_rows.size:
-            self._sliding = self._active.sliding[friction_rows].astype(float)
-        self._respond = TangentResponse(point.system, self._active)
-        self._rotated = point.system.rotated
-        self._whole: Array | None = None
-
-    def diagonal(self) -> Array:
-        """Size of the diagonal of Lambda_qq, kept away from zero."""
-        return positive(self.qq.diagonal())
-
-    def lifted(self) -> Lifted:
-        """The sparse matrix in q and displacements whose Schur complement is L''."""
-        rotated, active, mixed, outer = self._rotated, self._active, self._uq, self.qq
-        n_contact = active.touching.size
-        slip = sp.csr_array((n_contact, outer.shape[0]))
-        if self._rows.size:
-            slip = sp.csr_array(sp.csr_array(sp.eye_array(n_contact))[:, self._rows] @ self._slip)
-            friction = self._qs @ sp.diags_array(self._sliding)
-            mixed = mixed + self._tangents.T @ friction.T
-            outer = outer + friction @ self._slip + (friction @ self._slip).T
-        if rotated.basis is not None:
-            mixed = rotated.basis.T @ mixed
-        held, follows = self._respond.held, self._respond.held_by(self._gap, slip)
-        inside, _ = rotated.factor(active)
-        stiffness = sp.csr_array(rotated.K)
-        coupled = follows.T @ mixed[held]
-        outer = outer - coupled - coupled.T + follows.T @ stiffness[held][:, held] @ follows
-        mixed = mixed[inside] - stiffness[inside][:, held] @ follows
-        corner = rotated.K[:, inside][inside]
-        return Lifted(sp.csc_array(outer), sp.csc_array(mixed), corner, inside, rotated.F.size)
-
-    def __call__(self, d: Array) -> Array:
-        """``L'' d`` for a vector (n,), or for each column of a matrix (n, k)."""
-        if d.ndim == 2 or d.size > DENSE:
-            return self._products(d)
-        if self._whole is None:
-            self._whole = self._products(np.eye(d.size))
-        return self._whole @ d
-
-    def _products(self, d: Array) -> Array:
-        sliding = self._sliding if d.ndim == 1 else self._sliding[:, None]
-        out_of_balance, slip = self._uq @ d, np.zeros((self._active.touching.size, *d.shape[1:]))
-        if sliding.size:
-            bound = sliding * (self._sq @ d)  # change of the friction of sliding nodes
-            out_of_balance = out_of_balance + self._tangents.T @ bound
-            slip[self._rows] = self._slip @ d
-        u, normal, tangential = self._respond(out_of_balance, self._gap @ d, slip)
-        result = self.qq @ d + self._qu @ u - self._gap.T @ normal
-        if sliding.size:
-            result += self._qs @ (sliding * (self._tangents @ u + slip[self._rows]))
-            result += self._slip.T @ (bound - tangential[self._rows])
-        return result
-
-
-def curvature_of(function: Reduced) -> Callable[[ReducedPoint], Hessian | ObjectiveHessian]:
-    """Second derivatives of an outer objective at a point, ready for products."""
-    if isinstance(function, ReducedEnergy):
-        return Curvature(function).at
-    return lambda point: function.conditions.at(point).hessian(function.conditions.program.value)
+        hessian, gaps, slips = self._hessian(second).T, self._gaps(first), self._slips(first)
+        sticks, tangents = rotated.sticking(active)[rows], system.tangents[rows]
+        held = np.append(rotated.normal[active.touching], rotated.tangent[rows[sticks]])
+        follows = sp.vstack([sp.csr_array(gaps)[active.touching], sp.csr_array(slips)[sticks]])
+        u, free = -(rotated.basis[:, held] @ follows), rotated.basis[:, rotated.factor(active).inside]
+        sliding = sp.diags_array(active.sliding[rows] * 1.0 if rows.size else np.zeros(0))
+        by_q = sp.vstack([u, sliding @ (tangents @ u + slips)], format="csc")
+        by_free = sp.vstack([free, sliding @ tangents @ free], format="csr")
+        along = hessian[:n_q] + by_q.T @ hessian[n_q:]
+        outer, mixed = along[:, :n_q] + along[:, n_q:] @ by_q, (along[:, n_q:] @ by_free).T
+        return Lifted(hessian[:n_q, :n_q], rel.parts.mesh_map.n_positions, outer, mixed, point)

@@ -14,7 +14,6 @@ import rmesh_nlp as rm
 from rmesh_nlp.contact import factorisation
 from rmesh_nlp.contact.active_set import at_rest, first_set, solve
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
-from rmesh_nlp.contact.sensitivity import weakly_active
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
@@ -252,22 +251,22 @@ STRICT = [
 
 @pytest.mark.parametrize("values", [*WEAK, *STRICT])
 def test_strict_complementarity_fails_where_two_things_vanish_at_once(values: Any) -> None:
-    assert bool(weakly_active(*spring(*values))[0]) == (values in WEAK)
+    assert bool(ContactSystem.weak(*spring(*values))[0]) == (values in WEAK)
 
 
 def test_friction_counts_only_where_it_may_act_and_a_body_at_rest_where_it_touches() -> None:
     at_the_bound = (0.0, 5.0, 0.0, 4.0)
     for acts in (True, False):
-        assert weakly_active(*spring(*at_the_bound, frictional=np.array([acts])))[0] == acts
+        assert ContactSystem.weak(*spring(*at_the_bound, frictional=np.array([acts])))[0] == acts
     # half of a contact force of 5 stands beside the bound of 4
-    assert weakly_active(*spring(0.0, 5.0, 0.0, 6.5, coulomb=np.array([0.5])))[0]
+    assert ContactSystem.weak(*spring(0.0, 5.0, 0.0, 6.5, coulomb=np.array([0.5])))[0]
     system, state = spring(*at_the_bound)
-    assert not weakly_active(replace(system, slip_bound=np.zeros(0)), state)[0]
+    assert not replace(system, slip_bound=np.zeros(0)).weak(state)[0]
     # without any displacement the gap itself tells: no length is there to divide by
     rest = replace(spring(0.0, 0.0, 1.0, 4.0)[1], u=np.zeros(4))
     for gap, weak in ((0.0, True), (1e-9, False)):
         alone = replace(system, offset=np.full(1, gap), slip_bound=np.zeros(0))
-        assert weakly_active(alone, rest)[0] == weak
+        assert alone.weak(rest)[0] == weak
 
 
 def test_elastic_system_is_that_of_scikit_fem() -> None:

@@ -22,7 +22,6 @@ from rmesh_nlp.fem.fields import (
 )
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.models.energy_nlp import relocation
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.coefficients import where
@@ -69,12 +68,12 @@ def wave(x, y):
 )
 def test_derivatives_are_those_of_automatic_differentiation(make: Callable[[], ContactProblem]) -> None:
     rel = relocation(make())
-    valid = rel.validity.group.shifted(rel.parts.n_contact + 2 * rel.parts.n_s)
-    f, g = expressions([*rel.groups, valid], rel.x, rel.n_rows)
+    valid = rel.validity.group.shifted(rel.rows["valid"].start)
+    f, g = expressions([*rel.groups, valid], rel.x, rel.rows.size)
     derivatives = rel.nlp.derivatives
     program = SimpleNamespace(x=rel.x, p=rel.nlp.p, f=f, g=g, derivatives=derivatives)
     assert_derivatives_are_casadis(program, within=(-0.5, 0.5))
-    x = np.random.default_rng(0).uniform(-0.5, 0.5, rel.n_x)
+    x = np.random.default_rng(0).uniform(-0.5, 0.5, rel.unknowns.size)
     value, rows = ca.Function("values", [rel.x], [rel.nlp.f, rel.nlp.g])(x)
     assert float(value) == pytest.approx(float(derivatives.grad_f(x, [])[0]), rel=1e-12)
     np.testing.assert_allclose(rows.full(), derivatives.jac_g(x, [])[0].full(), rtol=1e-12, atol=1e-12)
@@ -152,6 +151,6 @@ def test_the_energy_of_loads_that_jump_has_both_derivatives() -> None:
     outer = Outer.of(pulled(1))
     q, d = np.random.default_rng(1).uniform(-1, 1, (2, outer.n)) * [[0.1], [1]]
     assert taylor_order(outer.energy, q, d, 1e-4) == pytest.approx(2, abs=0.02)
-    product = curvature_of(outer.energy)(outer.energy(q))(d)
+    product = outer.energy.hessian(outer.energy(q))(d)
     order_of = difference_order(lambda at: outer.energy(at).gradient, product, q, d, 1e-3)
     assert order_of == pytest.approx(2, abs=0.05)

@@ -20,7 +20,6 @@ from gallery.kinks import seal
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.models.descent import Watch
 from rmesh_nlp.models.residual import Released
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.exploited import safe_discretisation
@@ -185,7 +184,7 @@ def test_slips_that_are_given_have_no_friction_of_their_own() -> None:
     outer = Outer.of(seal(4, 0.3), leak(2.0))
     q = np.random.default_rng(2).uniform(-0.2, 0.0, outer.n)
     here, d = outer.function(q), np.random.default_rng(3).uniform(-1, 1, outer.n)
-    hessian = curvature_of(outer.function)(here)
+    hessian = outer.function.hessian(here)
     change = (outer.function(q + 1e-4 * d).gradient - outer.function(q - 1e-4 * d).gradient) / 2e-4
     np.testing.assert_allclose(hessian(d), change, atol=1e-5 * np.abs(change).max())
 

@@ -23,7 +23,6 @@ from rmesh_nlp.models.descent import KEPT, longest_valid, node_widths
 from rmesh_nlp.models.energy_nlp import relocation
 from rmesh_nlp.models.regularisation import gain_estimate, regularised, weights
 from rmesh_nlp.models.residual import OuterResidual, Released, released, size_of
-from rmesh_nlp.models.second_derivatives import Curvature
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import Motion
 from rmesh_nlp.solving.monitor import Monitor
@@ -94,7 +93,7 @@ def test_nested_ends_at_a_minimum_with_a_distortion(name: str, size: int | tuple
     assert steps[-1].iteration == len(steps) - 1
     assert energy(end.q).value < energy(start).value
     # a minimum, not only a stationary point: no direction has negative curvature
-    matrix = Curvature(energy).at(energy(end.q))(np.eye(end.q.size))
+    matrix = energy.hessian(energy(end.q))(np.eye(end.q.size))
     eigenvalues = np.linalg.eigvalsh((matrix + matrix.T) / 2)
     assert eigenvalues.min() > -1e-6 * eigenvalues.max()
 

@@ -18,7 +18,6 @@ from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.models.kkt_model import bilevel, kkt_unknowns
 from rmesh_nlp.models.reduced_model import ReducedObjective
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.problem import ContactProblem, signed_areas
 from rmesh_nlp.solving.outer import Outer
 from support.objectives import even_sum, value_on, values_at
@@ -80,7 +79,7 @@ def check_derivatives(problem: ContactProblem, parts: list[Objective | str]) -> 
     q, *directions = rng.uniform(-1, 1, (4, outer.n)) * [[0.2], [1], [1], [1]]
     here = function(q)
     assert not np.any(here.weak)
-    hessian = curvature_of(function)(here)
+    hessian = function.hessian(here)
     d = max(directions, key=lambda one: abs(one @ hessian(one)))  # terms of third order are small beside that
     assert abs(taylor_order(function, q, d, 1e-3) - 2) < 0.02
     assert difference_order(lambda x: function(x).gradient, hessian(d), q, d, 1e-3) > 1.9

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from rmesh_nlp.contact import active_set
+from rmesh_nlp.contact import active_set, system
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
@@ -19,7 +19,6 @@ from rmesh_nlp.models import second_derivatives
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
-from rmesh_nlp.models.second_derivatives import Curvature, curvature_of
 from rmesh_nlp.problem import ContactProblem, ExactSolution, Motion
 from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, HOLE, disc, plate
@@ -105,7 +104,7 @@ def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPat
     energy, rng = reduced(PROBLEMS[name]()), np.random.default_rng(1)
     assert order_at_random(energy, energy.relocation.parts.n_q, 1, 0.6) >= 1.9
     q, d, other = rng.uniform(-1, 1, (3, energy.relocation.parts.n_q)) * [[0.3], [1], [1]]
-    hessian = Curvature(energy).at(energy(q))
+    hessian = energy.hessian(energy(q))
     product = hessian(d)
     assert difference_order(lambda x: energy(x).gradient, product, q, d, 2e-3) > 1.9
     assert other @ product == pytest.approx(d @ hessian(other), rel=1e-9)
@@ -113,13 +112,13 @@ def test_both_derivatives_of_the_energy(name: str, monkeypatch: pytest.MonkeyPat
     # one by one, in columns, or all at once
     both = hessian(np.column_stack([d, other]))
     monkeypatch.setattr(second_derivatives, "DENSE", 0)
-    alone = Curvature(energy).at(energy(q))
+    alone = energy.hessian(energy(q))
     size = np.max(np.abs(both))
     np.testing.assert_allclose(both, np.column_stack([alone(d), alone(other)]), atol=1e-10 * size)
     np.testing.assert_allclose(both[:, 0], product, atol=1e-10 * size)
     # the same as a Schur complement of a sparse matrix
-    lifted = hessian.lifted()
-    outer, mixed, stiffness = (part.toarray() for part in (lifted.outer, lifted.mixed, lifted.stiffness))
+    blocks = hessian.outer, hessian.mixed, hessian.stiffness
+    outer, mixed, stiffness = (block.toarray() for block in blocks)
     schur = outer - mixed.T @ np.linalg.solve(stiffness, mixed)
     np.testing.assert_allclose(schur @ d, product, atol=1e-9 * np.max(np.abs(schur)))
     assert np.linalg.eigvalsh(stiffness).min() > 0
@@ -133,7 +132,7 @@ def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
     assert order_at_random(function, energy.relocation.parts.n_q, 1, 0.5) >= 1.9
     q, d = rng.uniform(-1, 1, (2, energy.relocation.parts.n_q)) * [[0.3], [1]]
     here = function(q)
-    hessian = curvature_of(function)(here)
+    hessian = function.hessian(here)
     assert difference_order(lambda x: function(x).gradient, hessian(d), q, d, 2e-3) > 1.9
     if objective == "energy":
         envelope = energy(q)
@@ -141,9 +140,23 @@ def test_both_derivatives_of_objectives(name: str, objective: str) -> None:
         assert here.value == pytest.approx(envelope.value, rel=1e-12)
         for found, known in (
             (here.gradient, envelope.gradient),
-            (hessian(d), Curvature(energy).at(envelope)(d)),
+            (hessian(d), energy.hessian(envelope)(d)),
         ):
             np.testing.assert_allclose(found, known, atol=1e-9 * np.max(np.abs(known)))
+
+
+@pytest.mark.parametrize("name", ["6.1", "sloped, stick and slip", "two obstacles at a node"])
+def test_factors_of_the_contact_solve_serve_other_objectives(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outer, rng = Outer.of((CONTACTS | OTHERS)[name]()), np.random.default_rng(1)
+    conditions, point = outer.conditions, outer.energy.solved(0.2 * rng.uniform(-1, 1, outer.n))
+    monkeypatch.setattr(system, "factorised", lambda _: pytest.fail("a second factorisation"))
+    at = conditions.at(point)
+    right = rng.uniform(-1, 1, (at.equations.size, 2))
+    linearised = at.jacobian[at.equations][:, outer.n :]
+    for matrix, transposed in ((linearised, False), (linearised.T, True)):
+        np.testing.assert_allclose(matrix @ at.solve(right, transposed), right, atol=1e-10)
 
 
 def large_limits() -> ContactProblem:
@@ -170,18 +183,17 @@ def test_a_contact_solution_is_a_kkt_point_with_the_contact_forces_as_multiplier
     g, jacobian = (part.full() for part in nlp.derivatives.jac_g(x, []))
     assert value[0] == pytest.approx(point.equilibrium.energy, rel=1e-10)
     # minimised over u and s alone; the multipliers of slips share the friction bound
-    lam = np.zeros(rel.n_rows)
-    lam[rel.gap_rows] = point.equilibrium.normal_force
+    lam = np.zeros(rel.rows.size)
+    lam[rel.rows["gaps"]] = point.equilibrium.normal_force
     if rel.parts.n_s:
         bound = point.system.slip_bound[rel.parts.friction_rows]
         tau = point.equilibrium.tangential_force[rel.parts.friction_rows]
-        lam[rel.parts.n_contact : rel.parts.n_contact + rel.parts.n_s] = (bound - tau) / 2
-        lam[rel.slip_rows] = (bound + tau) / 2
+        lam[rel.rows["minus"]], lam[rel.rows["plus"]] = (bound - tau) / 2, (bound + tau) / 2
     residual = gradient - jacobian.T @ lam
     scale = np.max(np.abs(jacobian.T @ lam)) or np.max(np.abs(gradient))
     np.testing.assert_allclose(residual[rel.parts.n_q :], 0, atol=1e-9 * scale)
     np.testing.assert_allclose(residual[: rel.parts.n_q], point.gradient, atol=1e-9 * scale)
-    rows = g.ravel()[: rel.parts.n_contact + 2 * rel.parts.n_s]
+    rows = g.ravel()[: rel.parts.pairs.size]
     assert rows.min() > -1e-9
     np.testing.assert_allclose(rows * lam[: rows.size], 0, atol=1e-9 * scale)
 
@@ -246,7 +258,7 @@ def test_the_schur_complement_in_q_is_the_dense_hessian(name: str) -> None:
     function = Outer.of(ENERGIES[name]()).energy
     larger, n, rng = reduced_nlp(function), function.relocation.parts.n_q, np.random.default_rng(7)
     q, lam_g = 0.02 * rng.uniform(-1, 1, n), rng.uniform(-1, 0, larger.n_g)
-    curvature = curvature_of(function)(function(q))(np.eye(n))
+    curvature = function.hessian(function(q))(np.eye(n))
     areas = function.validity.hessian(q, lam_g).toarray() if lam_g.size else 0.0
     for factor in (1.5, 0.0):
         matrix = whole(larger.derivatives.hess_lag(np.append(q, np.zeros(larger.n_x - n)), [], factor, lam_g))

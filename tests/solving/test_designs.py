@@ -13,7 +13,6 @@ from rmesh_nlp.evaluation import Evaluator
 from rmesh_nlp.meshes import shapes
 from rmesh_nlp.models.kkt_model import bilevel
 from rmesh_nlp.models.reduced_constraints import ReducedConstraints
-from rmesh_nlp.models.second_derivatives import curvature_of
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, DesignVariable, ProblemError, Shape
 from rmesh_nlp.solving.outer import Outer
@@ -202,7 +201,7 @@ def test_derivatives_by_designs_and_positions(name: str, order: int) -> None:
     by_design[: outer.discretisation.mesh_map.n_positions] = 0.0
     for along in (by_design, d):
         assert taylor_order(outer.function, q, along, step) == pytest.approx(2, abs=0.02)
-    product = curvature_of(outer.function)(outer.function(q))(d)
+    product = outer.function.hessian(outer.function(q))(d)
     order_of = difference_order(lambda at: outer.function(at).gradient, product, q, d, 2 * step)
     assert order_of == pytest.approx(2, abs=0.05)
     there, same = outer.at_design(q)
