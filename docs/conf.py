@@ -24,7 +24,7 @@ extensions = [
     "sphinx_gallery.gen_gallery",
     "sphinxcontrib.katex",
 ]
-katex_css_path = "katex-math.css"  # its own copies, and MathML, which needs no fonts: formulas without a network
+katex_css_path = "katex-math.css"  # a copy, and MathML without fonts: pages need no network
 katex_options = 'output: "mathml"'
 BELOW = {
     "index": ["getting_started", "theory", "howto", "api", "results"],
