@@ -17,10 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from formulations.ipopt import exact, pull
 from formulations.outer_solvers import NestedSettings, solved
-from formulations.units import pull
 from rmesh_nlp.evaluation import ROUNDING, Array, is_finite
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCCSolver
 from rmesh_nlp.solving.monitor import Monitor
@@ -82,10 +81,8 @@ def _exact(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, 
     track, program = monitor.track(outer), outer.kkt
     unit = pull(outer.at_start.gradient) / program.value
     # the point is near, but its multipliers are not known: a barrier below Ipopt's own, but not at its end
-    ipopt = {**COMMON, "mu_init": 1e-4, "obj_scaling_factor": 1 / unit, "tol": TIGHT}
-    ipopt["acceptable_tol"] = 1e3 * TIGHT
     with monitor.budget.during("build"):
-        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
+        solver = MPCCSolver(program.mpcc, ipopt_exact=exact(1 / unit, 1e-4))
     result = solver.finish(program.point(point), budget=monitor.budget.share())
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)

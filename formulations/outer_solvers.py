@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from formulations.ipopt import pushed
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.models.descent import Watch, descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy
@@ -54,9 +55,8 @@ class NestedSettings(Settings):
 
     def exact(self, outer: Outer) -> dict[str, Any]:
         """Ipopt's options with exact Hessians."""
-        names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         return {
-            **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if outer.is_near else {}),
+            **({"mu_init": WARM_BARRIER, **pushed(WARM_PUSH)} if outer.is_near else {}),
             # many constraints are weakly active: an interior point meets those only to its square root
             "tol": outer.tolerance**2,
             "max_iter": self.iterations or 500,

@@ -43,8 +43,8 @@ from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, TEMPLATES, Table
 from rmesh_nlp.report.tables import sections_of
 from rmesh_nlp.solving.parts import DESIGN, FEW
-from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
+from rmesh_nlp.study.worker import environment
 
 REPORT = "report.html"
 CHART = Page(1)  # legible on a phone, where charts are three inches wide

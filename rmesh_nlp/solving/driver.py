@@ -25,10 +25,9 @@ from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.parts import Step, Trace
-from rmesh_nlp.solving.plan import Plan
+from rmesh_nlp.solving.plan import Plan, Start, beginning
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.start import Start, beginning
 
 REFINED = 4
 """Triangles of a refined mesh for each one, and about how much longer its assessment takes."""
@@ -64,7 +63,7 @@ def solve(
         What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     start : positions (2, nodes), "given", name of a formulation, or Solution, optional
-        See :func:`rmesh_nlp.solving.start.beginning`.
+        See :func:`rmesh_nlp.solving.plan.beginning`.
     seed : int, optional
         Random start; by default the mesh as given.
     tolerance : float

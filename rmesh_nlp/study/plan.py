@@ -135,7 +135,7 @@ def _problem(stated: Mapping[str, Any]) -> ContactProblem:
     if stated["kind"] == "random":
         problem = random_problem(stated["seed"], kind=stated["of"], order=stated.get("order", 1))
         return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.t.shape[1]} triangles")
-    raise BadInputError(f"unknown kind of problem {stated['kind']!r}")
+    raise ValueError(f"unknown kind of problem {stated['kind']!r}")
 
 
 def build_example(example: str, quadrature: str | int | None = None, **given: Any) -> ContactProblem:
