@@ -30,7 +30,7 @@ EXACT_FINISH = "exact finish of the KKT model"
 
 
 @dataclass(frozen=True)
-class Finish:
+class Finished:
     """Outer variables, whether they are stationary, and what ran for it; empty if nothing better is known."""
 
     q: Array
@@ -38,21 +38,21 @@ class Finish:
     method: str = ""
 
 
-def finished(outer: Outer, q: Array, monitor: Monitor) -> Finish:
+def finished(outer: Outer, q: Array, monitor: Monitor) -> Finished:
     """A stationary point from a valid end ``q``, or ``q`` itself where none is reached that is not above."""
     if not outer.is_valid(q):
-        return Finish(q, False)
+        return Finished(q, False)
     point = outer.function(q)
     if q.size == 0 or is_stationary(outer, point):
-        return Finish(q, True)
+        return Finished(q, True)
     last, method = (_newton if outer.objective.collapses else _exact)(outer, point, monitor)
     if not (is_finite(last) and outer.is_valid(last) and outer.function.is_defined(last)):
-        return Finish(q, False)
+        return Finished(q, False)
     end = outer.function(last)
     violation, value = outer.merit(point)
     if outer.merit(end) > (violation, value + ROUNDING * abs(value)):
-        return Finish(q, False)
-    return Finish(last, is_stationary(outer, end), method)
+        return Finished(q, False)
+    return Finished(last, is_stationary(outer, end), method)
 
 
 def is_stationary(outer: Outer, point: ReducedPoint) -> bool:

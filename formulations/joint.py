@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from formulations.finish import Finish, finished, is_above
+from formulations.finish import Finished, finished, is_above
 from formulations.ipopt import CENTRED, length, pull
 from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import BadInputError
@@ -95,7 +95,7 @@ class Joint(Formulation):
             return Outcome(outer, track.best(q), status)
         last = q if is_above(result.f, first) else end
         before = monitor.budget.iterations
-        finish = Finish(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
+        finish = Finished(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
         if finish.q is end:
             return Outcome(outer, end, status, own=_own(program, result))
         status = Status.CONVERGED if finish.is_stationary else status

@@ -14,10 +14,9 @@ from rmesh_nlp.cli.preparing import load_problem, solve_options
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.folder import safe_name, write_whole
-from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.io.problem_file import keep, kept_files, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
@@ -57,7 +56,7 @@ def solve(
     else:
         (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
-    kept = {} if stated is None else kept_problem.names(stated)
+    kept = {} if stated is None else kept_files(stated)
     with writable(folder, (*FILES, *kept, SERIES, *[FIGURES][:columns]) if kept else SINGLE) as results:
         with SolvesProgress(1, quiet=not says) as progress:
             done = _performed(plan, progress, series)
@@ -127,7 +126,7 @@ def _write(results: Results, done: Done, series: Series | None, kept: Mapping[st
     if RECORDS in older:
         manifest.set_aside()
     manifest.claim(*(FILES if kept else SINGLE), *kept)
-    kept_problem.keep(kept, folder)  # its mesh may be one that an earlier solve left
+    keep(kept, folder)  # its mesh may be one that an earlier solve left
     manifest.remove(name for name in older if name not in kept)
     write_single(folder, done.row, done.save)
     if solution is not None and kept:

@@ -71,8 +71,10 @@ def members_of(kind: str, name: str, groups: Mapping[str, Any] | None, place: Pl
 
     If the mesh has no such name, a ProblemError says so of a place of the problem.
     """
-    if not groups or name not in groups:
-        raise ProblemError(place, str(unknown(kind, name, groups or {}, NAMELESS)))
+    if not groups:
+        raise ProblemError(place, f"unknown {kind} {name!r}: {NAMELESS}")
+    if name not in groups:
+        raise ProblemError(place, str(unknown(kind, name, groups)))
     return np.asarray(groups[name])
 
 

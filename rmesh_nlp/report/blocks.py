@@ -32,7 +32,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 
 @dataclass(frozen=True)
-class Block:
+class Case:
     """Records of one example on one grid with the same order, move limits and rule, as they were solved."""
 
     records: tuple[Record, ...]
@@ -104,15 +104,15 @@ class Block:
         return paper if is_papers and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
-def blocks(records: Iterable[Record]) -> list[Block]:
+def blocks(records: Iterable[Record]) -> list[Case]:
     """The records grouped, in the order of their first appearance."""
-    return [Block(tuple(group)) for group in grouped(records, block_key).values()]
+    return [Case(tuple(group)) for group in grouped(records, block_key).values()]
 
 
-def blocks_of(results: Iterable[Result]) -> list[tuple[Block, list[Result]]]:
+def blocks_of(results: Iterable[Result]) -> list[tuple[Case, list[Result]]]:
     """The same of results, with those of each block."""
     groups = grouped(results, lambda result: block_key(result.record)).values()
-    return [(Block(tuple(result.record for result in own)), own) for own in groups]
+    return [(Case(tuple(result.record for result in own)), own) for own in groups]
 
 
 def block_key(record: Record) -> Hashable:
@@ -185,7 +185,7 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
 
 
 def in_common_units(records: Sequence[Record]) -> list[Record]:
-    """The records with the unit of cost of their block, :attr:`Block.unit`, if they measured one."""
+    """The records with the unit of cost of their block, :attr:`Case.unit`, if they measured one."""
     units = {block_key(block.records[0]): block.unit for block in blocks(records)}
     return [
         {**record, "contact_time_s": units[block_key(record)]} if record.get("contact_time_s") else record

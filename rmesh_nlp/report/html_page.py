@@ -24,7 +24,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
 from rmesh_nlp.io.records import Record, has_energy, objective_of, parse_json, to_json
 from rmesh_nlp.io.results import ROWS, Result, Results
-from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks_of,
@@ -184,7 +184,7 @@ def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
     return meshes, note if rest > 0 else ""
 
 
-def _mesh(fields: Fields) -> dict[str, Any]:
+def _mesh(fields: SolutionFields) -> dict[str, Any]:
     given, final = fields.given, fields.final
     u = final.displacement
     values = {"u": u[0]} if u.shape[0] == 1 else {"|u|": np.hypot(*u), "u1": u[0], "u2": u[1]}

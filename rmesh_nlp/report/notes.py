@@ -8,7 +8,7 @@ from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import Units, units_of
-from rmesh_nlp.report.blocks import Block, blocks, grouped, label
+from rmesh_nlp.report.blocks import Case, blocks, grouped, label
 from rmesh_nlp.report.joined import refinement_notes
 
 
@@ -73,7 +73,7 @@ def _units_in_words(units: Units, energy: bool) -> str:
     return f"lengths in {units.length}, forces in {units.force} per {units.length} of depth."
 
 
-def below_infimum(block: Block) -> Iterator[str]:
+def below_infimum(block: Case) -> Iterator[str]:
     """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
     for record in block.records:
         above, lower = record.get("energy_above_exact"), None

@@ -12,7 +12,7 @@ from rmesh_nlp.display import for_spreadsheet
 from rmesh_nlp.io.folder import write_text
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, order_of
+from rmesh_nlp.report.blocks import Case, blocks, contact_units, grouped, names_of_solves, order_of
 from rmesh_nlp.report.columns import KINDS, MAIN, RESULTS, body, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
 from rmesh_nlp.report.notes import block_notes, main_notes, paper_notes, stopped_early, units_notes
@@ -23,13 +23,13 @@ from rmesh_nlp.solving.parts import DESIGN
 DETAILS = "# Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
 
-def sections_of(records: Sequence[Record]) -> dict[str, Block]:
+def sections_of(records: Sequence[Record]) -> dict[str, Case]:
     """Blocks by their titles, one for each objective where energies do not compare."""
-    sections: dict[str, Block] = {}
+    sections: dict[str, Case] = {}
     for block in blocks(records):
         parts = {"": list(block.records)} if block.has_energy else block.objectives
         for objective, own in parts.items():
-            sections[f"{block.title}: {objective}" if objective else block.title] = Block(tuple(own))
+            sections[f"{block.title}: {objective}" if objective else block.title] = Case(tuple(own))
     return sections
 
 

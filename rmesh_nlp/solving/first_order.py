@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
-from rmesh_nlp.models.residual import Multipliers, released
+from rmesh_nlp.models.residual import OuterMultipliers, released
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.solving.outer import Outer
@@ -34,7 +34,7 @@ class FirstOrder:
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     is_stationary : bool
         To the tolerance of the solve, over the branches of the contact where there are several.
-    multipliers : Multipliers or None
+    multipliers : OuterMultipliers or None
         Of move limits, areas and angles; where they are large, position or connectivity is the limit.
     label : mapping of str to object
         Entries of the record about stationarity where contact is about to change, for other objectives than
@@ -44,7 +44,7 @@ class FirstOrder:
     residual: float = float("nan")
     stationarity: str = ""
     is_stationary: bool = False
-    multipliers: Multipliers | None = field(default=None, repr=False)
+    multipliers: OuterMultipliers | None = field(default=None, repr=False)
     label: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -11,7 +11,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.residual import Multipliers
+from rmesh_nlp.models.residual import OuterMultipliers
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -196,7 +196,7 @@ class Relocated:
         return self.final.constraints
 
     @property
-    def multipliers(self) -> Multipliers | None:
+    def multipliers(self) -> OuterMultipliers | None:
         """Of move limits, areas and angles; where they are large, position or connectivity is the limit."""
         return self.assessment.first_order.multipliers
 
