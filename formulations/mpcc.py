@@ -9,9 +9,8 @@ levels do not collapse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
@@ -27,14 +26,14 @@ from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Open
+from rmesh_nlp.settings import ByName, Open, Values
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
 
-OPTIONS: Mapping[str, Any] = {
+OPTIONS: ByName = {
     "t0": 1e-2,
     "factor": 1e-2,
     "t_final": 1e-9,
@@ -96,7 +95,7 @@ class AllAtOnce(Formulation):
     """
 
     relaxation: str = "scholtes"
-    options: Annotated[Mapping[str, Any], Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
+    options: Annotated[ByName, Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
     twice: bool | None = None
 
     def __post_init__(self) -> None:
@@ -165,7 +164,7 @@ def _rank(end: Outcome) -> tuple[float, bool, float]:
     return violation, not is_stationary(end.outer, point), value
 
 
-def _options(outer: Outer, scaling: float) -> dict[str, Any]:
+def _options(outer: Outer, scaling: float) -> Values:
     """Options on top of ``OPTIONS``; ``scaling`` is the factor of the objective.
 
     It brings the mean gradient in the outer variables to a third (:func:`formulations.ipopt.pull`), since
@@ -198,7 +197,7 @@ def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
 
 
-def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, Any]:
+def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> Values:
     """Entries of the record: the homotopy by stages, and what its end is."""
     nodes = outer.contact.contact_nodes[program.pair_rows(result.biactive)]
     return {

@@ -6,7 +6,6 @@ Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from rmesh_nlp.optimize.constraints import LARGEST_DENSE
 from rmesh_nlp.optimize.newton_step import NewtonSettings
 from rmesh_nlp.optimize.solver import PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.settings import Count, Positive, Settings
+from rmesh_nlp.settings import Count, Positive, Settings, Values
 from rmesh_nlp.solving.outer import Outer
 
 NEWTON, INTERIOR = "newton", "interior point"  # as records name them
@@ -53,7 +52,7 @@ class NestedSettings(Settings):
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     ipopt: PluginOptions = field(default_factory=dict)
 
-    def exact(self, outer: Outer) -> dict[str, Any]:
+    def exact(self, outer: Outer) -> Values:
         """Ipopt's options with exact Hessians."""
         return {
             **({"mu_init": WARM_BARRIER, **pushed(WARM_PUSH)} if outer.is_near else {}),

@@ -16,7 +16,7 @@ from rmesh_nlp.io.results import read_results
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.report.blocks import in_common_units
 from rmesh_nlp.report.tables import frame, markdown
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Wrapper, check_taken, taken
+from rmesh_nlp.solving.formulation import Asked, Chooser, Formulation, Wrapper, check_taken, taken
 from rmesh_nlp.solving.parts import DESIGN
 from rmesh_nlp.solving.plan import compared
 from rmesh_nlp.solving.solution import Solution
@@ -150,7 +150,7 @@ def _last(solution: Solution) -> float:
 
 def compare(
     problem: ContactProblem,
-    formulations: Sequence[str | Formulation | Chooser] = (),
+    formulations: Sequence[Asked] = (),
     **options: Any,
 ) -> Comparison:
     """Solve a problem by several formulations.

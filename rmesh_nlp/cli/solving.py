@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -21,6 +20,7 @@ from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
 from rmesh_nlp.optimize.budget import deferred
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study import comparison
@@ -37,7 +37,7 @@ SERIES_NODES = 200_000  # of all frames of a series: with more, writing them tak
 def solve(
     name: str,
     formulation: str | None,
-    given: Mapping[str, Any],
+    given: ByName,
     out: Path | None,
     voice: str = "text",
     columns: int = 2,
@@ -88,7 +88,7 @@ def solve(
 
 
 def _of_file(
-    stated: ProblemTable, formulation: str | None, given: Mapping[str, Any], says: bool
+    stated: ProblemTable, formulation: str | None, given: ByName, says: bool
 ) -> tuple[PlannedSolve, Series | None]:
     """The solve of a problem file, and what notes its iterates unless they are on different meshes."""
     path = stated.source.path
@@ -161,7 +161,7 @@ def _say(done: Done, *, in_full: bool) -> None:
 def compare(
     examples: Sequence[str],
     formulations: Sequence[str],
-    given: Mapping[str, Any],
+    given: ByName,
     out: Path,
     resume: bool,
     jobs: int = 1,
@@ -182,7 +182,7 @@ def compare(
     rows: list[Record] = []
     with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))) as results:
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
-            watched: dict[str, Any] = {"on_start": progress.start, "on_step": progress.step}
+            watched: Values = {"on_start": progress.start, "on_step": progress.step}
             solved = comparison.run(plan, results, resume=resume, jobs=jobs, **watched)
             try:
                 with notes(DamagedRecordsWarning, "rmesh: warning"):

@@ -62,6 +62,7 @@ from rmesh_nlp.problem import (
     Units,
 )
 from rmesh_nlp.problem.obstacle import GAPS, unit
+from rmesh_nlp.settings import Values
 
 SHAPES: Mapping[str, Callable[..., MeshTri]] = {
     "rectangle": shapes.rectangle,
@@ -137,7 +138,7 @@ class FileTable(BaseModel):
         """Which of these keys have a value."""
         return [name for name in names if getattr(self, name) is not None]
 
-    def entries(self, *without: str) -> dict[str, Any]:
+    def entries(self, *without: str) -> Values:
         """The keys that the file has, with their values, but for some."""
         keys = [name for name in type(self).model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in keys if name not in without}
@@ -157,7 +158,7 @@ def taking(*makes: Callable[..., object], without: tuple[str, ...] = ()) -> Call
     """A table with the arguments of ``make`` as further keys; of one of several each may be left out."""
 
     def extended(table: type[T]) -> type[T]:
-        fields: dict[str, Any] = {}
+        fields: Values = {}
         for make in makes:
             for name, argument in arguments(make).items():
                 if name not in without:
@@ -351,7 +352,7 @@ class SolveTable(BaseModel):
     remesh: SkipValidation[bool | int] = False
     certify: Flag = False
 
-    def options(self) -> dict[str, Any]:
+    def options(self) -> Values:
         """Those that are not the defaults."""
         return self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record, ends_of, has_energy, objective_of
+from rmesh_nlp.io.records import Record, Records, ends_of, has_energy, objective_of
 from rmesh_nlp.io.results import Result
 
 DEFAULT_RELAXATION = "scholtes"
@@ -165,12 +165,12 @@ def variant(record: Record) -> str:
     return str(record.get("variant") or seedless(record))
 
 
-def variants_of(records: Sequence[Record]) -> list[str]:
+def variants_of(records: Records) -> list[str]:
     """All variants that relocate, in the order of the records: the same looks in all figures of a folder."""
     return list(dict.fromkeys(variant(r) for r in records if r["formulation"] != RELOCATING_NOTHING))
 
 
-def names_of_solves(records: Sequence[Record]) -> list[str]:
+def names_of_solves(records: Records) -> list[str]:
     """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
     groups = blocks(records)
     names = []
@@ -184,7 +184,7 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
     return names
 
 
-def in_common_units(records: Sequence[Record]) -> list[Record]:
+def in_common_units(records: Records) -> list[Record]:
     """The records with the unit of cost of their block, :attr:`Case.unit`, if they measured one."""
     units = {block_key(block.records[0]): block.unit for block in blocks(records)}
     return [

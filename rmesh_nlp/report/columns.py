@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
+from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
 from rmesh_nlp.report.blocks import Case, contact_units, label
 from rmesh_nlp.report.table import MISSING, Groups, Table
 from rmesh_nlp.solving.entries import ENTRIES
@@ -55,7 +55,7 @@ RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length"
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 
-def of_boundaries(records: Sequence[Record]) -> list[Record]:
+def of_boundaries(records: Records) -> list[Record]:
     """A row for each of several contact boundaries, with its results on the final mesh."""
     return [
         {**record, **results, "boundary": name, "contact": None}
@@ -69,7 +69,7 @@ def _several(record: Record) -> Record:
     return contact if len(contact) > 1 else {}
 
 
-def cells(columns: Sequence[Column], records: Sequence[Record]) -> list[list[str]]:
+def cells(columns: Sequence[Column], records: Records) -> list[list[str]]:
     """A row for each record; of several contact boundaries none has what is of all."""
     rows = [{**record, **dict.fromkeys(OF_ALL if _several(record) else ())} for record in records]
     return [[column.cell(row) for column in columns] for row in rows]

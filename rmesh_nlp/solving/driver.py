@@ -21,7 +21,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
 from rmesh_nlp.solving.exploited import RunEnd, as_given, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords
+from rmesh_nlp.solving.formulation import Asked, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.parts import Step, Trace
@@ -37,7 +37,7 @@ HIGHER = "the mesh is as it was given: the energy of the one that was reached is
 
 def solve(
     problem: ContactProblem,
-    formulation: str | Formulation | Chooser = "auto",
+    formulation: Asked = "auto",
     *,
     objective: str | Objective = "energy",
     start: Start = None,

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +10,7 @@ from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
 from rmesh_nlp.models.residual import OuterMultipliers, released
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.outer import Outer
 
 MET = (Status.CONVERGED, Status.ACCEPTABLE, Status.NOT_STATIONARY)
@@ -45,7 +44,7 @@ class FirstOrder:
     stationarity: str = ""
     is_stationary: bool = False
     multipliers: OuterMultipliers | None = field(default=None, repr=False)
-    label: Mapping[str, Any] = field(default_factory=dict)
+    label: ByName = field(default_factory=dict)
 
 
 def first_order(
@@ -74,9 +73,7 @@ def first_order(
     return FirstOrder(residual, proposed, holds or proved or not relocates, pulls)
 
 
-def _over_branches(
-    outer: Outer, point: ReducedPoint, holds: bool, claimed: bool
-) -> tuple[str, dict[str, Any]]:
+def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Values]:
     """Stationarity label over the branches of the contact, with entries; the energy is smooth across them.
 
     Where no pair is biactive a small first-order residual is the proof. A large one is none against it if the

@@ -19,7 +19,15 @@ from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on, level_name
 from rmesh_nlp.problem import Constraint, ContactProblem
 from rmesh_nlp.problem.design import Level
-from rmesh_nlp.solving.formulation import GIVEN, Chooser, Formulation, Keywords, check_start, composed, first
+from rmesh_nlp.solving.formulation import (
+    GIVEN,
+    Asked,
+    Formulation,
+    Keywords,
+    check_start,
+    composed,
+    first,
+)
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
 from rmesh_nlp.solving.relocated import Relocated
@@ -92,7 +100,7 @@ class Plan:
     def of(
         cls,
         problem: ContactProblem,
-        formulation: str | Formulation | Chooser,
+        formulation: Asked,
         *,
         objective: str | Objective = "energy",
         start: Start = None,

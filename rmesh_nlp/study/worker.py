@@ -24,6 +24,7 @@ from rmesh_nlp.io.records import Record, to_json
 from rmesh_nlp.io.results import Results
 from rmesh_nlp.optimize.budget import Budget, processor_seconds
 from rmesh_nlp.optimize.process import Process, serve
+from rmesh_nlp.settings import Values
 from rmesh_nlp.solving.entries import versions
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import RowsFile, keys_of
@@ -127,7 +128,7 @@ def worker_of(folder: str) -> Worker:
     return Worker(Path(folder))
 
 
-def task(content: dict[str, Any], folder: str) -> Record:
+def task(content: Values, folder: str) -> Record:
     """A task of a cluster: :meth:`Worker.perform`, unless a lost worker has written the row before."""
     solve = PlannedSolve(**content)
     if solve.key in keys_of(Path(folder)):
@@ -152,7 +153,7 @@ def _own_core() -> tuple[int, socket.socket] | None:
     return None
 
 
-def environment() -> dict[str, Any]:
+def environment() -> Values:
     """What decides times, and in chaotic descents the last digits, as plain JSON values."""
     return {
         "host": socket.gethostname(),
