@@ -145,7 +145,7 @@ class Levels(Formulation):
                 ends.append(outcome)
                 done = {
                     "nodes": problem.mesh.p.shape[1],
-                    "triangles": problem.mesh.t.shape[1],
+                    "triangles": problem.mesh.nelements,
                     "energy": outcome.outer.energy(outcome.q).equilibrium.energy,  # without the distortion
                     "iterations": budget.iterations - first,
                     "contact_solves": monitor.spent.contact_solves - solves,

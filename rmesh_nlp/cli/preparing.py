@@ -110,7 +110,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     mesh = made.problem.mesh
     write_whole(out, lambda aside: write_mesh(mesh, aside))
     rows = [
-        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
+        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.nelements} triangles"),
         ("energy", f"{figure(made.state.energy)}, on the given mesh {figure(first.state.energy)}"),
         ("error of the energy, estimated", f"{figure(made.error)}, on the given mesh {figure(first.error)}"),
         ("least angle", f"{np.min(least_angles(mesh.p, made.problem.triangles)):.3g} degrees"),

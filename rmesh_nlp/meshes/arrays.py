@@ -117,13 +117,13 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
         for name, value in boundaries.items()
     }
     elements = {
-        name: _chosen(mesh.p[:, mesh.t], value, np.arange(mesh.t.shape[1]))
+        name: _chosen(mesh.p[:, mesh.t], value, np.arange(mesh.nelements))
         if callable(value)
         else np.unique(np.asarray(value, dtype=np.int64))
         for name, value in subdomains.items()
     }
     for name, members in elements.items():
-        if np.any((members < 0) | (members >= mesh.t.shape[1])):
+        if np.any((members < 0) | (members >= mesh.nelements)):
             raise BadInputError(f"the subdomain {name!r} has a triangle that the mesh has not")
     for kind, names in (("boundary", facets), ("subdomain", elements)):
         for name, members in names.items():  # scikit-fem would drop empty ones silently

@@ -154,7 +154,7 @@ class Body:
     def edges_of(self, obstacle: Obstacle) -> Edges:
         """The edges of a contact boundary; all edges for an interior contact set."""
         if isinstance(obstacle.boundary, Place):
-            return Edges(self, np.arange(self.problem.mesh.facets.shape[1]))
+            return Edges(self, np.arange(self.problem.mesh.nfacets))
         return self.edges(obstacle.boundary)
 
 

@@ -114,7 +114,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
               "problem.order", SOLVED, heading="order"),
         Entry("nodes", Count, "Vertices of the mesh.", lambda s: s.mesh.p.shape[1], SOLVED),
-        Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.t.shape[1], SOLVED),
+        Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.nelements, SOLVED),
         Entry("unknowns", Count, "Of the displacement.",
               lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",

@@ -135,7 +135,7 @@ def _problem(stated: ByName) -> ContactProblem:
         return load_problem(stated["path"], stated.get("order"))
     if stated["kind"] == "random":
         problem = random_problem(stated["seed"], kind=stated["of"], order=stated.get("order", 1))
-        return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.t.shape[1]} triangles")
+        return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.nelements} triangles")
     raise ValueError(f"unknown kind of problem {stated['kind']!r}")
 
 
