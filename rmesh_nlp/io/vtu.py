@@ -100,7 +100,7 @@ class SolutionFields:
         data["contact"] = np.isfinite(self.final.gap).astype(np.int32)
         data["mobility"] = self.mobility
         if self.multipliers is not None:
-            data["box_multiplier"] = self.multipliers.limit
+            data["limit_multiplier"] = self.multipliers.limit
         return data
 
     def foundations(self) -> dict[str, NDArray]:
@@ -172,9 +172,9 @@ def read_vtu(path: Path) -> SolutionFields:
         mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
         data, of_cells = mesh.point_data, {name: blocks[0] for name, blocks in mesh.cell_data.items()}
         multipliers = None
-        if "box_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
+        if "limit_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
             of_elements = of_cells["area_multiplier"], of_cells["angle_multiplier"]
-            multipliers = OuterMultipliers(data["box_multiplier"], *of_elements)
+            multipliers = OuterMultipliers(data["limit_multiplier"], *of_elements)
 
         def state(head: str, points: Array) -> MeshState:
             begin, stress = head + FOUNDATION, of_cells[f"{head}drawn_stress"]

@@ -72,10 +72,9 @@ class PlannedSolve:
                 for name, value in sorted(_flat(self.options))
             ]
             return safe_name("-".join(filter(None, [*which, self.formulation, *options])))
-        decisive = ("formulation", "options", "repeat", "certify", "time_s", "memory_mb")
+        decisive = ("variant", "formulation", "options", "repeat", "certify", "time_s", "memory_mb")
         content = {
             "problem": {k: v for k, v in self.problem.items() if k != "path"},
-            "strategy": self.variant,  # its name when the first keys were made
             "version": __version__,
             **{name: getattr(self, name) for name in decisive},
         }
@@ -196,8 +195,8 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[Values, str, str,
     for name in study.examples:
         sizes = study.sizes.get(name, ()) if isinstance(study.sizes, dict) else study.sizes
         for size, order in product(sizes or (None,), study.order or (1,)):
-            stated = {"kind": "example", "example": name, "quadrature": study.quadrature or RULES[order]}
-            stated |= ({} if size is None else {"n": size}) | _order(order)
+            stated = {"kind": "example", "example": name, "order": order}
+            stated |= {"quadrature": study.quadrature or RULES[order]} | ({} if size is None else {"n": size})
             with located(path):
                 built = _problem(stated)
             yield stated, name, name, built.size
@@ -209,20 +208,14 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[Values, str, str,
             parts.append((file.parent / table.mesh.file).read_bytes())
         digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
         for order in study.order or (table.order,):
-            own = {} if order == table.order == 1 else {"order": order}
-            stated = {"kind": "file", "digest": digest, "path": str(file.resolve()), **own}
+            stated = {"kind": "file", "digest": digest, "path": str(file.resolve()), "order": order}
             yield stated, load_problem(file, order).name, Path(text).stem, ""
     if (draws := study.random) is not None:
         for number in range(draws.seed, draws.seed + draws.count):
             kind = draws.kinds[number % len(draws.kinds)]
             for order in study.order or (1,):
-                stated = {"kind": "random", "seed": number, "of": kind, **_order(order)}
+                stated = {"kind": "random", "seed": number, "of": kind, "order": order}
                 yield stated, f"random-{number}", f"random {kind}", ""
-
-
-def _order(order: int) -> dict[str, int]:
-    """What states another order than 1, which keys of old do not name."""
-    return {} if order == 1 else {"order": order}
 
 
 def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Records) -> float:
