@@ -17,7 +17,6 @@ corrected.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from rmesh_nlp.models.descent import descend
 from rmesh_nlp.models.levels import hierarchy, prolonged
 from rmesh_nlp.models.regularisation import regularised, weights
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Count, Positive
+from rmesh_nlp.settings import Count, Positive, Values
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -126,7 +125,7 @@ class Levels(Formulation):
     settings: Cascade = field(default_factory=Cascade)
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
-        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[dict[str, Any]]()
+        chosen, budget, ends, levels = self.settings, monitor.budget, list[Outcome](), list[Values]()
 
         def descend() -> None:
             with budget.during("build"):
@@ -146,7 +145,7 @@ class Levels(Formulation):
                 ends.append(outcome)
                 done = {
                     "nodes": problem.mesh.p.shape[1],
-                    "triangles": problem.mesh.t.shape[1],
+                    "triangles": problem.mesh.nelements,
                     "energy": outcome.outer.energy(outcome.q).equilibrium.energy,  # without the distortion
                     "iterations": budget.iterations - first,
                     "contact_solves": monitor.spent.contact_solves - solves,

@@ -17,10 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from formulations.ipopt import exact, pull
 from formulations.outer_solvers import NestedSettings, solved
-from formulations.units import pull
 from rmesh_nlp.evaluation import ROUNDING, Array, is_finite
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.mpcc import MPCCSolver
 from rmesh_nlp.solving.monitor import Monitor
@@ -31,7 +30,7 @@ EXACT_FINISH = "exact finish of the KKT model"
 
 
 @dataclass(frozen=True)
-class Finish:
+class Finished:
     """Outer variables, whether they are stationary, and what ran for it; empty if nothing better is known."""
 
     q: Array
@@ -39,21 +38,21 @@ class Finish:
     method: str = ""
 
 
-def finished(outer: Outer, q: Array, monitor: Monitor) -> Finish:
+def finished(outer: Outer, q: Array, monitor: Monitor) -> Finished:
     """A stationary point from a valid end ``q``, or ``q`` itself where none is reached that is not above."""
     if not outer.is_valid(q):
-        return Finish(q, False)
+        return Finished(q, False)
     point = outer.function(q)
     if q.size == 0 or is_stationary(outer, point):
-        return Finish(q, True)
+        return Finished(q, True)
     last, method = (_newton if outer.objective.collapses else _exact)(outer, point, monitor)
     if not (is_finite(last) and outer.is_valid(last) and outer.function.is_defined(last)):
-        return Finish(q, False)
+        return Finished(q, False)
     end = outer.function(last)
     violation, value = outer.merit(point)
     if outer.merit(end) > (violation, value + ROUNDING * abs(value)):
-        return Finish(q, False)
-    return Finish(last, is_stationary(outer, end), method)
+        return Finished(q, False)
+    return Finished(last, is_stationary(outer, end), method)
 
 
 def is_stationary(outer: Outer, point: ReducedPoint) -> bool:
@@ -82,10 +81,8 @@ def _exact(outer: Outer, point: ReducedPoint, monitor: Monitor) -> tuple[Array, 
     track, program = monitor.track(outer), outer.kkt
     unit = pull(outer.at_start.gradient) / program.value
     # the point is near, but its multipliers are not known: a barrier below Ipopt's own, but not at its end
-    ipopt = {**COMMON, "mu_init": 1e-4, "obj_scaling_factor": 1 / unit, "tol": TIGHT}
-    ipopt["acceptable_tol"] = 1e3 * TIGHT
     with monitor.budget.during("build"):
-        solver = MPCCSolver(program.mpcc, ipopt_exact=ipopt)
+        solver = MPCCSolver(program.mpcc, ipopt_exact=exact(1 / unit, 1e-4))
     result = solver.finish(program.point(point), budget=monitor.budget.share())
     iterations = result.counts["ipopt_iterations"]
     monitor.work += Work(kkt_factorisations=iterations)

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from formulations.finish import Finish, finished, is_above
-from formulations.units import length, pull
+from formulations.finish import Finished, finished, is_above
+from formulations.ipopt import CENTRED, length, pull
 from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array
@@ -27,11 +27,6 @@ from rmesh_nlp.solving.monitor import Monitor, Track
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
-
-CENTRED: PluginOptions = {"mu_init": 2.0, "bound_mult_init_method": "mu-based", **LEAST_SHIFTS}
-"""Ipopt's options where nodes have move limits alone: it starts in the middle of them, and the nodes choose
-their corners as the barrier falls. Without these 6.1 with 8, 16, 24, 32 squares a side takes 48, 48, 105, 132
-iterations, with them 35, 48, 61, 79, and ends no higher."""
 
 
 @dataclass(frozen=True)
@@ -70,7 +65,7 @@ class Joint(Formulation):
         """
         own = {"nlp_scaling_method": "none", "obj_scaling_factor": 1 / unit, "tol": self.tol}
         if not areas:
-            own |= CENTRED
+            own |= {**CENTRED, **LEAST_SHIFTS}
         else:
             own |= {"tol": 1e-2 * self.tol, "compl_inf_tol": 1e-2 * self.tol}
         if distorted:
@@ -100,7 +95,7 @@ class Joint(Formulation):
             return Outcome(outer, track.best(q), status)
         last = q if is_above(result.f, first) else end
         before = monitor.budget.iterations
-        finish = Finish(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
+        finish = Finished(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
         if finish.q is end:
             return Outcome(outer, end, status, own=_own(program, result))
         status = Status.CONVERGED if finish.is_stationary else status

@@ -9,32 +9,31 @@ levels do not collapse.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
 from formulations.finish import is_above, is_stationary
-from formulations.units import pull
+from formulations.ipopt import CENTRED, COMMON, TIGHT, exact, pull, pushed
 from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array, is_finite, magnitude
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.models.kkt_model import COMMON, TIGHT, Bilevel, bilevel, in_units_of
+from rmesh_nlp.models.kkt_model import Bilevel, bilevel, in_units_of
 from rmesh_nlp.mpcc import MPCC, RELAXATIONS, MPCCResult, MPCCSolver, Options
 from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Open
+from rmesh_nlp.settings import ByName, Open, Values
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Work
 
-OPTIONS: Mapping[str, Any] = {
+OPTIONS: ByName = {
     "t0": 1e-2,
     "factor": 1e-2,
     "t_final": 1e-9,
@@ -48,12 +47,8 @@ on the given mesh times its largest nodal load."""
 OF_ALL_SOLVES = ("starts", "seed", "time_limit_s", "max_iterations")
 """Options of :class:`rmesh_nlp.mpcc.Options` that every solve has by itself."""
 
-PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
-"""Ipopt options that push a start off its bounds."""
-
-CENTRED: PluginOptions = {
-    "mu_init": 2.0,
-    "bound_mult_init_method": "mu-based",
+SLOW: PluginOptions = {
+    **CENTRED,
     "mu_linear_decrease_factor": 0.5,
     "mu_superlinear_decrease_power": 1.2,
 }
@@ -100,7 +95,7 @@ class AllAtOnce(Formulation):
     """
 
     relaxation: str = "scholtes"
-    options: Annotated[Mapping[str, Any], Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
+    options: Annotated[ByName, Open(Options, OF_ALL_SOLVES)] = field(default_factory=dict)
     twice: bool | None = None
 
     def __post_init__(self) -> None:
@@ -169,28 +164,28 @@ def _rank(end: Outcome) -> tuple[float, bool, float]:
     return violation, not is_stationary(end.outer, point), value
 
 
-def _options(outer: Outer, scaling: float) -> dict[str, Any]:
+def _options(outer: Outer, scaling: float) -> Values:
     """Options on top of ``OPTIONS``; ``scaling`` is the factor of the objective.
 
-    It brings the mean gradient in the outer variables to a third (:func:`formulations.units.pull`), since
+    It brings the mean gradient in the outer variables to a third (:func:`formulations.ipopt.pull`), since
     Ipopt's barrier and tolerances are absolute. From a start near a minimiser only the relaxation at the
     final t comes before the exact finish.
     """
-    common = {**COMMON, "obj_scaling_factor": scaling}
-    exact = {**common, "mu_init": TIGHT, "tol": TIGHT, "acceptable_tol": 1e3 * TIGHT}
-    last = {"t0": OPTIONS["t_final"], "ipopt_exact": exact}
+    end = exact(scaling, TIGHT)
+    last = {"t0": OPTIONS["t_final"], "ipopt_exact": end}
     if outer.is_near and outer.objective.is_energy:
         # with the barrier left about where the energy NLP left it, each slack times its multiplier is still
         # the barrier: Ipopt goes on as if it had been given the multipliers
-        warm = {**exact, "bound_mult_init_method": "mu-based", **dict.fromkeys(PUSHES, 1e-13)}
+        warm = {**end, "bound_mult_init_method": "mu-based", **pushed(1e-13)}
         return {**last, "ipopt_relaxed": warm, "ipopt_exact": warm}
     if outer.is_near:
         return last
-    centred = CENTRED if outer.objective.is_energy and is_finite(outer.discretisation.mesh_map.upper) else {}
+    slow = SLOW if outer.objective.is_energy and is_finite(outer.discretisation.mesh_map.upper) else {}
     # a relaxed solution is only on the way: to 1e-8, as by default, it takes 1.3 times the iterations in all;
     # after the first an adaptive barrier takes 0.8 of the iterations for energies, 0.4 to 0.8 for errors
-    first, later = {**common, "tol": 1e-4, **centred}, {"mu_strategy": "adaptive", "tol": 1e-8}
-    return {"ipopt_relaxed": first, "ipopt_warm": later, "ipopt_exact": exact}
+    first = {**COMMON, "obj_scaling_factor": scaling, "tol": 1e-4, **slow}
+    later = {"mu_strategy": "adaptive", "tol": 1e-8}
+    return {"ipopt_relaxed": first, "ipopt_warm": later, "ipopt_exact": end}
 
 
 def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
@@ -202,7 +197,7 @@ def _state(program: Bilevel, x: Array) -> tuple[Array, Array, Array, Array]:
 STAGE = ("phase", "t", "product", "biactive", "multiplier", "iterations", "seconds")
 
 
-def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> dict[str, Any]:
+def _figures(outer: Outer, program: Bilevel, result: MPCCResult) -> Values:
     """Entries of the record: the homotopy by stages, and what its end is."""
     nodes = outer.contact.contact_nodes[program.pair_rows(result.biactive)]
     return {

@@ -6,10 +6,10 @@ Both take any outer objective, with its second derivatives (:mod:`rmesh_nlp.mode
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from formulations.ipopt import pushed
 from rmesh_nlp.evaluation import ROUNDING, Array
 from rmesh_nlp.models.descent import Watch, descend
 from rmesh_nlp.models.reduced_model import ReducedEnergy
@@ -18,7 +18,7 @@ from rmesh_nlp.optimize.constraints import LARGEST_DENSE
 from rmesh_nlp.optimize.newton_step import NewtonSettings
 from rmesh_nlp.optimize.solver import PluginOptions, Solver
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.settings import Count, Positive, Settings
+from rmesh_nlp.settings import Count, Positive, Settings, Values
 from rmesh_nlp.solving.outer import Outer
 
 NEWTON, INTERIOR = "newton", "interior point"  # as records name them
@@ -52,11 +52,10 @@ class NestedSettings(Settings):
     newton: NewtonSettings = field(default_factory=NewtonSettings)
     ipopt: PluginOptions = field(default_factory=dict)
 
-    def exact(self, outer: Outer) -> dict[str, Any]:
+    def exact(self, outer: Outer) -> Values:
         """Ipopt's options with exact Hessians."""
-        names = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac")
         return {
-            **({"mu_init": WARM_BARRIER, **dict.fromkeys(names, WARM_PUSH)} if outer.is_near else {}),
+            **({"mu_init": WARM_BARRIER, **pushed(WARM_PUSH)} if outer.is_near else {}),
             # many constraints are weakly active: an interior point meets those only to its square root
             "tol": outer.tolerance**2,
             "max_iter": self.iterations or 500,

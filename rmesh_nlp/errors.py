@@ -49,16 +49,12 @@ def expect_path(path: object) -> None:
     require(isinstance(path, (str, os.PathLike)), "path", "be the name of a file", path)
 
 
-def unknown(
-    what: str, name: object, known: Iterable[str], otherwise: str = "choose from none"
-) -> BadInputError:
-    """The error for a name that is not known, with the nearest one that is, or ``otherwise`` if none is."""
+def unknown(what: str, name: object, known: Iterable[str]) -> BadInputError:
+    """The error for a name that is not known, with the nearest one that is."""
     names = list(known)
-    if not names:
-        return BadInputError(f"unknown {what} {name!r}: {otherwise}", what)
     near = difflib.get_close_matches(str(name), names, n=1)
     hint = f"did you mean {near[0]}? " if near else ""
-    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names)}", what)
+    return BadInputError(f"unknown {what} {name!r}: {hint}choose from {', '.join(names) or 'none'}", what)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:

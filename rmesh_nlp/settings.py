@@ -12,6 +12,12 @@ from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
 from rmesh_nlp.errors import BadInputError, require, unknown
 
+ByName = Mapping[str, Any]
+"""Values of any kind by their names: options, settings, the entries of a table."""
+
+Values = dict[str, Any]
+"""The same, to be added to."""
+
 S = TypeVar("S", bound="Settings")
 
 
@@ -76,7 +82,7 @@ class Checked:
 
     @classmethod
     @cache
-    def _kinds(cls) -> dict[str, Any]:
+    def _kinds(cls) -> Values:
         hints = get_type_hints(cls, include_extras=True)
         return {field.name: hints[field.name] for field in fields(cls)}  # type: ignore[arg-type]
 
@@ -114,9 +120,9 @@ class Settings(Checked):
                 names = {**dict.fromkeys(open_names, place), **names}
         return names
 
-    def having(self: S, given: Mapping[str, Any]) -> S:
+    def having(self: S, given: ByName) -> S:
         """These settings with other values by :meth:`names`; a BadInputError if there is no such name."""
-        places, values = self.names(), dict[str, Any]()
+        places, values = self.names(), Values()
         for name, value in given.items():
             if name not in places:
                 raise unknown("setting", name, sorted(places))
@@ -129,9 +135,9 @@ class Settings(Checked):
                 values[place] = inner if place == name else {**now, **inner}
         return replace(self, **values)
 
-    def changed(self) -> dict[str, Any]:
+    def changed(self) -> Values:
         """The fields that differ from their defaults, as plain values."""
-        found: dict[str, Any] = {}
+        found: Values = {}
         for field in fields(self):
             value: Any = getattr(self, field.name)
             default = field.default if field.default_factory is MISSING else field.default_factory()
@@ -144,9 +150,9 @@ class Settings(Checked):
         return found
 
 
-def from_texts(given: Iterable[str], where: str = "--set ") -> dict[str, Any]:
+def from_texts(given: Iterable[str], where: str = "--set ") -> Values:
     """Settings from texts ``name=value`` or ``outer.name=value``; a value is JSON, or else a text."""
-    found: dict[str, Any] = {}
+    found: Values = {}
     for text in given:
         names, equals, value = text.partition("=")
         *outer, name = (part.strip() for part in names.split("."))

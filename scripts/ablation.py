@@ -90,10 +90,10 @@ RULES = (
         "joint: units of displacements far from one",
         (JOINT,),
         ENERGY,
-        {"formulations.units:ORDINARY": (0.0, np.inf)},
+        {"formulations.ipopt:ORDINARY": (0.0, np.inf)},
     ),
     Rule("joint, mpcc: again where the end is above the start", (JOINT, MPCC), ENERGY, ABOVE),
-    Rule("mpcc: barrier that falls slowly", (MPCC,), LIMITED, {"formulations.mpcc:CENTRED": {}}),
+    Rule("mpcc: barrier that falls slowly", (MPCC,), LIMITED, {"formulations.mpcc:SLOW": {}}),
     Rule("mpcc: second path of designs", (MPCC,), ("design",), settings={"twice": False}),
     Rule("nested: warm barrier", (NESTED,), ALL, WARM),
     Rule(

@@ -22,7 +22,7 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.fields import Fields, element_of, law_of, of_displacement
+from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
 from rmesh_nlp.certificate.integrals import Loads
 from rmesh_nlp.certificate.skeleton import Skeleton
@@ -103,7 +103,7 @@ def equilibrated(
     element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
     computed = of_displacement(element, law, skeleton, guess.displacement)
     lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
-    fields = Fields(element, skeleton, law, lacking, inside.elements.size > 0)
+    fields = TraceFields(element, skeleton, law, lacking, inside.elements.size > 0)
     balanced = balance(hybrid(conditions, fields, computed, guess.displacement), guess)
     correction = fields.of_traces(balanced.traces)
     field = computed + correction

@@ -60,7 +60,7 @@ def law_of(problem: ContactProblem, skeleton: Skeleton) -> Law:
 
 
 def of_displacement(element: Element, law: Law, skeleton: Skeleton, displacement: Array) -> Array:
-    """The field of a displacement with coefficients (components, nodes), see :class:`Fields`."""
+    """The field of a displacement with coefficients (components, nodes), see :class:`TraceFields`."""
     strain = np.einsum("idv,idce->vce", element.pieces.matrix, skeleton.gradients(displacement))
     values = np.einsum("vwe,wce->vce", law.stiffness, strain)
     at_vertices = np.broadcast_to(values, (len(values), 3, values.shape[2]))
@@ -68,10 +68,10 @@ def of_displacement(element: Element, law: Law, skeleton: Skeleton, displacement
 
 
 @dataclass(frozen=True)
-class Fields:
+class TraceFields:
     """The element on all triangles of a mesh, under a load of the degree of its tractions.
 
-    Fields are (parts, functions, values, elements) arrays, see :mod:`rmesh_nlp.certificate.element`.
+    TraceFields are (parts, functions, values, elements) arrays, see :mod:`rmesh_nlp.certificate.element`.
 
     With ``reacts`` the load is not balanced alone but with the reaction of an obstacle in the interior. Then
     further traces of a triangle are the moments of the displacement against Bernstein's polynomials, divided

@@ -22,7 +22,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from rmesh_nlp.certificate.conditions import Conditions
-from rmesh_nlp.certificate.fields import Fields
+from rmesh_nlp.certificate.fields import TraceFields
 from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.system import ContactSystem
@@ -51,7 +51,7 @@ class Hybrid:
     slips: Array  # (k contact edges,), the base along the first row of ``conditions.axes``, edges fastest
 
 
-def hybrid(conditions: Conditions, fields: Fields, computed: Array, u: Array) -> Hybrid:
+def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Array) -> Hybrid:
     """Assemble the contact problem of the traces, counted from those of a displacement (components, nodes).
 
     ``computed`` is the field of this displacement, to which ``fields`` add what it lacks.

@@ -5,14 +5,13 @@ Nothing heavy is imported here. What depends on the problem (an odd number of co
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from typer import Argument, Option
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.settings import from_texts
+from rmesh_nlp.settings import ByName, Values, from_texts
 
 Size = Annotated[
     str | None,
@@ -198,7 +197,7 @@ OPTIONS = (
 )
 
 
-def keywords(typed: Mapping[str, Any]) -> dict[str, Any]:
+def keywords(typed: ByName) -> Values:
     """Keywords of :func:`~rmesh_nlp.study.comparison.plan_comparison`: what was given to a command."""
     given = {k: v for k, v in typed.items() if not (v is None or v is False or v in ([], ()))}
     chosen = from_texts(given.get("settings", ())) | {name: given[name] for name in OPTIONS if name in given}

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -29,6 +27,7 @@ from rmesh_nlp.mapping.validity import least_angles
 from rmesh_nlp.meshes import MeshRepairWarning
 from rmesh_nlp.models.remeshing import Solved, metric_start
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import checked
 from rmesh_nlp.solving.plan import Plan
@@ -111,7 +110,7 @@ def remesh(path: Path, nodes: int | None, out: Path, order: int | None = None) -
     mesh = made.problem.mesh
     write_whole(out, lambda aside: write_mesh(mesh, aside))
     rows = [
-        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
+        ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.nelements} triangles"),
         ("energy", f"{figure(made.state.energy)}, on the given mesh {figure(first.state.energy)}"),
         ("error of the energy, estimated", f"{figure(made.error)}, on the given mesh {figure(first.error)}"),
         ("least angle", f"{np.min(least_angles(mesh.p, made.problem.triangles)):.3g} degrees"),
@@ -132,9 +131,7 @@ def load_problem(path: Path, order: int | None = None, *, says: bool = True) -> 
         return read_problem(path, order)
 
 
-def solve_options(
-    path: Path, formulation: str | None, given: Mapping[str, Any]
-) -> tuple[str, dict[str, Any]]:
+def solve_options(path: Path, formulation: str | None, given: ByName) -> tuple[str, Values]:
     """Formulation and options of ``[solve]``, overridden by what is given on the command line.
 
     Raises BadInputError for an unknown formulation or objective, or an option that is not taken.

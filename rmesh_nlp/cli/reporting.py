@@ -8,8 +8,8 @@ from pathlib import Path
 from rmesh_nlp.cli.folders import check_target, read_quietly, writable
 from rmesh_nlp.cli.study import STUDY_FILE
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.folder import Manifest, write_whole
+from rmesh_nlp.io.problem_file import KEPT
 from rmesh_nlp.io.results import RECORD
 from rmesh_nlp.report.figures import figures as drawn
 from rmesh_nlp.report.histories import with_common_costs
@@ -38,7 +38,7 @@ def table(folder: Path, voice: str = "text", verbose: bool = False) -> None:
 
 def figures(folder: Path, page: Page) -> None:
     """Draw what is in a folder again; of a problem file before and after."""
-    if (folder / kept_problem.PROBLEM).exists() and (folder / RECORD).exists():
+    if (folder / KEPT).exists() and (folder / RECORD).exists():
         with writable(folder):
             paths = draw_solve(folder, page)
         print(_made(paths, folder, UNSOLVED))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from rich.console import Console
 
@@ -14,14 +13,14 @@ from rmesh_nlp.cli.preparing import load_problem, solve_options
 from rmesh_nlp.errors import BadInputError, InterruptedSolveError
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.io import kept_problem
 from rmesh_nlp.io.export import Series, write_mesh
 from rmesh_nlp.io.folder import safe_name, write_whole
-from rmesh_nlp.io.problem_file import read_table
+from rmesh_nlp.io.problem_file import keep, kept_files, read_table
 from rmesh_nlp.io.problem_schema import ProblemTable
 from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
 from rmesh_nlp.optimize.budget import deferred
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study import comparison
@@ -38,7 +37,7 @@ SERIES_NODES = 200_000  # of all frames of a series: with more, writing them tak
 def solve(
     name: str,
     formulation: str | None,
-    given: Mapping[str, Any],
+    given: ByName,
     out: Path | None,
     voice: str = "text",
     columns: int = 2,
@@ -57,7 +56,7 @@ def solve(
     else:
         (plan,) = comparison.plan_comparison([name], [formulation or "auto"], **given)
     folder = Path("results") / (plan.key if stated is None else safe_name(plan.name)) if out is None else out
-    kept = {} if stated is None else kept_problem.names(stated)
+    kept = {} if stated is None else kept_files(stated)
     with writable(folder, (*FILES, *kept, SERIES, *[FIGURES][:columns]) if kept else SINGLE) as results:
         with SolvesProgress(1, quiet=not says) as progress:
             done = _performed(plan, progress, series)
@@ -89,7 +88,7 @@ def solve(
 
 
 def _of_file(
-    stated: ProblemTable, formulation: str | None, given: Mapping[str, Any], says: bool
+    stated: ProblemTable, formulation: str | None, given: ByName, says: bool
 ) -> tuple[PlannedSolve, Series | None]:
     """The solve of a problem file, and what notes its iterates unless they are on different meshes."""
     path = stated.source.path
@@ -127,7 +126,7 @@ def _write(results: Results, done: Done, series: Series | None, kept: Mapping[st
     if RECORDS in older:
         manifest.set_aside()
     manifest.claim(*(FILES if kept else SINGLE), *kept)
-    kept_problem.keep(kept, folder)  # its mesh may be one that an earlier solve left
+    keep(kept, folder)  # its mesh may be one that an earlier solve left
     manifest.remove(name for name in older if name not in kept)
     write_single(folder, done.row, done.save)
     if solution is not None and kept:
@@ -162,7 +161,7 @@ def _say(done: Done, *, in_full: bool) -> None:
 def compare(
     examples: Sequence[str],
     formulations: Sequence[str],
-    given: Mapping[str, Any],
+    given: ByName,
     out: Path,
     resume: bool,
     jobs: int = 1,
@@ -183,7 +182,7 @@ def compare(
     rows: list[Record] = []
     with writable(out, (RECORDS, *TABLES, *([FIGURES] if figures else []))) as results:
         with SolvesProgress(len(plan), quiet=voice != "text") as progress:
-            watched: dict[str, Any] = {"on_start": progress.start, "on_step": progress.step}
+            watched: Values = {"on_start": progress.start, "on_step": progress.step}
             solved = comparison.run(plan, results, resume=resume, jobs=jobs, **watched)
             try:
                 with notes(DamagedRecordsWarning, "rmesh: warning"):

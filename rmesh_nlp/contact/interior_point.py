@@ -33,7 +33,7 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
     bound, gaps = system.slip_bound, system.offset.size
     slides = np.flatnonzero(system.rotated.slips & (bound > 0)) if bound.size else np.zeros(0, np.int64)
     T, S, b = system.tangents[slides], sp.eye_array(slides.size), bound[slides]
-    program = _Program(
+    program = _BarrierProgram(
         H=sp.block_diag([system.stiffness, 0 * S], format="csc"),
         load=np.append(system.load, -b),
         G=sp.block_array([[system.normals, None], [-T, S], [T, S]], format="csr"),
@@ -55,7 +55,7 @@ def interior_point(system: ContactSystem, start: Equilibrium) -> Iterator[tuple[
         yield ActiveSet(touching, sliding), z[:gaps]
 
 
-class _Program(NamedTuple):
+class _BarrierProgram(NamedTuple):
     """The program ``min 1/2 x^T H x - load^T x`` with ``G x + offset >= 0``."""
 
     H: sp.csc_array

@@ -32,7 +32,7 @@ class Term:
     barrier : bool
         Whether it is infinite at the boundary of the valid meshes, and NaN beyond.
     level_of : str, optional
-        The boundary whose largest pressure it is, see :mod:`rmesh_nlp.solving.epigraph`.
+        The boundary whose largest pressure it is, see :mod:`rmesh_nlp.solving.plan`.
     minimised_only : bool
         Whether nobody wants it to be large: its weight must be positive.
     size : float

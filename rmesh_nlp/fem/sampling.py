@@ -32,7 +32,7 @@ def points_of(space: DisplacementSpace, X: Array) -> Array:
     return points
 
 
-class Pieces(NamedTuple):
+class Cut(NamedTuple):
     """Straight triangles in a cell, on which fields are drawn as linear.
 
     ``shares`` (3, points) are the barycentric coordinates of their vertices, ``triangles`` (3, pieces).
@@ -47,10 +47,10 @@ class Pieces(NamedTuple):
         return self.shares[:, self.triangles].mean(axis=1)
 
 
-def pieces(cells: Index) -> Pieces:
+def pieces(cells: Index) -> Cut:
     """The pieces of each cell: a triangle with three nodes is its own; one with six is cut into 16."""
     cut = MeshTri.init_refdom().refined(0 if len(cells) == 3 else 2)
-    return Pieces(np.vstack([1 - cut.p.sum(axis=0), cut.p]), cut.t.astype(np.int64))
+    return Cut(np.vstack([1 - cut.p.sum(axis=0), cut.p]), cut.t.astype(np.int64))
 
 
 def sampled(cells: Index, values: Array, shares: Array) -> Array:

@@ -56,7 +56,7 @@ def point_data(solution: Solution) -> dict[str, Array]:
 
     Those on the mesh before relocation begin with ``initial_``. ``motion`` is the vector from the initial
     position, ``mobility`` 0 pinned, 1 sliding, 2 free, 3 tied, -1 in the middle of an edge, which follows its
-    ends; ``box_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.Multipliers`.
+    ends; ``limit_multiplier`` (of move limits) as in :class:`rmesh_nlp.models.residual.OuterMultipliers`.
     """
     return fields_of(solution).point_data()
 

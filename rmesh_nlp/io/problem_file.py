@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+from collections.abc import Mapping
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
@@ -11,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 
 from rmesh_nlp.errors import expect_path, one_line
 from rmesh_nlp.io import problem_messages as messages
+from rmesh_nlp.io.folder import write_whole
 from rmesh_nlp.io.problem_builder import build
 from rmesh_nlp.io.problem_messages import ProblemFileError, Source
 from rmesh_nlp.io.problem_schema import ProblemTable
@@ -25,6 +29,9 @@ DEEPEST = 20  # how deep tables and lists may be nested; a valid file needs five
 
 MARKS = {"mesh": "problem file: use rmesh solve", "formulations": "study file: use rmesh study"}
 """The key that a file of each kind needs."""
+
+KEPT, MESH = "problem.toml", "given-mesh"
+"""Names of the copies of a problem file and, without its ending, of its mesh file beside a solution."""
 
 T = TypeVar("T", bound=BaseModel)
 
@@ -93,3 +100,15 @@ def _depth(data: object) -> int:
         depth += 1
         level = [v for item in level for v in (item.values() if isinstance(item, dict) else item)]
     return depth
+
+
+def kept_files(table: ProblemTable) -> dict[str, Path]:
+    """What is kept beside a solution, by name what it is a copy of: the problem, and its mesh file."""
+    path, mesh = table.source.path, table.mesh.file
+    return {KEPT: path} | ({} if mesh is None else {MESH + Path(mesh).suffix: path.parent / mesh})
+
+
+def keep(copies: Mapping[str, Path], folder: Path) -> None:
+    """Copy files into a folder, by their names there."""
+    for name, source in copies.items():
+        write_whole(folder / name, partial(shutil.copyfile, source))

@@ -62,6 +62,7 @@ from rmesh_nlp.problem import (
     Units,
 )
 from rmesh_nlp.problem.obstacle import GAPS, unit
+from rmesh_nlp.settings import Values
 
 SHAPES: Mapping[str, Callable[..., MeshTri]] = {
     "rectangle": shapes.rectangle,
@@ -116,10 +117,10 @@ def _value_at(text: str, t: Any) -> Any:
 CURVES: tuple[Callable[..., Curve], ...] = (_circle, _spline, _parametrised)
 """What may make a curve."""
 
-T = TypeVar("T", bound="Table")
+T = TypeVar("T", bound="FileTable")
 
 
-class Table(BaseModel):
+class FileTable(BaseModel):
     """A table whose keys are all known."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -137,7 +138,7 @@ class Table(BaseModel):
         """Which of these keys have a value."""
         return [name for name in names if getattr(self, name) is not None]
 
-    def entries(self, *without: str) -> dict[str, Any]:
+    def entries(self, *without: str) -> Values:
         """The keys that the file has, with their values, but for some."""
         keys = [name for name in type(self).model_fields if name in self.model_fields_set]
         return {name: getattr(self, name) for name in keys if name not in without}
@@ -157,7 +158,7 @@ def taking(*makes: Callable[..., object], without: tuple[str, ...] = ()) -> Call
     """A table with the arguments of ``make`` as further keys; of one of several each may be left out."""
 
     def extended(table: type[T]) -> type[T]:
-        fields: dict[str, Any] = {}
+        fields: Values = {}
         for make in makes:
             for name, argument in arguments(make).items():
                 if name not in without:
@@ -187,7 +188,7 @@ def call(what: str, makes: Sequence[Callable[..., M]], given: Mapping[str, objec
 
 
 @taking(*SHAPES.values())
-class MeshTable(Table):
+class MeshTable(FileTable):
     """``[mesh]``: a file, or a shape with the arguments of its function."""
 
     either = ("file", "shape")
@@ -206,7 +207,7 @@ class MeshTable(Table):
 
 
 @taking(Laplace, Elastic.from_young, Elastic)
-class MaterialTable(Table):
+class MaterialTable(FileTable):
     """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
     law: Literal[tuple(LAWS)]  # type: ignore[valid-type]
@@ -221,16 +222,16 @@ BrokenLine = Annotated[Points, AfterValidator(lambda points: PiecewiseLinear(*zi
 
 
 @taking(Obstacle.line, without=("boundary", *FORCES))
-class LineTable(Table):
+class LineTable(FileTable):
     """A rigid straight line."""
 
 
 @taking(Obstacle.circle, without=("boundary", *FORCES))
-class CircleTable(Table):
+class CircleTable(FileTable):
     """A rigid disc, or a round hole around the body."""
 
 
-class ContactTable(Table):
+class ContactTable(FileTable):
     """``[contact]`` or each ``[[contact]]``: on a boundary, or above an obstacle in the interior."""
 
     either = ("boundary", "interior")
@@ -264,7 +265,7 @@ class ContactTable(Table):
         (kind,) = self.given(*FOUNDATIONS) or ["offset"]
         make, argument = FOUNDATIONS[kind]
         value = getattr(self, kind)
-        if isinstance(value, Table):
+        if isinstance(value, FileTable):
             given |= value.entries()
         elif value is not None:
             given[argument] = value
@@ -274,19 +275,19 @@ class ContactTable(Table):
 
 
 @taking(PointLoad, without=("node",))
-class PointLoadTable(Table):
+class PointLoadTable(FileTable):
     """One of ``[[point_loads]]``: a force at the node at a place."""
 
     at: Pair
 
 
 @taking(DesignVariable, without=("name",))
-class VariableTable(Table):
+class VariableTable(FileTable):
     """One of ``[design]``: a number that is optimised."""
 
 
 @taking(Shape, without=("name",))
-class ShapeTable(Table):
+class ShapeTable(FileTable):
     """One of ``[design.shapes]``: a motion of a boundary times an amplitude."""
 
 
@@ -304,7 +305,7 @@ class DesignTable(BaseModel):
         return self.__pydantic_extra__
 
 
-class ConstraintTable(Table):
+class ConstraintTable(FileTable):
     """One of ``[[constraints]]``."""
 
     value: ObjectiveText
@@ -312,17 +313,17 @@ class ConstraintTable(Table):
 
 
 @taking(Units)
-class UnitsTable(Table):
+class UnitsTable(FileTable):
     """``[units]``: names that are written beside numbers and axes; nothing is converted."""
 
 
 @taking(Motion)
-class MotionTable(Table):
+class MotionTable(FileTable):
     """``[motion]``."""
 
 
 @taking(*CURVES)
-class CurveTable(Table):
+class CurveTable(FileTable):
     """One of ``[curves]``: a circle, the points of a spline, or two expressions of t."""
 
     def made(self) -> Curve:
@@ -351,12 +352,12 @@ class SolveTable(BaseModel):
     remesh: SkipValidation[bool | int] = False
     certify: Flag = False
 
-    def options(self) -> dict[str, Any]:
+    def options(self) -> Values:
         """Those that are not the defaults."""
         return self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
 
 
-class ProblemTable(Table):
+class ProblemTable(FileTable):
     """A whole problem file."""
 
     name: Text | None = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -16,12 +16,15 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import difference
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_messages import as_text
+from rmesh_nlp.settings import Values
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import EVERY, Count, Number, Seconds
 from rmesh_nlp.solving.parts import plain
 
-Record = dict[str, Any]
+Record = Values
 """One solve as plain JSON values, see :meth:`rmesh_nlp.solving.solution.Solution.record`."""
+
+Records = Sequence[Record]
 
 
 def objective_of(record: Record) -> str:
@@ -57,7 +60,7 @@ class DamagedRecordsWarning(UserWarning):
     """A record that was not written to its end is passed over."""
 
 
-FIELDS: dict[str, Any] = {
+FIELDS: Values = {
     name: (entry.type, ... if entry.presence is EVERY else None) for name, entry in ENTRIES.items()
 }
 RecordModel = create_model(

@@ -14,6 +14,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import Manifest, append_whole, folder_lock, read_text, safe_name, write_text
 from rmesh_nlp.io.records import (
     Record,
+    Records,
     damaged_last_line,
     one_per_key,
     read_lines,
@@ -94,7 +95,7 @@ class Results:
         self.mend()
         append_whole(self.folder / RECORDS, to_json(record) + "\n")
 
-    def replace_all(self, records: Sequence[Record]) -> None:
+    def replace_all(self, records: Records) -> None:
         """Write the records anew."""
         self.manifest.claim(RECORDS)
         write_text(self.folder / RECORDS, "".join(to_json(record) + "\n" for record in records))

@@ -18,7 +18,7 @@ from rmesh_nlp.fem.sampling import points_of
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.mapping import MeshMap
-from rmesh_nlp.models.residual import Multipliers
+from rmesh_nlp.models.residual import OuterMultipliers
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
@@ -73,7 +73,7 @@ def state_of(
 
 
 @dataclass(frozen=True)
-class Fields:
+class SolutionFields:
     """What a VTU file holds: the states before and after relocation, and what limits the motion."""
 
     triangles: Index  # (nodes per element, elements), the vertices first
@@ -82,7 +82,7 @@ class Fields:
     mobility: NDArray[np.int32]  # (nodes,) of vertices, -1 at middles of edges
     error_bound: Array | None = None  # (elements,) parts of the bound of half the squared error, if certified
     error_bound_initial: Array | None = None
-    multipliers: Multipliers | None = None  # those of move limits are at the nodes
+    multipliers: OuterMultipliers | None = None  # those of move limits are at the nodes
 
     @property
     def _states(self) -> tuple[tuple[str, MeshState], ...]:
@@ -100,7 +100,7 @@ class Fields:
         data["contact"] = np.isfinite(self.final.gap).astype(np.int32)
         data["mobility"] = self.mobility
         if self.multipliers is not None:
-            data["box_multiplier"] = self.multipliers.limit
+            data["limit_multiplier"] = self.multipliers.limit
         return data
 
     def foundations(self) -> dict[str, NDArray]:
@@ -133,7 +133,7 @@ def file_mesh(
     return meshio.Mesh(three(points), cells, point_data=dict(point_data), cell_data=of_cells)
 
 
-def fields_of(solution: Solution) -> Fields:
+def fields_of(solution: Solution) -> SolutionFields:
     """The fields of a solution."""
     problem, final, multipliers = solution.problem, solution.final, solution.multipliers
     space, X = DisplacementSpace(problem), problem.mesh.p
@@ -152,7 +152,7 @@ def fields_of(solution: Solution) -> Fields:
         solved = solver.solve(X)
         stresses = contact_stresses(space, X, solved.normal_force, solved.tangential_force)
         before = state_of(problem, X, space.values(solver.displacement.values(solved.u)), *stresses)
-    return Fields(space.elements, before, _of_state(final), mobility, multipliers=multipliers)
+    return SolutionFields(space.elements, before, _of_state(final), mobility, multipliers=multipliers)
 
 
 def _of_state(state: State) -> MeshState:
@@ -160,7 +160,7 @@ def _of_state(state: State) -> MeshState:
     return state_of(state.problem, state.mesh.p, state.displacement, *stresses)
 
 
-def read_vtu(path: Path) -> Fields:
+def read_vtu(path: Path) -> SolutionFields:
     """Read what :func:`rmesh_nlp.io.export.write_solution` wrote.
 
     Raises
@@ -172,9 +172,9 @@ def read_vtu(path: Path) -> Fields:
         mesh = meshio.vtu.read(str(path))  # meshio.read ends the process where it cannot read
         data, of_cells = mesh.point_data, {name: blocks[0] for name, blocks in mesh.cell_data.items()}
         multipliers = None
-        if "box_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
+        if "limit_multiplier" in data and {"area_multiplier", "angle_multiplier"} <= of_cells.keys():
             of_elements = of_cells["area_multiplier"], of_cells["angle_multiplier"]
-            multipliers = Multipliers(data["box_multiplier"], *of_elements)
+            multipliers = OuterMultipliers(data["limit_multiplier"], *of_elements)
 
         def state(head: str, points: Array) -> MeshState:
             begin, stress = head + FOUNDATION, of_cells[f"{head}drawn_stress"]
@@ -191,7 +191,7 @@ def read_vtu(path: Path) -> Fields:
                 **{name: data[head + name] for name in SCALARS},
             )
 
-        fields = Fields(
+        fields = SolutionFields(
             triangles=next(block.data.T for block in mesh.cells if block.type in CELLS.values()),
             given=state(GIVEN, data["initial_position"]),
             final=state(FINAL, mesh.points),
@@ -207,7 +207,7 @@ def read_vtu(path: Path) -> Fields:
     return fields
 
 
-def _check(fields: Fields) -> None:
+def _check(fields: SolutionFields) -> None:
     """Refuse what would only be noticed when it is drawn."""
     count = fields.final.nodes.shape[1]
     for state in (fields.given, fields.final):

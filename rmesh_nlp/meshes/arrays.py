@@ -8,7 +8,7 @@ that is wrong is a ValueError. Names of boundaries may overlap (a load on a part
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import ROUNDING, Index, largest_side
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
+from rmesh_nlp.settings import ByName
 
 
 class MeshRepairWarning(UserWarning):
@@ -29,8 +30,8 @@ class MeshRepairWarning(UserWarning):
 def from_arrays(
     nodes: ArrayLike,
     triangles: ArrayLike,
-    boundaries: Mapping[str, Any] | None = None,
-    subdomains: Mapping[str, Any] | None = None,
+    boundaries: ByName | None = None,
+    subdomains: ByName | None = None,
 ) -> MeshTri:
     """A mesh from ``nodes`` (nodes, 2) and ``triangles`` (elements, 3).
 
@@ -67,8 +68,8 @@ def from_arrays(
 
 def named(
     mesh: MeshTri,
-    boundaries: Mapping[str, Any] | None = None,
-    subdomains: Mapping[str, Any] | None = None,
+    boundaries: ByName | None = None,
+    subdomains: ByName | None = None,
 ) -> MeshTri:
     """The mesh with further names, given as in :func:`from_arrays`."""
     return _named(mesh, boundaries or {}, subdomains or {}, np.arange(mesh.p.shape[1]))
@@ -108,9 +109,7 @@ def _without_duplicates(p: NDArray, t: Index) -> tuple[NDArray, Index, Index]:
     return p, t, number
 
 
-def _named(
-    mesh: MeshTri, boundaries: Mapping[str, Any], subdomains: Mapping[str, Any], number: Index
-) -> MeshTri:
+def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index) -> MeshTri:
     facets = {
         name: _chosen(mesh.p[:, mesh.facets], value, mesh.boundary_facets())
         if callable(value)
@@ -118,13 +117,13 @@ def _named(
         for name, value in boundaries.items()
     }
     elements = {
-        name: _chosen(mesh.p[:, mesh.t], value, np.arange(mesh.t.shape[1]))
+        name: _chosen(mesh.p[:, mesh.t], value, np.arange(mesh.nelements))
         if callable(value)
         else np.unique(np.asarray(value, dtype=np.int64))
         for name, value in subdomains.items()
     }
     for name, members in elements.items():
-        if np.any((members < 0) | (members >= mesh.t.shape[1])):
+        if np.any((members < 0) | (members >= mesh.nelements)):
             raise BadInputError(f"the subdomain {name!r} has a triangle that the mesh has not")
     for kind, names in (("boundary", facets), ("subdomain", elements)):
         for name, members in names.items():  # scikit-fem would drop empty ones silently

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask
-from rmesh_nlp.meshes.delaunay import Measured, delaunay
+from rmesh_nlp.meshes.delaunay import MetricNodes, delaunay
 from rmesh_nlp.meshes.geometry import sides
 
 LEAST_QUALITY = 0.2
@@ -53,7 +53,7 @@ class Decimated:
 def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     """Take out about three in four nodes (2, nodes); triangles (3, elements) are counter-clockwise."""
     rng, n = np.random.default_rng(0), nodes.shape[1]  # the same mesh each time
-    measured = Measured.by(nodes, triangles)
+    measured = MetricNodes.by(nodes, triangles)
     t, element, into = np.array(triangles), np.arange(triangles.shape[1]), np.arange(n)
     on_line, removable = lines.nodes(n), ~staying(measured, triangles, lines, rng.permutation(n))
     while np.any(removable):
@@ -70,7 +70,7 @@ def decimated(nodes: Array, triangles: NDArray, lines: Lines) -> Decimated:
     return Decimated(t, element, into)
 
 
-def staying(measured: Measured, triangles: NDArray, lines: Lines, draw: Index) -> Mask:
+def staying(measured: MetricNodes, triangles: NDArray, lines: Lines, draw: Index) -> Mask:
     """Nodes that stay: those kept, then others on lines, then inside; every node is one or is beside one.
 
     ``draw`` (nodes,), all different, decides between equals: in the order of a mesh generator they leave
@@ -93,7 +93,7 @@ def _beside(graph: sp.csr_array, nodes: Index) -> tuple[Index, Index]:
     return np.repeat(np.arange(nodes.size), np.diff(rows.indptr)), rows.indices
 
 
-def _grown(measured: Measured, graph: sp.csr_array, seeds: Mask, allowed: Mask, draw: Index) -> Mask:
+def _grown(measured: MetricNodes, graph: sp.csr_array, seeds: Mask, allowed: Mask, draw: Index) -> Mask:
     """The seeds and allowed nodes, no two of these neighbours, as many as there can be, front by front."""
     chosen, front = np.array(seeds), np.flatnonzero(seeds)
     free = allowed & ~chosen
@@ -111,7 +111,7 @@ def _grown(measured: Measured, graph: sp.csr_array, seeds: Mask, allowed: Mask, 
     return chosen
 
 
-def _beyond(measured: Measured, graph: sp.csr_array, front: Index) -> tuple[Index, Array]:
+def _beyond(measured: MetricNodes, graph: sp.csr_array, front: Index) -> tuple[Index, Array]:
     """Nodes two edges from the front, and how far each is, in edges, from where a straight line would end."""
     start, middle = _beside(graph, front)
     way, end = _beside(graph, middle)
@@ -140,7 +140,9 @@ def _independent(cost: Array, draw: Index, graph: sp.csr_array) -> Index:
     return np.flatnonzero(chosen)
 
 
-def _merges(measured: Measured, t: NDArray, line_edges: NDArray, on_line: Mask, priority: NDArray) -> Index:
+def _merges(
+    measured: MetricNodes, t: NDArray, line_edges: NDArray, on_line: Mask, priority: NDArray
+) -> Index:
     """Pairs (2, merges): nodes no two of which share a triangle, and the neighbours they merge into.
 
     Only nodes of positive ``priority`` (nodes,) are merged.
@@ -174,7 +176,7 @@ def _on_short_lines(along: NDArray, n: int) -> Mask:
     return np.bincount(piece)[piece] <= 4
 
 
-def _worst(measured: Measured, t: NDArray, pairs: NDArray) -> Array:
+def _worst(measured: MetricNodes, t: NDArray, pairs: NDArray) -> Array:
     """Flatness of the flattest triangle that merging the first node of each pair into the second leaves."""
     elements = np.tile(np.arange(t.shape[1]), 3)
     around = sp.csr_array((np.ones(t.size), (t.ravel(), elements)))[pairs[0]]  # a row per pair

@@ -12,14 +12,14 @@ from rmesh_nlp.meshes.geometry import signed_areas
 
 
 @dataclass(frozen=True)
-class Measured:
+class MetricNodes:
     """Nodes (2, nodes) and at each a metric (3, nodes), with the entries xx, xy and yy."""
 
     nodes: Array
     metric: Array
 
     @classmethod
-    def by(cls, nodes: Array, triangles: NDArray) -> Measured:
+    def by(cls, nodes: Array, triangles: NDArray) -> MetricNodes:
         """With the metric in which the triangles (3, elements) are equilateral with edges of length one.
 
         At a node it is the mean of those of the triangles around, weighted with their areas.
@@ -54,7 +54,7 @@ def _squared(metric: Array, vectors: Array) -> Array:
     return metric[0] * x**2 + 2 * metric[1] * x * y + metric[2] * y**2
 
 
-def delaunay(measured: Measured, triangles: NDArray, fixed: NDArray) -> Index:
+def delaunay(measured: MetricNodes, triangles: NDArray, fixed: NDArray) -> Index:
     """Flip edges until the mesh is Delaunay in the metric; new triangles take the places of old ones.
 
     ``triangles`` (3, elements) are counter-clockwise. The edges ``fixed`` (2, edges) and those of the outer

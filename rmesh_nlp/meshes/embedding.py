@@ -93,7 +93,7 @@ def _crossing(mesh: MeshTri) -> str | None:
 
 def _covered(mesh: MeshTri) -> str | None:
     """A piece, connected over edges, that lies on another one."""
-    inner, n = mesh.f2t[:, mesh.f2t[1] >= 0], mesh.t.shape[1]
+    inner, n = mesh.f2t[:, mesh.f2t[1] >= 0], mesh.nelements
     graph = sp.coo_array((np.ones(inner.shape[1]), tuple(inner)), shape=(n, n))
     piece = connected_components(graph, directed=False)[1]
     corner = mesh.p[:, counter_clockwise(mesh.p, mesh.t)]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +10,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, Place, ProblemError, unknown
 from rmesh_nlp.evaluation import Index, cross, largest_side
+from rmesh_nlp.settings import ByName, Values
 
 NAMELESS = (
     'the mesh names none: name groups in gmsh, such as Physical Curve("left") = {1};, '
@@ -66,13 +65,15 @@ def relocated_mesh(mesh: MeshTri, nodes: NDArray) -> MeshTri:
     return replace(mesh, doflocs=np.ascontiguousarray(nodes))
 
 
-def members_of(kind: str, name: str, groups: Mapping[str, Any] | None, place: Place = ("mesh",)) -> Index:
+def members_of(kind: str, name: str, groups: ByName | None, place: Place = ("mesh",)) -> Index:
     """Numbers of the facets of a boundary, or of the elements of a subdomain, by its name.
 
     If the mesh has no such name, a ProblemError says so of a place of the problem.
     """
-    if not groups or name not in groups:
-        raise ProblemError(place, str(unknown(kind, name, groups or {}, NAMELESS)))
+    if not groups:
+        raise ProblemError(place, f"unknown {kind} {name!r}: {NAMELESS}")
+    if name not in groups:
+        raise ProblemError(place, str(unknown(kind, name, groups)))
     return np.asarray(groups[name])
 
 
@@ -106,6 +107,6 @@ def sides(triangles: NDArray) -> NDArray:
     return np.hstack([triangles[[i, (i + 1) % 3]] for i in range(3)])
 
 
-def named_by_user(groups: Mapping[str, Any] | None) -> dict[str, Any]:
+def named_by_user(groups: ByName | None) -> Values:
     """Boundaries or subdomains without those that gmsh makes of itself."""
     return {name: part for name, part in (groups or {}).items() if not name.startswith("gmsh:")}

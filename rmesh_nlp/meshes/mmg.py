@@ -73,7 +73,7 @@ def remeshed(
         raise BadInputError(MISSING)
     edge_sets, edge_mark = _marks(mesh.boundaries, lines)
     piece = _pieces(mesh, lines)
-    cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.t.shape[1]), piece)
+    cell_sets, cell_mark = _marks(mesh.subdomains, np.arange(mesh.nelements), piece)
     first, second = mesh.f2t[:, lines]
     ends_inside = np.flatnonzero((second >= 0) & (piece[first] == piece[second]))
     given = (
@@ -113,7 +113,7 @@ def remeshed(
 def _pieces(mesh: MeshTri, lines: Index) -> Index:
     """A number (elements,) for each piece that the lines cut the domain into."""
     a, b = mesh.f2t[:, np.setdiff1d(np.flatnonzero(mesh.f2t[1] >= 0), lines)]
-    n = mesh.t.shape[1]
+    n = mesh.nelements
     beside = sp.coo_array((np.ones(a.size), (a, b)), shape=(n, n))
     return csgraph.connected_components(beside, directed=False)[1]
 

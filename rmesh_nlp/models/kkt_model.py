@@ -40,21 +40,7 @@ from rmesh_nlp.fem.functional import Functional, as_row, scaled_group
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objectives import ENERGY
 from rmesh_nlp.mpcc import MPCC
-from rmesh_nlp.optimize.solver import LEAST_SHIFTS, PluginOptions
 from rmesh_nlp.problem import ContactProblem
-
-COMMON: PluginOptions = {
-    "nlp_scaling_method": "none",
-    "mu_strategy": "monotone",
-    # METIS: the KKT matrix of equilibrium, outer variables and displacements fills in five times
-    # less than with the ordering that MUMPS takes of itself
-    "mumps_pivot_order": 5,
-    **LEAST_SHIFTS,
-}
-"""Ipopt options for the KKT model."""
-
-TIGHT = 1e-10
-"""Ipopt's tolerance in an exact finish, the objective in units of its mean gradient by outer variables."""
 
 
 @dataclass(frozen=True)

@@ -87,7 +87,7 @@ class Released:
         return float(max(np.max(natural, initial=0.0), np.max(pairs, initial=0.0)))
 
     @property
-    def multipliers(self) -> Multipliers:
+    def multipliers(self) -> OuterMultipliers:
         """Of the elements those that were fitted; what then remains at the move limits is theirs."""
         validity, free = self.relocation.validity, self.relocation.parts.mesh_map
         by_element = self.fitted[: validity.size].reshape(validity.group.rows.T.shape)
@@ -95,7 +95,7 @@ class Released:
         area[validity.elements] = by_element[:, 0]
         angle[validity.elements] = by_element[:, 1:].sum(axis=1)
         stopped = ~is_inside(self.q, free.lower, free.upper)
-        return Multipliers(_by_node(free, self.q, self.rest, stopped), area, angle)
+        return OuterMultipliers(_by_node(free, self.q, self.rest, stopped), area, angle)
 
 
 def released(
@@ -128,7 +128,7 @@ def size_of(point: ReducedPoint) -> float:
 
 
 @dataclass(frozen=True)
-class Multipliers:
+class OuterMultipliers:
     """Rates at which the outer objective would fall if a bound were loosened. All are >= 0.
 
     ``limit`` (nodes,) is per unit of length by which the node's move limits grow in all directions, ``area``

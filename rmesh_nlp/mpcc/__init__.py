@@ -11,7 +11,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
-from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Step
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Stage
 from rmesh_nlp.mpcc.solver import MPCCSolver, classify, solve
 
 __all__ = [
@@ -27,7 +27,7 @@ __all__ = [
     "Options",
     "Problem",
     "Reached",
-    "Step",
+    "Stage",
     "bilevel",
     "classify",
     "mpccsol",

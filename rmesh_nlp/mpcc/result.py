@@ -42,7 +42,7 @@ class Measured:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Step(Measured):
+class Stage(Measured):
     """The end of one NLP of the homotopy or of the exact finish; attributes as in ``Measured``.
 
     Attributes
@@ -65,7 +65,7 @@ class Step(Measured):
     )
 
     def line(self) -> str:
-        """One line of the log; the columns are those of ``Step.HEADER``."""
+        """One line of the log; the columns are those of ``Stage.HEADER``."""
         return (
             f"{self.phase:>9} {self.t:8.1e} {self.objective:15.8e} {self.constraint_violation:9.1e} "
             f"{self.complementarity:8.1e} {self.product:8.1e} {self.iterations:5d} {self.status.value}"
@@ -187,7 +187,7 @@ class MPCCResult:
     biactive : int array
         Pairs with ``G = H = 0`` within the activity tolerance; ``n_biactive`` is their number. With none of
         them S says no more than that the point is a KKT point of the one branch it lies in, see ``label``.
-    history : tuple of Step
+    history : tuple of Stage
     counts : mapping
         ``nlp_solves``, ``ipopt_iterations``, ``pivots``, ...
     seconds : mapping
@@ -223,7 +223,7 @@ class MPCCResult:
     G: Array
     H: Array
     biactive: Index
-    history: tuple[Step, ...]
+    history: tuple[Stage, ...]
     counts: Mapping[str, int]
     seconds: Mapping[str, float]
     lower_level: LowerLevelCheck | None = None
@@ -254,11 +254,11 @@ class MPCCResult:
 
     def table(self) -> str:
         """The history as text, one line per NLP solve."""
-        return "\n".join([Step.HEADER, *(step.line() for step in self.history)])
+        return "\n".join([Stage.HEADER, *(step.line() for step in self.history)])
 
     def columns(self) -> dict[str, list[object]]:
         """The history by column, ready for ``pandas.DataFrame``."""
-        return {f.name: [getattr(step, f.name) for step in self.history] for f in fields(Step)}
+        return {f.name: [getattr(step, f.name) for step in self.history] for f in fields(Stage)}
 
     def __str__(self) -> str:
         return (

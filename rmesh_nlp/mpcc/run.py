@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.result import Iterate, Step, residuals
+from rmesh_nlp.mpcc.result import Iterate, Stage, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -30,7 +30,7 @@ class Run:
     ----------
     p : array
         Parameters of the lifted problem: those of the source problem and the weight of the objective.
-    steps : list of Step
+    steps : list of Stage
     nearest : (z, f, excess) or None
         The point with the smallest residuals that any NLP ended at; of exact ones the lowest.
     limit : Status or None
@@ -53,7 +53,7 @@ class Run:
     ) -> None:
         self.nlps, self.lifted, self.options = nlps, nlps.lifted, nlps.options
         self.p = np.append(p, weight)
-        self.steps: list[Step] = []
+        self.steps: list[Stage] = []
         self.watch, self.built = Budget(), nlps.build_seconds
         self.budget = budget or nlps.options.budget()
         self._before = self.budget.iterations
@@ -62,7 +62,7 @@ class Run:
         self.is_infeasible, self.rescues, self.curvature = False, 0, "not tested"
         self._progress, self._on_iteration = watchers
         if self._progress is not None:
-            self._progress(Step.HEADER)
+            self._progress(Stage.HEADER)
 
     @contextmanager
     def limited(self) -> Iterator[None]:
@@ -150,7 +150,7 @@ class Run:
         """Measure the end of an NLP on the source problem and show it."""
         measured = self._measured(phase, t, result.x)
         self.keep(result.x, measured["objective"])
-        step = Step(
+        step = Stage(
             **measured,
             iterations=result.iterations,
             status=result.status,

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
-from typing import Annotated, Any, TypeAlias
+from typing import Annotated, TypeAlias
 
 import casadi as ca
 import numpy as np
@@ -19,6 +18,7 @@ from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.callbacks import IterationCallback, Monitor
 from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName, Values
 
 COMMON = (
     "tol",
@@ -70,7 +70,7 @@ class Taken:
                 raise BadInputError(f"{name} must be options of Ipopt, which {said}") from None
 
 
-PluginOptions: TypeAlias = Annotated[Mapping[str, Any], Taken()]
+PluginOptions: TypeAlias = Annotated[ByName, Taken()]
 """Options of Ipopt by name: numbers, words, yes and no."""
 
 _IPOPT_STATUS = {
@@ -150,7 +150,7 @@ class Solver:
         # CasADi does not own its callbacks: the reference must be kept alive
         self._callback = IterationCallback(nlp.n_x, nlp.n_g, nlp.p.shape[0])
         own = {**IPOPT_OPTIONS, **(options or {})}
-        settings: dict[str, Any] = {
+        settings: Values = {
             "print_time": False,
             "error_on_fail": False,
             "no_nlp_grad": True,

@@ -27,7 +27,7 @@ from rmesh_nlp.problem.contact_problem import ContactProblem
 from rmesh_nlp.problem.obstacle import Obstacle, Place
 
 
-class Sides(NamedTuple):
+class BodySides(NamedTuple):
     """Sides of triangles on one curve: ``element`` (n,), ``ends`` (2, n) and ``facet`` (n,).
 
     The ends are local numbers, 0 to 2, in the order of ``mesh.facets``; facets are numbered on the curve.
@@ -38,14 +38,14 @@ class Sides(NamedTuple):
     facet: Index
 
 
-def sides_on(problem: ContactProblem, facets: Index) -> Sides:
+def sides_on(problem: ContactProblem, facets: Index) -> BodySides:
     """The sides of triangles that are these facets, on both sides of an interface."""
     beside = problem.mesh.f2t[:, facets]
     which, number = np.nonzero(beside >= 0)
     element = beside[which, number]
     nodes = problem.mesh.facets[:, facets[number]]
     ends = np.argmax(problem.triangles[:, None, element] == nodes, axis=0)
-    return Sides(element, ends, number)
+    return BodySides(element, ends, number)
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Arcs:
     curve: Curve
     facets: Index
     t: Array
-    sides: Sides
+    sides: BodySides
 
     def at(self, rows: Index, s: Array) -> tuple[Array, Array]:
         """Points and derivatives by s, (2, m, k) each, of arcs ``rows`` (m,) at ``s`` (m, k)."""
@@ -154,7 +154,7 @@ class Body:
     def edges_of(self, obstacle: Obstacle) -> Edges:
         """The edges of a contact boundary; all edges for an interior contact set."""
         if isinstance(obstacle.boundary, Place):
-            return Edges(self, np.arange(self.problem.mesh.facets.shape[1]))
+            return Edges(self, np.arange(self.problem.mesh.nfacets))
         return self.edges(obstacle.boundary)
 
 

@@ -94,7 +94,7 @@ def _check_contact_edges(problem: ProblemData) -> None:
 def _check_laws(problem: ProblemData) -> None:
     if not isinstance(problem.law, Mapping):
         return
-    count = np.zeros(problem.mesh.t.shape[1], dtype=int)
+    count = np.zeros(problem.mesh.nelements, dtype=int)
     for name in problem.law:
         count[members_of("subdomain", name, problem.mesh.subdomains, ("materials", name))] += 1
     for element in np.flatnonzero(count != 1):

@@ -170,7 +170,7 @@ class ContactProblem(Shown, ProblemData):
         (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
         named = named_by_user(mesh.boundaries).items()
         rows = [
-            ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.t.shape[1]} triangles"),
+            ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.nelements} triangles"),
             ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
             ("boundaries (edges)", ", ".join(f"{name} ({np.size(facets)})" for name, facets in named)),
         ]
@@ -239,5 +239,5 @@ def on_mesh(problem: ContactProblem, mesh: MeshTri, motion: Motion, **changes: A
     """The problem on another mesh of its domain, whose nodes are put on their curves."""
     mesh = onto_curves(mesh, motion.curves, anywhere=True)
     return replace(
-        problem, mesh=mesh, motion=motion, size=f"{mesh.t.shape[1]} triangles", reference=None, **changes
+        problem, mesh=mesh, motion=motion, size=f"{mesh.nelements} triangles", reference=None, **changes
     )

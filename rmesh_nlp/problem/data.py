@@ -85,7 +85,7 @@ class ProblemData:
     @cached_property
     def regions(self) -> tuple[tuple[Law, Index], ...]:
         """Each law with the numbers of its elements."""
-        every = np.arange(self.mesh.t.shape[1])
+        every = np.arange(self.mesh.nelements)
         if not isinstance(self.law, Mapping):
             return ((self.law, every),)
         return tuple((law, every[self.mesh.subdomains[name]]) for name, law in self.law.items())
@@ -147,7 +147,7 @@ class ProblemData:
     @cached_property
     def curve_of_facet(self) -> Index:
         """(facets,) number of the curve of the motion that each facet is on; -1 for straight ones."""
-        numbers = np.full(self.mesh.facets.shape[1], -1)
+        numbers = np.full(self.mesh.nfacets, -1)
         for number, name in enumerate(self.motion.curves):
             numbers[self.mesh.boundaries[name]] = number
         return numbers

@@ -222,7 +222,7 @@ def _pairs(ends: NDArray) -> tuple[NDArray, NDArray, NDArray]:
 
 def _labels(mesh: MeshTri) -> Index:
     """A number per facet: 0 off all lines, else which names and subdomains it has on its sides."""
-    member = _table(mesh.boundaries, mesh.facets.shape[1])
+    member = _table(mesh.boundaries, mesh.nfacets)
     zone = np.append(element_zones(mesh), -1)  # the last one outside, where f2t is -1
     sides = np.sort(zone[mesh.f2t], axis=0)
     on_line = (mesh.f2t[1] < 0) | (sides[0] != sides[1]) | np.any(member, axis=1)
@@ -234,7 +234,7 @@ def _labels(mesh: MeshTri) -> Index:
 
 def element_zones(mesh: MeshTri) -> Index:
     """A number per element: which set of named subdomains it belongs to."""
-    member = _table(mesh.subdomains, mesh.t.shape[1])
+    member = _table(mesh.subdomains, mesh.nelements)
     if member.shape[1] == 0:
         return np.zeros(len(member), dtype=np.int64)
     return np.unique(member, axis=0, return_inverse=True)[1].ravel()

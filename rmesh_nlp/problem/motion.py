@@ -32,8 +32,8 @@ class Relative:
 
     def __post_init__(self) -> None:
         check_positive(relative=self.fraction)
-        said = "be a part of the shortest edge at the node, at most 1"
-        require(self.fraction <= 1, "relative", said, self.fraction)
+        must = "be a part of the shortest edge at the node, at most 1"
+        require(self.fraction <= 1, "relative", must, self.fraction)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     mesh = problem.mesh
     p = mesh.p if nodes is None else nodes
     held, _ = problem.held
-    edges = sp.coo_array((np.ones(mesh.facets.shape[1]), tuple(mesh.facets)), shape=2 * (p.shape[1],))
+    edges = sp.coo_array((np.ones(mesh.nfacets), tuple(mesh.facets)), shape=2 * (p.shape[1],))
     _, part = connected_components(edges, directed=False)
     motions = []
     for number in np.unique(part[mesh.t[0]]):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeVar
 
 from rmesh_nlp.examples import PAPER, PaperValues
-from rmesh_nlp.io.records import Record, ends_of, has_energy, objective_of
+from rmesh_nlp.io.records import Record, Records, ends_of, has_energy, objective_of
 from rmesh_nlp.io.results import Result
 
 DEFAULT_RELAXATION = "scholtes"
@@ -32,7 +32,7 @@ def grouped(items: Iterable[Item], key: Callable[[Item], Key]) -> dict[Key, list
 
 
 @dataclass(frozen=True)
-class Block:
+class Case:
     """Records of one example on one grid with the same order, move limits and rule, as they were solved."""
 
     records: tuple[Record, ...]
@@ -104,15 +104,15 @@ class Block:
         return paper if is_papers and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
-def blocks(records: Iterable[Record]) -> list[Block]:
+def blocks(records: Iterable[Record]) -> list[Case]:
     """The records grouped, in the order of their first appearance."""
-    return [Block(tuple(group)) for group in grouped(records, block_key).values()]
+    return [Case(tuple(group)) for group in grouped(records, block_key).values()]
 
 
-def blocks_of(results: Iterable[Result]) -> list[tuple[Block, list[Result]]]:
+def blocks_of(results: Iterable[Result]) -> list[tuple[Case, list[Result]]]:
     """The same of results, with those of each block."""
     groups = grouped(results, lambda result: block_key(result.record)).values()
-    return [(Block(tuple(result.record for result in own)), own) for own in groups]
+    return [(Case(tuple(result.record for result in own)), own) for own in groups]
 
 
 def block_key(record: Record) -> Hashable:
@@ -165,12 +165,12 @@ def variant(record: Record) -> str:
     return str(record.get("variant") or seedless(record))
 
 
-def variants_of(records: Sequence[Record]) -> list[str]:
+def variants_of(records: Records) -> list[str]:
     """All variants that relocate, in the order of the records: the same looks in all figures of a folder."""
     return list(dict.fromkeys(variant(r) for r in records if r["formulation"] != RELOCATING_NOTHING))
 
 
-def names_of_solves(records: Sequence[Record]) -> list[str]:
+def names_of_solves(records: Records) -> list[str]:
     """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
     groups = blocks(records)
     names = []
@@ -184,8 +184,8 @@ def names_of_solves(records: Sequence[Record]) -> list[str]:
     return names
 
 
-def in_common_units(records: Sequence[Record]) -> list[Record]:
-    """The records with the unit of cost of their block, :attr:`Block.unit`, if they measured one."""
+def in_common_units(records: Records) -> list[Record]:
+    """The records with the unit of cost of their block, :attr:`Case.unit`, if they measured one."""
     units = {block_key(block.records[0]): block.unit for block in blocks(records)}
     return [
         {**record, "contact_time_s": units[block_key(record)]} if record.get("contact_time_s") else record

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
-from rmesh_nlp.report.blocks import Block, contact_units, label
+from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
+from rmesh_nlp.report.blocks import Case, contact_units, label
 from rmesh_nlp.report.table import MISSING, Groups, Table
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
@@ -55,7 +55,7 @@ RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length"
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 
-def of_boundaries(records: Sequence[Record]) -> list[Record]:
+def of_boundaries(records: Records) -> list[Record]:
     """A row for each of several contact boundaries, with its results on the final mesh."""
     return [
         {**record, **results, "boundary": name, "contact": None}
@@ -69,7 +69,7 @@ def _several(record: Record) -> Record:
     return contact if len(contact) > 1 else {}
 
 
-def cells(columns: Sequence[Column], records: Sequence[Record]) -> list[list[str]]:
+def cells(columns: Sequence[Column], records: Records) -> list[list[str]]:
     """A row for each record; of several contact boundaries none has what is of all."""
     rows = [{**record, **dict.fromkeys(OF_ALL if _several(record) else ())} for record in records]
     return [[column.cell(row) for column in columns] for row in rows]
@@ -179,19 +179,19 @@ class Kind:
     title: str
     columns: tuple[Column, ...]
     caption: str
-    is_wanted: Callable[[Block], bool]
+    is_wanted: Callable[[Case], bool]
     is_detail: bool = True
 
 
-def _of_energy(block: Block) -> bool:
+def _of_energy(block: Case) -> bool:
     return block.has_energy
 
 
-def _of_objective(block: Block) -> bool:
+def _of_objective(block: Case) -> bool:
     return not block.has_energy
 
 
-def _with(wanted: Callable[[Record], bool]) -> Callable[[Block], bool]:
+def _with(wanted: Callable[[Record], bool]) -> Callable[[Case], bool]:
     """Blocks with an energy, and a record that asks for the table."""
     return lambda block: block.has_energy and any(map(wanted, block.records))
 
@@ -344,14 +344,14 @@ KINDS = (
 """The tables of a comparison, those that are printed first."""
 
 
-def body(columns: Sequence[Column], block: Block) -> list[list[str]]:
+def body(columns: Sequence[Column], block: Case) -> list[list[str]]:
     """The rows of a block, those of the paper first where its settings were used."""
     if columns is CONTACT:
         return cells(columns, of_boundaries(block.records))
     return cells(columns, [*(_of_paper(block) if columns is ENERGIES else ()), *block.records])
 
 
-def _of_paper(block: Block) -> list[Record]:
+def _of_paper(block: Case) -> list[Record]:
     """The paper's values as rows, with its digits."""
     paper = block.paper
     if paper is None:

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter, LogLocator, MaxNLocator
 
-from rmesh_nlp.io.records import Record, objective_of
+from rmesh_nlp.io.records import Record, Records, objective_of
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.blocks import grouped, label, order_of, with_order
 from rmesh_nlp.report.histories import is_feasible
@@ -158,7 +158,7 @@ def profile_figure(chart: Chart, page: Page) -> Figure:
     return figure
 
 
-def bracket_figure(records: Sequence[Record], page: Page) -> Figure:
+def bracket_figure(records: Records, page: Page) -> Figure:
     """Lower and upper bounds of the least energy against the size of the mesh, a band per formulation.
 
     The size is the number of nodes, and of unknowns where not all displacements are linear.

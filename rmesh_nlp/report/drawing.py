@@ -1,6 +1,7 @@
 """Bodies over rigid foundations, side by side, and what contact carries.
 
-All pictures of meshes draw what a :class:`Body` holds by :func:`side_by_side` and :func:`contact_figure`.
+All pictures of meshes draw what a :class:`DrawnBody` holds, by :func:`side_by_side` and
+:func:`contact_figure`.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
 from rmesh_nlp.solving import plotting
 
-Painter = Callable[[Axes, "Body"], Any]
+Painter = Callable[[Axes, "DrawnBody"], Any]
 """Draws a body; returns what a colour bar is made of, or None."""
 
 # parts of the extent of the body
@@ -62,7 +63,7 @@ class Contact:
 
 
 @dataclass(frozen=True)
-class Body:
+class DrawnBody:
     """A body on one mesh (nodes per element, elements) with the title of its pictures."""
 
     title: str
@@ -108,7 +109,7 @@ class Body:
         return self.nodes + factor * self.state.displacement if self.elastic else self.nodes
 
 
-def magnification(bodies: Sequence[Body]) -> float:
+def magnification(bodies: Sequence[DrawnBody]) -> float:
     """The factor by which displacements are drawn: the largest of 1, 2, 5, 10, ... that pictures allow.
 
     A foundation is drawn as the curve that it is in space. Where the displacement is drawn ``f`` times as
@@ -126,7 +127,7 @@ def magnification(bodies: Sequence[Body]) -> float:
     return max((f for f in shown if (f - 1) * varies <= SEEN * extent), default=1.0)
 
 
-def window(bodies: Sequence[Body], factor: float = 0.0) -> Array:
+def window(bodies: Sequence[DrawnBody], factor: float = 0.0) -> Array:
     """Limits (2, 2) around the bodies; of ``factor`` times the displacement, and around near foundations."""
     points = np.hstack([body.moved(f) for body in bodies for f in {0.0, factor}])
     low, high = points.min(axis=1), points.max(axis=1)
@@ -152,14 +153,14 @@ def draw_nodes(axis: Axes, nodes: Array, kinds: Iterable[tuple[Any, ...]], **opt
             axis.scatter(nodes[0, chosen], nodes[1, chosen], **look)
 
 
-def draw_foundations(axis: Axes, body: Body, factor: float = 1.0, **options: Any) -> None:
+def draw_foundations(axis: Axes, body: DrawnBody, factor: float = 1.0, **options: Any) -> None:
     """The near foundations beside a body whose displacement is drawn ``factor`` times as large."""
     for one in body.near:
         look = {"color": FOUNDATION, "capstyle": "round", "label": "rigid foundation", **options}
         draw_lines(axis, one.displaced(factor), **look)
 
 
-def draw_contact_set(axis: Axes, body: Body, **fill: Any) -> None:
+def draw_contact_set(axis: Axes, body: DrawnBody, **fill: Any) -> None:
     """Of an obstacle in the interior: the edge of the set that it touches, and with a colour the set."""
     closed = body.triangles[:, body.closed]
     if closed.size:
@@ -169,10 +170,10 @@ def draw_contact_set(axis: Axes, body: Body, **fill: Any) -> None:
         draw_lines(axis, along(edges_of(closed, outer=True), body.nodes), color=IN_CONTACT, linewidth=1.2)
 
 
-def coloured(draw: Callable[..., Any], values: Callable[[Body], Array], **options: Any) -> Painter:
+def coloured(draw: Callable[..., Any], values: Callable[[DrawnBody], Array], **options: Any) -> Painter:
     """A painter of values as colours below the lines of the mesh; ``draw`` knows where they belong."""
 
-    def paint(axis: Axes, body: Body) -> Any:
+    def paint(axis: Axes, body: DrawnBody) -> Any:
         painted = draw(axis, body.nodes, body.triangles, values(body), **options)
         if not plotting.is_fine(body.triangles):  # the lines would hide the colours
             plotting.draw_mesh(axis, body.nodes, body.triangles, color="white")
@@ -183,7 +184,7 @@ def coloured(draw: Callable[..., Any], values: Callable[[Body], Array], **option
 
 
 def side_by_side(
-    bodies: Sequence[Body],
+    bodies: Sequence[DrawnBody],
     paint: Painter,
     page: Page,
     unit: str,
@@ -218,14 +219,14 @@ def side_by_side(
     return figure
 
 
-def displacement_figure(bodies: Sequence[Body], page: Page, units: Units, *, deformed: bool) -> Figure:
+def displacement_figure(bodies: Sequence[DrawnBody], page: Page, units: Units, *, deformed: bool) -> Figure:
     """The displacement of each body, if asked for over the deformed meshes."""
     label = f"$|u|${bracketed(units.length)}" if bodies[0].elastic else "$u$"
     paint = coloured(plotting.draw_nodal, lambda body: body.state.displacement)
     return side_by_side(bodies, paint, page, units.length, deformed=deformed, label=label)
 
 
-def contact_figure(bodies: Sequence[Body], page: Page, units: Units) -> Figure | None:
+def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Figure | None:
     """Pressure along each contact boundary, with friction also the tangential stress and its bound.
 
     One panel for each; None if nothing is touched.

@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp.io.records import Record
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.units import units_of
-from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Block, blocks_of, order_of, variant
+from rmesh_nlp.report.blocks import RELOCATING_NOTHING, Case, blocks_of, order_of, variant
 from rmesh_nlp.report.columns import short_label
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure, design_figure, profile_figure
 from rmesh_nlp.report.drawing import (
-    Body,
+    DrawnBody,
     coloured,
     contact_figure,
     displacement_figure,
@@ -54,7 +54,7 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
             yield f"{example}-bracket", bracket_figure(rows, page)
 
 
-def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
+def block_figures(block: Case, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures of one block: grids, stresses, convergence and designs, beside the given grid."""
     drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
     first = block.records[0]
@@ -63,14 +63,14 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
     moved = [(record, fields) for record, fields in drawn if record["formulation"] != RELOCATING_NOTHING]
     designs = any(record.get("design") for record, _ in drawn)
     given = [
-        Body("first design" if designs else "given grid", fields.triangles, fields.given)
+        DrawnBody("first design" if designs else "given grid", fields.triangles, fields.given)
         for record, fields in drawn
         if not record.get("remeshed_nodes")
     ][:1]
     grids = partial(displacement_figure, page=page, units=units)
     for record, fields in moved:
         key, made = record.get("key", stem), "design" if designs else "relocated"
-        body = Body(f"{made} by {short_label(record)}", fields.triangles, fields.final)
+        body = DrawnBody(f"{made} by {short_label(record)}", fields.triangles, fields.final)
         yield f"{key}-grid", grids([*given, body], deformed=body.elastic)
         if fields.error_bound is not None and fields.error_bound_initial is not None:
             yield f"{key}-error", error_figure(fields, record, page)
@@ -79,7 +79,7 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
     for objective in block.objectives:
         name = stem if objective == "energy" else f"{stem}-{objective}"
         bodies = [
-            Body(short_label(record), fields.triangles, fields.final)
+            DrawnBody(short_label(record), fields.triangles, fields.final)
             for record, fields in moved
             if record["objective"] == objective
         ]
@@ -92,7 +92,7 @@ def block_figures(block: Block, results: Sequence[Result], page: Page) -> Iterat
 
 
 def progress_figures(
-    block: Block, results: Sequence[Result], page: Page, positions: Mapping[str, int] | None = None
+    block: Case, results: Sequence[Result], page: Page, positions: Mapping[str, int] | None = None
 ) -> Iterator[tuple[str, str, Figure]]:
     """For each objective of a block the ways of its solves: objective, "convergence" or "design", figure.
 
@@ -103,7 +103,7 @@ def progress_figures(
         solves = [result for result in results if result.record["objective"] == objective]
         traced = [(name(result.record), curve(result)) for result in solves]
         curves = [(what, steps) for what, steps in traced if steps is not None]
-        lowest = Block(tuple(result.record for result in solves)).best
+        lowest = Case(tuple(result.record for result in solves)).best
         if curves and lowest is not None:
             yield objective, "convergence", convergence_figure(curves, lowest, page, positions)
         if (way := figure_of_designs(solves, page)) is not None:
@@ -125,7 +125,7 @@ def figure_of_designs(results: Sequence[Result], page: Page) -> Figure | None:
     return design_figure(curves, first["design_bounds"], str(first["objective"]), page)
 
 
-def error_figure(fields: Fields, record: Record, page: Page) -> Figure:
+def error_figure(fields: SolutionFields, record: Record, page: Page) -> Figure:
     """Where the error is, before and after: the root of what each element adds to its square, per area."""
     guaranteed = all(record.get(f"guaranteed_{side}") for side in ("lower", "upper", "initial"))
     words = "at most" if guaranteed else "estimated at"
@@ -139,7 +139,7 @@ def error_figure(fields: Fields, record: Record, page: Page) -> Figure:
         title = f"{when}, " + ("" if error is None else f"error {words} {100 * error:.3g} %")
         areas = np.abs(signed_areas(state.nodes, fields.triangles[:3]))
         densities[title] = np.sqrt(2 * np.maximum(bound, 0) / areas)
-        bodies.append(Body(title, fields.triangles, state))
+        bodies.append(DrawnBody(title, fields.triangles, state))
     high = max(np.max(list(densities.values())), 1e-299)
     norm = LogNorm(high / 10**DECADES, high)
     paint = coloured(

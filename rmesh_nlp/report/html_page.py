@@ -22,9 +22,9 @@ from matplotlib.figure import Figure
 from rmesh_nlp import __version__
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
-from rmesh_nlp.io.records import Record, has_energy, objective_of, parse_json, to_json
+from rmesh_nlp.io.records import Record, Records, has_energy, objective_of, parse_json, to_json
 from rmesh_nlp.io.results import ROWS, Result, Results
-from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks_of,
@@ -42,9 +42,10 @@ from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes
 from rmesh_nlp.report.style import Page, lay_out
 from rmesh_nlp.report.table import MISSING, TEMPLATES, Table
 from rmesh_nlp.report.tables import sections_of
+from rmesh_nlp.settings import Values
 from rmesh_nlp.solving.parts import DESIGN, FEW
-from rmesh_nlp.study.environment import environment
 from rmesh_nlp.study.reproduction import Statement
+from rmesh_nlp.study.worker import environment
 
 REPORT = "report.html"
 CHART = Page(1)  # legible on a phone, where charts are three inches wide
@@ -157,19 +158,19 @@ def _without_energies(record: Record) -> Record:
     return shown | {f"{DESIGN}{name}": value for name, value in (record.get("design") or {}).items()}
 
 
-def _design_columns(records: Sequence[Record]) -> tuple[Column, ...]:
+def _design_columns(records: Records) -> tuple[Column, ...]:
     """A column for each of a few design variables."""
     names = dict.fromkeys(name for record in records for name in record.get("design") or {})
     return tuple(Column(name, DESIGN + name, ".5g") for name in names) if len(names) <= FEW else ()
 
 
-def _solves(records: Sequence[Record], columns: Sequence[Column], **options: Any) -> Table:
+def _solves(records: Records, columns: Sequence[Column], **options: Any) -> Table:
     """A row for each solve, with the columns that are filled; of several with one heading the last."""
     shown = {column.heading: column for column in (*WHICH, *columns)}.values()
     return table_of([*shown], [("", cells([*shown], records))], **{"texts": 2, **options})
 
 
-def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
+def _meshes(results: Sequence[Result]) -> tuple[list[Values], str]:
     """Meshes and fields for the slider between the given and the relocated mesh, and what is left out."""
     solved = [r for r in results if r.record["energy"] is not None and r.vtu.exists()]
     solved = [r for r in solved if not r.record.get("repeat")]  # repetitions end on the same mesh
@@ -184,7 +185,7 @@ def _meshes(results: Sequence[Result]) -> tuple[list[dict[str, Any]], str]:
     return meshes, note if rest > 0 else ""
 
 
-def _mesh(fields: Fields) -> dict[str, Any]:
+def _mesh(fields: SolutionFields) -> Values:
     given, final = fields.given, fields.final
     u = final.displacement
     values = {"u": u[0]} if u.shape[0] == 1 else {"|u|": np.hypot(*u), "u1": u[0], "u2": u[1]}
@@ -206,7 +207,7 @@ def _rounded(values: Array, unit: float) -> list[float]:
     return [float(f"{value:.5g}") if abs(value) > 1e-12 * (unit or 1.0) else 0.0 for value in values]
 
 
-def _environments(folder: Path, records: Sequence[Record]) -> list[Any]:
+def _environments(folder: Path, records: Records) -> list[Any]:
     """Where the solves ran, each place once; without notes of it the versions in the records."""
     notes = sorted((folder / ROWS).glob("environment-*.json"))
     places = [parse_json(read_text(path), str(path)) for path in notes]

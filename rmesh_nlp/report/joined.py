@@ -6,13 +6,13 @@ constrained quantities beside their bounds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import pandas as pd
 
 from rmesh_nlp.display import bounds_in_words
 from rmesh_nlp.evaluation import difference
-from rmesh_nlp.io.records import Record, ends_of, has_energy
+from rmesh_nlp.io.records import Record, Records, ends_of, has_energy
 from rmesh_nlp.report.blocks import (
     RELOCATING_NOTHING,
     blocks,
@@ -44,7 +44,7 @@ MESHES = (
 NAMED = {"design": "Design variables", "constraints": "Constrained quantities"}
 
 
-def joined_tables(records: Sequence[Record]) -> list[Table]:
+def joined_tables(records: Records) -> list[Table]:
     """Those of several starts and of several meshes that have rows."""
     tables = (
         table_of(
@@ -66,7 +66,7 @@ def joined_tables(records: Sequence[Record]) -> list[Table]:
     return [table for table in tables if table.groups]
 
 
-def multistart_rows(records: Sequence[Record]) -> Groups:
+def multistart_rows(records: Records) -> Groups:
     """Per block, a row for each formulation and objective that was solved from two starts or more."""
     tables = []
     for block in blocks(records):
@@ -76,7 +76,7 @@ def multistart_rows(records: Sequence[Record]) -> Groups:
     return [(title, rows) for title, rows in tables if rows]
 
 
-def _starts(name: str, group: Sequence[Record]) -> Record | None:
+def _starts(name: str, group: Records) -> Record | None:
     """Best, median and worst end of several solves, or of one whose solve had starts of its own."""
     first, costs = group[0], []
     if len(group) == 1 and first.get("start_energies"):
@@ -94,7 +94,7 @@ def _starts(name: str, group: Sequence[Record]) -> Record | None:
     }
 
 
-def refinement_rows(records: Sequence[Record]) -> Groups:
+def refinement_rows(records: Records) -> Groups:
     """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
 
     Gains are those of the audited energy over the given mesh, the one of fewest nodes.
@@ -114,7 +114,7 @@ def refinement_rows(records: Sequence[Record]) -> Groups:
     return tables
 
 
-def refinement_notes(records: Sequence[Record]) -> list[str]:
+def refinement_notes(records: Records) -> list[str]:
     """One sentence per example: what one refinement gains against the best relocation."""
     notes = []
     for name, own in _several_meshes(records).items():
@@ -137,7 +137,7 @@ def refinement_notes(records: Sequence[Record]) -> list[str]:
     return notes
 
 
-def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
+def _several_meshes(records: Records) -> dict[str, list[Record]]:
     """Successful records of the energy by problem, of those with several meshes; coarser meshes first."""
     solved = [
         record
@@ -150,7 +150,7 @@ def _several_meshes(records: Sequence[Record]) -> dict[str, list[Record]]:
     return {name: sorted(own, key=lambda record: int(record["nodes"])) for name, own in several.items()}
 
 
-def named_tables(title: str, records: Sequence[Record], entry: str) -> Iterator[Table]:
+def named_tables(title: str, records: Records, entry: str) -> Iterator[Table]:
     """Design variables or constrained quantities: bounds, the first design, and where each solve ended."""
     solved = [record for record in records if record.get(entry)]
     if not solved:

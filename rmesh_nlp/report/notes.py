@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from rmesh_nlp.evaluation import ROUNDING
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Records
 from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem.units import Units, units_of
-from rmesh_nlp.report.blocks import Block, blocks, grouped, label
+from rmesh_nlp.report.blocks import Case, blocks, grouped, label
 from rmesh_nlp.report.joined import refinement_notes
 
 
-def main_notes(records: Sequence[Record]) -> list[str]:
+def main_notes(records: Records) -> list[str]:
     """What is needed to read the main tables: units, what refinement gains, and how solves ended."""
     failures = [
         f"{block.example}, {label(record)}: {record['status']}: {record.get('message', '')}"
@@ -24,12 +24,12 @@ def main_notes(records: Sequence[Record]) -> list[str]:
     return [*(note for notes in said for note in notes(records)), *failures]
 
 
-def block_notes(records: Sequence[Record]) -> list[str]:
+def block_notes(records: Records) -> list[str]:
     """What the records show: impossible energies."""
     return [note for block in blocks(records) for note in below_infimum(block)]
 
 
-def paper_notes(records: Sequence[Record]) -> list[str]:
+def paper_notes(records: Records) -> list[str]:
     """Which energies of the paper were never reached."""
     return [
         f"{block.name}: no start within the move limits of the paper reached its {paper.energy_final:.4f} "
@@ -39,13 +39,13 @@ def paper_notes(records: Sequence[Record]) -> list[str]:
     ]
 
 
-def stopped_early(records: Sequence[Record]) -> list[str]:
+def stopped_early(records: Records) -> list[str]:
     """What a success is whose status is not "converged"."""
     early = {str(record["status"]) for record in records if record["success"]} - {Status.CONVERGED.value}
     return [f"{', '.join(sorted(early))}: a success that is {NOT_STATIONARY_YET}."] if early else []
 
 
-def shared_notes(records: Sequence[Record]) -> list[str]:
+def shared_notes(records: Records) -> list[str]:
     """How many times are those of solves that had no core alone."""
     shared = sum(bool(record.get("shared")) for record in records)
     said = (
@@ -55,7 +55,7 @@ def shared_notes(records: Sequence[Record]) -> list[str]:
     return [said] if shared else []
 
 
-def units_notes(records: Sequence[Record]) -> list[str]:
+def units_notes(records: Records) -> list[str]:
     """The units of u and J of the problems that name theirs."""
     named = grouped(
         blocks(records), lambda block: (units_of(block.records[0].get("units")), block.has_energy)
@@ -73,7 +73,7 @@ def _units_in_words(units: Units, energy: bool) -> str:
     return f"lengths in {units.length}, forces in {units.force} per {units.length} of depth."
 
 
-def below_infimum(block: Block) -> Iterator[str]:
+def below_infimum(block: Case) -> Iterator[str]:
     """Energies that no mesh can have: below the exact one, or below a guaranteed bound."""
     for record in block.records:
         above, lower = record.get("energy_above_exact"), None

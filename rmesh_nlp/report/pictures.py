@@ -12,12 +12,12 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from rmesh_nlp.io.results import Result
-from rmesh_nlp.io.vtu import Fields, read_vtu
+from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem.units import bracketed, units_of
 from rmesh_nlp.report.drawing import (
-    Body,
+    DrawnBody,
     coloured,
     contact_figure,
     displacement_figure,
@@ -40,10 +40,10 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
     moved, is_design = bool(np.any(fields.given.nodes != fields.final.nodes)), bool(record.get("design"))
     before = "first design" if is_design else "new mesh" if record.get("remeshed_nodes") else "given mesh"
     after = "last design" if is_design else "relocated mesh" if moved else f"{before}, nothing moved"
-    last = Body(after, fields.triangles, fields.final)
+    last = DrawnBody(after, fields.triangles, fields.final)
     bodies = [last]
     if moved or is_design:
-        bodies.insert(0, Body(before, fields.triangles, fields.given))
+        bodies.insert(0, DrawnBody(before, fields.triangles, fields.given))
     units, elastic = units_of(record.get("units")), last.elastic
     is_loaded = any(np.any(body.state.displacement) for body in bodies)
     yield "mesh", side_by_side(bodies, _paint_mesh, page, units.length, deformed=elastic and is_loaded)
@@ -62,7 +62,7 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
         yield "design", design
 
 
-def _paint_mesh(axis: Axes, body: Body) -> None:
+def _paint_mesh(axis: Axes, body: DrawnBody) -> None:
     """The mesh with the boundaries, or the interior set, of contact."""
     plotting.draw_mesh(axis, body.nodes, body.triangles)
     draw_contact_set(axis, body, facecolor=IN_CONTACT, alpha=0.25)
@@ -80,7 +80,7 @@ class Limit(Enum):
     AREA = ("the area or an angle of an element", "#000000", "^")
 
 
-def limits(fields: Fields) -> NDArray[np.object_]:
+def limits(fields: SolutionFields) -> NDArray[np.object_]:
     """The :class:`Limit` of each node; move limits before areas where both act."""
     result = np.full(fields.mobility.size, Limit.NOTHING, dtype=object)
     if fields.multipliers is not None:
@@ -92,13 +92,13 @@ def limits(fields: Fields) -> NDArray[np.object_]:
     return result
 
 
-def limits_figure(fields: Fields, body: Body, page: Page, unit: str) -> Figure:
+def limits_figure(fields: SolutionFields, body: DrawnBody, page: Page, unit: str) -> Figure:
     """Every vertex with the colour of its limit."""
     kinds, fine = limits(fields), plotting.is_fine(body.triangles)
     vertices = np.isin(np.arange(kinds.size), fields.triangles[:3])
     size = float(np.clip(1500 / np.count_nonzero(vertices), 0.6, 6.0))
 
-    def paint(axis: Axes, body: Body) -> None:
+    def paint(axis: Axes, body: DrawnBody) -> None:
         if not fine:
             plotting.draw_mesh(axis, body.nodes, body.triangles, color="0.85")
         looks = ((vertices & (kinds == limit), *limit.value) for limit in Limit)
@@ -110,11 +110,11 @@ def limits_figure(fields: Fields, body: Body, page: Page, unit: str) -> Figure:
     return figure
 
 
-def motion_figure(fields: Fields, body: Body, title: str, page: Page, unit: str) -> Figure:
+def motion_figure(fields: SolutionFields, body: DrawnBody, title: str, page: Page, unit: str) -> Figure:
     """The way of each vertex over the colours of its length."""
     begin, end = fields.given.nodes, fields.final.nodes
 
-    def paint(axis: Axes, body: Body) -> Any:
+    def paint(axis: Axes, body: DrawnBody) -> Any:
         if not plotting.is_fine(body.triangles):  # the ways would hide the colours
             moved = np.any(begin != end, axis=0) & (fields.mobility >= 0)
             draw_lines(axis, np.stack([begin, end], axis=2)[:, moved], color="white", linewidth=0.6)

@@ -19,7 +19,7 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.lines import element_zones
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.report import style
-from rmesh_nlp.report.drawing import Body, draw_foundations, draw_lines, draw_nodes
+from rmesh_nlp.report.drawing import DrawnBody, draw_foundations, draw_lines, draw_nodes
 from rmesh_nlp.solving import plotting
 
 MARKERS = {
@@ -42,7 +42,7 @@ def draw_problem(problem: ContactProblem, path: Path) -> None:
     finer = replace(problem, order=2)
     fine = DisplacementSpace(finer)
     rest = np.zeros((problem.components, fine.n_nodes))
-    body = Body("", fine.elements, state_of(finer, mesh.p, rest, rest[0], rest[0]))
+    body = DrawnBody("", fine.elements, state_of(finer, mesh.p, rest, rest[0], rest[0]))
     extent = np.ptp(np.hstack([mesh.p, *(one.lines.reshape(2, -1) for one in body.near)]), axis=1)
     with rc_context(style.SETTINGS):
         width = style.Page().width
@@ -86,7 +86,7 @@ def _draw_mobility(axis: Axes, problem: ContactProblem, free: MeshMap) -> None:
         draw_lines(axis, ends, color="black", linewidth=1.5, label="slides along")
 
 
-def _draw_gaps(axis: Axes, body: Body, count: int) -> None:
+def _draw_gaps(axis: Axes, body: DrawnBody, count: int) -> None:
     """The initial gap of every contact node among the first ``count`` nodes; overlaps are red."""
     for one in body.near:
         which = one.nodes[one.nodes < count]

@@ -18,7 +18,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.evaluation import ROUNDING, Array, difference
-from rmesh_nlp.io.records import Record, ends_of, gain_of, objective_of
+from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.report.blocks import (
@@ -89,7 +89,7 @@ def family(record: Record) -> str:
     return with_order(str(record.get("family") or record["example"]), record)
 
 
-def is_study(records: Sequence[Record]) -> bool:
+def is_study(records: Records) -> bool:
     """Whether rows come from a study rather than from a comparison."""
     return any(record.get("variant") and record.get("family") for record in records)
 
@@ -100,7 +100,7 @@ def instance(record: Record) -> str:
     return f"{with_order(str(record['example']), record)}, {record['n']}, {objective_of(record)}"
 
 
-def summary_table(records: Sequence[Record]) -> Table:
+def summary_table(records: Records) -> Table:
     """By family and variant, the variant that relocates nothing first; repetitions are joined by medians."""
     ends = np.array([ends_of(record) for record in records], dtype=float).reshape(-1, 2)
     solves = pd.DataFrame(
@@ -132,7 +132,7 @@ def summary_table(records: Sequence[Record]) -> Table:
     return Table(HEAD, [("", rows)], RANGES, "Medians with their ranges", is_detail=True, texts=2)
 
 
-def median_table(records: Sequence[Record]) -> Table:
+def median_table(records: Records) -> Table:
     """The columns of :func:`summary_table` that a first reader needs, without ranges."""
     places = [place for place, name in enumerate(HEAD) if name not in FURTHER]
     rows = [[row[place].split(" [")[0] for place in places] for row in summary_table(records).rows]
@@ -148,7 +148,7 @@ def _range(values: pd.Series, form: str) -> str:
     return middle if low == high else f"{middle} [{low}, {high}]"
 
 
-def study_notes(records: Sequence[Record]) -> list[str]:
+def study_notes(records: Records) -> list[str]:
     """What is needed to read the tables of a study."""
     refused = sum(record["status"] == "refused" for record in records)
     notes = [f"{refused} solves were refused, since the formulation does not take the objective."]

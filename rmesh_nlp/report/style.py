@@ -22,6 +22,7 @@ from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
 from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.settings import Values
 
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
 TALLEST = 2.0  # height of a panel over its width, at most
@@ -34,7 +35,7 @@ SETTINGS, COLUMN = (
 )
 
 # Okabe and Ito's palette; markers differ in size, so that curves on top of each other show
-PENS: Sequence[dict[str, Any]] = [
+PENS: Sequence[Values] = [
     {"color": color, "linestyle": linestyle, "marker": marker, "markersize": size}
     for color, linestyle, marker, size in (
         ("#000000", "--", "o", 4),
@@ -49,7 +50,7 @@ PENS: Sequence[dict[str, Any]] = [
 CONTACT, IN_CONTACT, NEUTRAL, FOUNDATION = "#009E73", "#D55E00", "#56B4E9", "0.45"
 
 
-def pen_of(position: int) -> dict[str, Any]:
+def pen_of(position: int) -> Values:
     """What ``Axes.plot`` takes for the curve at a position in its figure."""
     return PENS[position % len(PENS)]
 

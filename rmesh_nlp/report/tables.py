@@ -10,9 +10,9 @@ import pandas as pd
 
 from rmesh_nlp.display import for_spreadsheet
 from rmesh_nlp.io.folder import write_text
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Records
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Block, blocks, contact_units, grouped, names_of_solves, order_of
+from rmesh_nlp.report.blocks import Case, blocks, contact_units, grouped, names_of_solves, order_of
 from rmesh_nlp.report.columns import KINDS, MAIN, RESULTS, body, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
 from rmesh_nlp.report.notes import block_notes, main_notes, paper_notes, stopped_early, units_notes
@@ -23,17 +23,17 @@ from rmesh_nlp.solving.parts import DESIGN
 DETAILS = "# Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
 
-def sections_of(records: Sequence[Record]) -> dict[str, Block]:
+def sections_of(records: Records) -> dict[str, Case]:
     """Blocks by their titles, one for each objective where energies do not compare."""
-    sections: dict[str, Block] = {}
+    sections: dict[str, Case] = {}
     for block in blocks(records):
         parts = {"": list(block.records)} if block.has_energy else block.objectives
         for objective, own in parts.items():
-            sections[f"{block.title}: {objective}" if objective else block.title] = Block(tuple(own))
+            sections[f"{block.title}: {objective}" if objective else block.title] = Case(tuple(own))
     return sections
 
 
-def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
+def tables(records: Records, *, named: bool = False) -> list[Table]:
     """The tables of a comparison; ``named`` solves of all blocks stand in one main table."""
     sections = sections_of(records)
     units, early = units_notes(records), stopped_early(records)
@@ -61,7 +61,7 @@ def tables(records: Sequence[Record], *, named: bool = False) -> list[Table]:
     return made + joined_tables(records)
 
 
-def markdown(records: Sequence[Record], *, short: bool = False) -> str:
+def markdown(records: Records, *, short: bool = False) -> str:
     """One row per solve, what else was asked for, and what is needed to read it; below ``DETAILS`` the rest.
 
     A ``short`` one ends before the details.
@@ -84,7 +84,7 @@ def _items(notes: Sequence[str]) -> str:
     return "".join(f"- {note}\n" for note in notes)
 
 
-def latex(records: Sequence[Record]) -> str:
+def latex(records: Records) -> str:
     r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``."""
     if not is_study(records):
         every = tables(records)
@@ -98,7 +98,7 @@ def latex(records: Sequence[Record]) -> str:
     )
 
 
-def frame(records: Sequence[Record]) -> pd.DataFrame:
+def frame(records: Records) -> pd.DataFrame:
     """One row per record with every scalar field, the paper's values beside ours."""
     rows = []
     for block in blocks(records):
@@ -119,13 +119,13 @@ def frame(records: Sequence[Record]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def csv(records: Sequence[Record]) -> str:
+def csv(records: Records) -> str:
     """The same as CSV, without text that a spreadsheet would run."""
     table = frame(records).rename(columns=for_spreadsheet)
     return str(table.apply(lambda column: column.map(for_spreadsheet)).to_csv(index=False))
 
 
-def write_tables(records: Sequence[Record], folder: Path) -> None:
+def write_tables(records: Records, folder: Path) -> None:
     """Write ``table.md``, ``table.tex`` and ``table.csv``; BadInputError if one there is the user's."""
     Results(folder).manifest.claim(*TABLES)
     for name, content in zip(TABLES, (markdown(records), latex(records), csv(records)), strict=True):

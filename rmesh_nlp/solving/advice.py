@@ -243,7 +243,7 @@ def _factors(here: Solved, finer: Solved, error: float) -> Sequence[float]:
 
     Empty where the two meshes do not agree about the best mesh.
     """
-    triangles = here.problem.mesh.t.shape[1]
+    triangles = here.problem.mesh.nelements
     coarse, fine = (LeastErrors.of(first.problem.mesh.p, first.regions, triangles) for first in (here, finer))
     if not AGREE[0] * coarse.any_mesh <= fine.any_mesh <= AGREE[1] * coarse.any_mesh:
         return ()

@@ -101,7 +101,7 @@ def bounded(
                 for bracket in (before, after)
             )
         if is_new:  # the elements of a file are those of the last mesh
-            before = replace(before, local=np.full(problem.mesh.t.shape[1], np.nan))
+            before = replace(before, local=np.full(problem.mesh.nelements, np.nan))
     before, after = _consistent(before), _consistent(after)
     why = after.why if is_one else (*after.why, *(f"given mesh: {reason}" for reason in before.why))
     bounds = {

@@ -20,15 +20,14 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
 from rmesh_nlp.solving.certify import certified
-from rmesh_nlp.solving.exploited import End, as_given, is_spurious, once_more
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords
+from rmesh_nlp.solving.exploited import RunEnd, as_given, is_spurious, once_more
+from rmesh_nlp.solving.formulation import Asked, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
 from rmesh_nlp.solving.outer import TOLERANCE
 from rmesh_nlp.solving.parts import Step, Trace
-from rmesh_nlp.solving.plan import Plan
+from rmesh_nlp.solving.plan import Plan, Start, beginning
 from rmesh_nlp.solving.refinement import ReducedError, reduced_error, surviving_gain
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.start import Start, beginning
 
 REFINED = 4
 """Triangles of a refined mesh for each one, and about how much longer its assessment takes."""
@@ -38,7 +37,7 @@ HIGHER = "the mesh is as it was given: the energy of the one that was reached is
 
 def solve(
     problem: ContactProblem,
-    formulation: str | Formulation | Chooser = "auto",
+    formulation: Asked = "auto",
     *,
     objective: str | Objective = "energy",
     start: Start = None,
@@ -64,7 +63,7 @@ def solve(
         What is minimised: "energy", another one such as "error-l2 + 0.01*quality" or "mean(top, -uy)", see
         :mod:`rmesh_nlp.fem.objective_text`, or an object of :mod:`rmesh_nlp.fem.quantities`.
     start : positions (2, nodes), "given", name of a formulation, or Solution, optional
-        See :func:`rmesh_nlp.solving.start.beginning`.
+        See :func:`rmesh_nlp.solving.plan.beginning`.
     seed : int, optional
         Random start; by default the mesh as given.
     tolerance : float
@@ -116,7 +115,7 @@ def solve(
         return _made(plan, end, safe, monitor, certify)
 
 
-def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = True) -> End:
+def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = True) -> RunEnd:
     """Where a formulation ends on a problem: built, run, measured.
 
     A model of the given mesh is built when the formulation first asks for it.
@@ -141,10 +140,10 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = 
     assessment = monitor.finish(
         lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates, audit=audit)
     )
-    return End(outer, outcome, assessment, start, spent, contact_seconds)
+    return RunEnd(outer, outcome, assessment, start, spent, contact_seconds)
 
 
-def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
+def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: bool) -> Solution:
     """The one place where a solution is made."""
     assessment, certificate, remark, reduced = end.assessment, None, None, None
     budget = monitor.budget
@@ -184,7 +183,7 @@ def _made(plan: Plan, end: End, safe: str | None, monitor: Monitor, certify: boo
     )
 
 
-def _history(monitor: Monitor, end: End) -> tuple[Step, ...]:
+def _history(monitor: Monitor, end: RunEnd) -> tuple[Step, ...]:
     """The history, with the measured residual in its last step if that is the solver's own end.
 
     Where each step of an all-at-once solver would need an adjoint to know it, the history has this one only.

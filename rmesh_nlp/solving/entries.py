@@ -19,6 +19,7 @@ import numpy as np
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.mmg import is_available
+from rmesh_nlp.settings import Values
 from rmesh_nlp.solving.entry import (
     EVERY,
     KNOWN,
@@ -113,7 +114,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("order", Count, "Of the displacements on each triangle: 1 linear, 2 quadratic.",
               "problem.order", SOLVED, heading="order"),
         Entry("nodes", Count, "Vertices of the mesh.", lambda s: s.mesh.p.shape[1], SOLVED),
-        Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.t.shape[1], SOLVED),
+        Entry("triangles", Count, "Of the mesh.", lambda s: s.mesh.nelements, SOLVED),
         Entry("unknowns", Count, "Of the displacement.",
               lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
@@ -124,9 +125,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "whose solution it was.", "start", SOLVED, heading="start"),
         Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", "seed",
               EVERY, heading="seed"),
-        Entry("settings", dict[str, Any], "That differ from the defaults.", lambda s: dict(s.settings),
+        Entry("settings", Values, "That differ from the defaults.", lambda s: dict(s.settings),
               SOLVED),
-        Entry("limits", dict[str, Any], "Of time and iterations.", lambda s: s.limits.changed() or None),
+        Entry("limits", Values, "Of time and iterations.", lambda s: s.limits.changed() or None),
         Entry("tolerance", Number, "Of the first-order residual.", "assessment.tolerance", SOLVED),
         Entry("chosen_by", Text, "`auto`, where it chose the formulation.", "chosen_by"),
         Entry("chosen", Text, "Why it chose that.", "chosen"),
@@ -174,7 +175,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("gain_surviving", Number, "Gain in a quantity of the displacement on uniform refinements of "
               "the two meshes, over the gain found; a small share means that a discretisation error was "
               "minimised.", "surviving_gain.share"),
-        Entry("error_reduction", dict[str, Any], "Bounds of the error of the energy before and after and of "
+        Entry("error_reduction", Values, "Bounds of the error of the energy before and after and of "
               "their ratio, what they rest on (`source`: `exact`, `refinement` or `certified`), and the "
               "contact solves that the relocation took.",
               lambda s: s.error_reduction and s.error_reduction.record()),
@@ -308,7 +309,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
     ),
     "What formulations add": (
         Entry("relaxation", Text, "Of the complementarity in `mpcc`."),
-        Entry("stages", list[dict[str, Any]], "Of `mpcc`: its NLPs in turn."),
+        Entry("stages", list[Values], "Of `mpcc`: its NLPs in turn."),
         Entry("equilibrium_multiplier", Number, "Of `mpcc`: the largest multiplier of the equilibrium."),
         Entry("constraint_violation", Number, "Of `mpcc`: the largest at its end, in its own units."),
         Entry("complementarity", Number, "Of `mpcc`: the largest product of a pair at its end, in its own "
@@ -324,7 +325,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("distortion", Text, "Its kind."),
         Entry("regularisation_weight", Number, "The last weight in units of the energy.", unit="energy"),
         Entry("gain_estimate", Number, "Estimated error of the energy on the given mesh.", unit="energy"),
-        Entry("cascade", list[dict[str, Any]], "What was done on each mesh, coarsest first."),
+        Entry("cascade", list[Values], "What was done on each mesh, coarsest first."),
         Entry("start_seeds", list[Count], "With `--starts`: the seed of each; null for the given mesh."),
         Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),
         Entry("start_values", list[Number] | None, "Value that each one reached, of another objective."),
@@ -336,7 +337,7 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("variant", Text, "In a study the name of its table, `[formulations.NAME]`; in a comparison of "
               "objects the formulation with its settings."),
         Entry("family", Text, "In a study, what the problem is one of."),
-        Entry("asked", dict[str, Any], "What was asked for where something else was solved: `auto` chose, or "
+        Entry("asked", Values, "What was asked for where something else was solved: `auto` chose, or "
               "the quadrature was raised."),
         Entry("repeat", Count, "In a study the number of the repetition, from 0."),
         Entry("repeats", Count, "With `--repeats`: how many; the times are medians."),
@@ -357,7 +358,7 @@ ENTRIES = {entry.name: entry for section in SECTIONS.values() for entry in secti
 """All entries by their names."""
 
 
-def record(solution: Relocated) -> dict[str, Any]:
+def record(solution: Relocated) -> Values:
     """The entries that a solution has a value of, as plain JSON values. NaN becomes None."""
     terms, seconds = solution.error_terms
     trace = replace(solution.trace, audit_time_s=solution.trace.audit_time_s + seconds)

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from rmesh_nlp.models.reduced_model import ReducedObjective, ReducedPoint
-from rmesh_nlp.models.residual import Multipliers, released
+from rmesh_nlp.models.residual import OuterMultipliers, released
 from rmesh_nlp.mpcc.result import in_words
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.outer import Outer
 
 MET = (Status.CONVERGED, Status.ACCEPTABLE, Status.NOT_STATIONARY)
@@ -34,7 +33,7 @@ class FirstOrder:
         "KKT" or an MPCC label (W, C, M, S, B) where it was computed, else "".
     is_stationary : bool
         To the tolerance of the solve, over the branches of the contact where there are several.
-    multipliers : Multipliers or None
+    multipliers : OuterMultipliers or None
         Of move limits, areas and angles; where they are large, position or connectivity is the limit.
     label : mapping of str to object
         Entries of the record about stationarity where contact is about to change, for other objectives than
@@ -44,8 +43,8 @@ class FirstOrder:
     residual: float = float("nan")
     stationarity: str = ""
     is_stationary: bool = False
-    multipliers: Multipliers | None = field(default=None, repr=False)
-    label: Mapping[str, Any] = field(default_factory=dict)
+    multipliers: OuterMultipliers | None = field(default=None, repr=False)
+    label: ByName = field(default_factory=dict)
 
 
 def first_order(
@@ -74,9 +73,7 @@ def first_order(
     return FirstOrder(residual, proposed, holds or proved or not relocates, pulls)
 
 
-def _over_branches(
-    outer: Outer, point: ReducedPoint, holds: bool, claimed: bool
-) -> tuple[str, dict[str, Any]]:
+def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Values]:
     """Stationarity label over the branches of the contact, with entries; the energy is smooth across them.
 
     Where no pair is biactive a small first-order residual is the proof. A large one is none against it if the

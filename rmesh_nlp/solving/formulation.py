@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeAlias
 
 from rmesh_nlp.errors import BadInputError, nearest, unknown
 from rmesh_nlp.evaluation import Array
@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import Limit, Positive, Settings
+from rmesh_nlp.settings import ByName, Limit, Positive, Settings, Values
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -127,6 +127,10 @@ class Chooser(Settings, ABC):
         """A formulation, and why; ``is_started`` if a start is given that must not be left."""
 
 
+Asked: TypeAlias = str | Formulation | Chooser
+"""A formulation by its name, or an object whose fields are its settings."""
+
+
 def available(group: str = GROUP) -> Mapping[str, EntryPoint]:
     """Installed formulations, or those of ``WRAPPERS``, by name; nothing is imported yet."""
     return _entries(entry_points, group)
@@ -162,7 +166,7 @@ def name_of(kind: type[Any], group: str = GROUP) -> str:
     return names[0] if names else kind.__name__.lower()
 
 
-def kind_of(formulation: str | Formulation | Chooser) -> type[Formulation | Chooser]:
+def kind_of(formulation: Asked) -> type[Formulation | Chooser]:
     """The class of a formulation, given by its name or by an object."""
     kind = find(formulation) if isinstance(formulation, str) else type(formulation)
     if not (isinstance(kind, type) and issubclass(kind, (Formulation, Chooser))):
@@ -170,7 +174,7 @@ def kind_of(formulation: str | Formulation | Chooser) -> type[Formulation | Choo
     return kind
 
 
-def options(formulation: str | Formulation | Chooser) -> set[str]:
+def options(formulation: Asked) -> set[str]:
     """Names of the options that a formulation takes, wherever they are given.
 
     They are keywords of :func:`rmesh_nlp.solving.driver.solve` and, of a formulation by name, its settings
@@ -183,13 +187,13 @@ def options(formulation: str | Formulation | Chooser) -> set[str]:
     return names
 
 
-def taken(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> dict[str, Any]:
+def taken(formulation: Asked, given: ByName) -> Values:
     """Those of some options that a formulation takes."""
     accepted = options(formulation)
     return {name: value for name, value in given.items() if name in accepted}
 
 
-def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulation | Chooser]) -> None:
+def check_taken(given: ByName, formulations: Sequence[Asked]) -> None:
     """Raise a BadInputError for an option that none of several formulations takes."""
     accepted = {name for formulation in formulations for name in (*NEEDLESS, *options(formulation))}
     for name, value in given.items():
@@ -199,7 +203,7 @@ def check_taken(given: Mapping[str, Any], formulations: Sequence[str | Formulati
             raise BadInputError(f"{name} = {value!r} is not an option of {names}{near}", name)
 
 
-def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
+def checked(formulation: str, given: ByName) -> Values:
     """Options of a formulation, if it takes each of them and its value can be meant; else a BadInputError."""
     check_start(composed(formulation, given), given)
     first(given.get("start"))
@@ -209,7 +213,7 @@ def checked(formulation: str, given: Mapping[str, Any]) -> dict[str, Any]:
     return dict(given)
 
 
-def check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
+def check_start(asked: Formulation | Chooser, given: ByName) -> None:
     """Raise a BadInputError where a start is given and a formulation makes its own."""
     if isinstance(asked, Wrapper):
         name = name_of(type(asked), WRAPPERS)
@@ -219,7 +223,7 @@ def check_start(asked: Formulation | Chooser, given: Mapping[str, Any]) -> None:
         check_start(asked.inner, {**given, name: True})
 
 
-def composed(formulation: str | Formulation | Chooser, given: Mapping[str, Any]) -> Formulation | Chooser:
+def composed(formulation: Asked, given: ByName) -> Formulation | Chooser:
     """A formulation by name with settings, within those that other options ask for.
 
     Options are settings of the formulation, and names of ``WRAPPERS``, each with what it is to do, or False;

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -13,6 +12,7 @@ from rmesh_nlp.contact.system import OwnState
 from rmesh_nlp.errors import BadInputError, expect, located
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import plain
@@ -48,7 +48,7 @@ class Outcome:
     status: Status
     own: OwnState | None = None
     label: str | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: ByName = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class Outcome:
         with located("details", (TypeError,)):
             json.dumps(plain(self.details))
 
-    def having(self, details: Mapping[str, Any], **changes: Any) -> Outcome:
+    def having(self, details: ByName, **changes: Any) -> Outcome:
         """The same with further entries."""
         return replace(self, details={**self.details, **details}, **changes)
 

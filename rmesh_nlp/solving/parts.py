@@ -11,6 +11,7 @@ import numpy as np
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, by_certificate
 from rmesh_nlp.display import bounds_in_words, figure
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.settings import Values
 
 
 @dataclass(frozen=True)
@@ -130,9 +131,9 @@ class Step:
         """``dual_residual`` by its name in records."""
         return self.dual_residual
 
-    def row(self) -> dict[str, Any]:
+    def row(self) -> Values:
         """The step as a line of a history: None where unknown, ``t`` may be ``inf``."""
-        row: dict[str, Any] = plain({name: getattr(self, name) for name in HISTORY})
+        row: Values = plain({name: getattr(self, name) for name in HISTORY})
         row |= plain({DESIGN + name: value for name, value in self.design.items()})
         return {**row, "t": self.t} if np.isinf(self.t) else row
 

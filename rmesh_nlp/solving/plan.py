@@ -4,17 +4,77 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
-from rmesh_nlp.errors import BadInputError
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError, one_line
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
-from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.solving.epigraph import with_levels
-from rmesh_nlp.solving.formulation import Chooser, Formulation, Keywords, check_start, composed, first
+from rmesh_nlp.fem.pressure import LARGEST, contact_on, level_name
+from rmesh_nlp.problem import Constraint, ContactProblem
+from rmesh_nlp.problem.design import Level
+from rmesh_nlp.solving.formulation import (
+    GIVEN,
+    Asked,
+    Formulation,
+    Keywords,
+    check_start,
+    composed,
+    first,
+)
+from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import TOLERANCE, Outer
-from rmesh_nlp.solving.start import Start
+from rmesh_nlp.solving.relocated import Relocated
+
+Start = str | Array | Relocated | None
+"""Node positions (2, nodes), "given", the name of a formulation, a Solution; None for the usual start."""
+
+
+def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) -> tuple[Outer, Array, str]:
+    """The outer problem, told whether the start is near a minimiser, admissible outer variables, and a name.
+
+    None is the mesh as given, or with a seed random outer variables. The name of a formulation runs it first,
+    from where ``seed`` says; its time and contact solves count. The name for the record is "given", "random",
+    "positions", that of a formulation, or "solution of" it.
+    """
+    if start is None and seed is not None:
+        return outer, outer.variables(seed=seed), "random"
+    if (before := first(start)) is not None:
+        outcome = monitor.run(before, outer, outer.variables(seed=seed))
+        return outer.near(), outcome.q, before.name
+    if start is None or isinstance(start, str):
+        return outer, outer.variables(), GIVEN
+    if isinstance(start, Relocated):
+        q = outer.variables(positions(outer, start.mesh.p), design=start.design)
+        with monitor.budget.during("build"):
+            return outer.near(), q, f"solution of {start.formulation}"
+    return outer, outer.variables(positions(outer, start)), "positions"
+
+
+def positions(outer: Outer, nodes: ArrayLike) -> Array:
+    """Node positions as an array, checked to be those of the problem's mesh."""
+    wanted = outer.problem.mesh.p.shape
+    try:
+        positions_of = np.asarray(nodes, dtype=float)
+    except (TypeError, ValueError):
+        said = f"got {one_line(repr(nodes))[:60]}"
+        raise BadInputError(f"start must be a name, positions (2, nodes) or a Solution, {said}") from None
+    if positions_of.ndim != 2 or positions_of.shape[0] != 2:
+        raise BadInputError(
+            f"start must hold positions (2, nodes), got an array of shape {positions_of.shape}"
+        )
+    if positions_of.shape != wanted:
+        raise BadInputError(f"the start has {positions_of.shape[1]} nodes, the problem {wanted[1]}")
+    if (lost := np.argwhere(~np.isfinite(positions_of))).size:
+        raise BadInputError(f"start: node {int(lost[0][1])} has no finite position")
+    return positions_of
+
 
 COMPARED = ("fixed", "nested", "joint", "mpcc")
 """Formulations of a comparison that names none."""
@@ -40,7 +100,7 @@ class Plan:
     def of(
         cls,
         problem: ContactProblem,
-        formulation: str | Formulation | Chooser,
+        formulation: Asked,
         *,
         objective: str | Objective = "energy",
         start: Start = None,
@@ -107,3 +167,31 @@ def example_objective(problem: ContactProblem) -> str:
     where = next(iter((*loaded, *free)), None)
     displacement = "-u" if problem.components == 1 else "-uy"
     return f"body({displacement})" if where is None else f"mean({where}, {displacement})"
+
+
+HEADROOM = 10.0
+"""Largest level, in units of the largest pressure at the start."""
+
+
+def with_levels(problem: ContactProblem, objective: Objective) -> ContactProblem:
+    """The problem with a level, and a constraint, for each largest pressure in an objective."""
+    boundaries = [term.level_of for _, term in objective.terms if term.level_of is not None]
+    if not boundaries:
+        return problem
+    solver = ContactSolver(problem.at_design())
+    space, forces = solver.discretisation.space, solver.given.normal_force
+    levels, constraints = [], []
+    for boundary in dict.fromkeys(boundaries):
+        part = contact_on(space, boundary)
+        peak = float(np.max(vertex_pressures(space, solver.problem.mesh.p, part, forces)))
+        if not peak > 0:
+            said = f"nothing presses on {boundary!r} at the start: begin with a design that is in contact"
+            raise BadInputError(f"{LARGEST}({boundary}): {said}")
+        level = Level(level_name(boundary), peak, (0.0, HEADROOM * peak))
+        levels.append(level)
+        constraints.append(Constraint(f"{LARGEST}({boundary})", (-np.inf, level.symbol)))
+    return replace(
+        problem,
+        design=(*problem.design, *levels),
+        constraints=(*problem.constraints, *constraints),
+    )

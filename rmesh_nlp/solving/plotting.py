@@ -15,6 +15,7 @@ from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sa
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.settings import Values
 
 MAP, GRID_LINE = "viridis", "0.25"
 FINE = 10_000  # elements above which lines are rasterised: as vectors they would fill tens of megabytes
@@ -69,7 +70,7 @@ def plot(
 
 
 def _plot_pressures(
-    axes: Axes, space: DisplacementSpace, nodes: Array, pressure: Array, style: dict[str, Any]
+    axes: Axes, space: DisplacementSpace, nodes: Array, pressure: Array, style: Values
 ) -> None:
     """The pressure along each contact boundary."""
     coordinate = direction(nodes[:, space.contact_nodes])
@@ -84,9 +85,7 @@ def _plot_pressures(
 
 def _bar(axes: Axes, painted: Any, X: Array, label: str) -> None:
     wide = np.ptp(X[0]) > WIDE * np.ptp(X[1])
-    place: dict[str, Any] = (
-        {"location": "bottom", "aspect": 30} if wide else {"location": "right", "shrink": 0.8}
-    )
+    place: Values = {"location": "bottom", "aspect": 30} if wide else {"location": "right", "shrink": 0.8}
     axes.figure.colorbar(painted, ax=axes, label=label, **place)
 
 

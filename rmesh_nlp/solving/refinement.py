@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from rmesh_nlp.assessment.admissible import Admissible
 from rmesh_nlp.assessment.contact_results import ContactResult, contact_results, worse
 from rmesh_nlp.assessment.error_reduction import ErrorReduction, error_reduction
 from rmesh_nlp.contact.active_set import solve
@@ -14,15 +15,45 @@ from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import difference
 from rmesh_nlp.fem.objective import Objective
+from rmesh_nlp.fem.recovery import interpolation_error, recovered
+from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.attained import Attained, attained
 from rmesh_nlp.solving.state import objective_value
 
 SURVIVES = 0.5
 """Least part of a gain by a formulation's own measure that must be left by an accurate one."""
+
+
+@dataclass(frozen=True)
+class Attained:
+    """By how much the best mesh of as many triangles as the last one has would lower the error of the energy.
+
+    ``share_of_attainable`` is its error over that of the last mesh: 1 if that is the best one.
+    """
+
+    attainable_factor: float
+    share_of_attainable: float
+
+
+def attained(
+    gain: float, reduction: ErrorReduction, last: Admissible, finest: Admissible | None
+) -> Attained | None:
+    """Both from derivatives on the refined last mesh, on the last one itself where none was refined.
+
+    ``gain`` is the decrease of the audited energy. The error of the last mesh is that of interpolation,
+    within the bounds that are known.
+    """
+    fine = last if finest is None else finest
+    triangles, refined = last.problem.triangles.shape[1], fine.problem.triangles
+    nodes = fine.body.nodes
+    regions = recovered(fine.parts.space, nodes, fine.displacement)
+    times = (refined.shape[1] / triangles) ** last.problem.order  # how the error falls
+    error = float(np.clip(times * interpolation_error(nodes, refined, regions), *reduction.error))
+    least = min(LeastErrors.of(nodes, regions, triangles).any_mesh, error)
+    return Attained((gain + error) / least, least / error) if least > 0 else None
 
 
 @dataclass(frozen=True)

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from skfem import MeshTri
 
 from rmesh_nlp.assessment.error_reduction import ErrorReduction
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.models.residual import Multipliers
+from rmesh_nlp.models.residual import OuterMultipliers
 from rmesh_nlp.optimize.budget import Budget, Limits
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.assessment import Assessment
 from rmesh_nlp.solving.parts import Certificate, Constrained, Step, Trace
 from rmesh_nlp.solving.refinement import ReducedError, SurvivingGain
@@ -61,13 +61,13 @@ class Relocated:
     trace: Trace = Trace()  # noqa: RUF009 frozen
     formulation: str = ""
     start: str = "given"
-    settings: dict[str, Any] = field(default_factory=dict)
+    settings: Values = field(default_factory=dict)
     seed: int | None = None
     limits: Limits = Limits()  # noqa: RUF009 frozen
     safe: str | None = None
     chosen_by: str | None = None
     chosen: str | None = None
-    details: Mapping[str, Any] = field(default_factory=dict)
+    details: ByName = field(default_factory=dict)
     reduced_error: ReducedError = ReducedError()  # noqa: RUF009 frozen
     surviving_gain: SurvivingGain | None = None
     certificate: Certificate | None = field(default=None, repr=False)
@@ -196,7 +196,7 @@ class Relocated:
         return self.final.constraints
 
     @property
-    def multipliers(self) -> Multipliers | None:
+    def multipliers(self) -> OuterMultipliers | None:
         """Of move limits, areas and angles; where they are large, position or connectivity is the limit."""
         return self.assessment.first_order.multipliers
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from itertools import product
 from pathlib import Path
@@ -16,12 +16,12 @@ from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.folder import folder_aside
 from rmesh_nlp.io.problem_file import load_problem, read_table
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, Records
 from rmesh_nlp.io.results import RECORDS, TABLES, Results
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.contact_problem import refined
-from rmesh_nlp.settings import from_texts
+from rmesh_nlp.settings import ByName, Values, from_texts
 from rmesh_nlp.solving.formulation import check_taken, checked, taken
 from rmesh_nlp.solving.plan import COMPARED, compared
 from rmesh_nlp.study import engine
@@ -41,7 +41,7 @@ def plan_comparison(
     delta: Delta | None = None,
     order: int | None = None,
     quadrature: str | int | None = None,
-    options: Mapping[str, Any] | None = None,
+    options: ByName | None = None,
     certify: bool = False,
     repeats: int = 1,
 ) -> list[PlannedSolve]:
@@ -57,11 +57,11 @@ def plan_comparison(
     """
     options = dict(options or {})
     own = _file_problems(examples, order)  # with their objectives
-    given: dict[str, Any] = {"n": n, "delta": delta, "order": order, "quadrature": quadrature}
+    given: Values = {"n": n, "delta": delta, "order": order, "quadrature": quadrature}
     given = {key: value for key, value in given.items() if value is not None}
     if own:
         refuse_changes(given, "the files")
-    problems: list[tuple[dict[str, Any], ContactProblem, dict[str, Any]]] = [
+    problems: list[tuple[Values, ContactProblem, Values]] = [
         ({}, problem, {} if text == "energy" else {"objective": text}) for problem, text in own
     ]
     for name in (name for name in examples if not name.endswith(SUFFIX)):
@@ -94,14 +94,14 @@ def plan_comparison(
     return solves + [planned(fine, "fixed", certify=certify) for fine in finer]
 
 
-def refuse_changes(given: Mapping[str, Any], file: str) -> None:
+def refuse_changes(given: ByName, file: str) -> None:
     """Raise a BadInputError for what is given of a problem and is for the examples alone."""
     for name in ("n", "delta", "quadrature"):
         if name in given:
             raise BadInputError(f"--{name} {given[name]} is for the examples: write it into {file}")
 
 
-def formulation_options(text: str) -> tuple[str, dict[str, Any]]:
+def formulation_options(text: str) -> tuple[str, Values]:
     """A formulation with options of its own, ``mpcc:start=joint`` or ``nested:iterations=20:seed=3``."""
     name, *parts = text.split(":")
     return name, checked(name, from_texts(parts, f"{text!r}: an option "))
@@ -128,7 +128,7 @@ def _twice(names: Sequence[str]) -> str:
 def _refinements(problem: ContactProblem) -> Iterator[ContactProblem]:
     """The problem on uniformly refined meshes, coarsest first; none where there is no energy to compare."""
     for _ in range(0 if problem.design or problem.has_coulomb else REFINEMENTS):
-        if problem.mesh.p.shape[1] + problem.mesh.facets.shape[1] > LARGEST:
+        if problem.mesh.p.shape[1] + problem.mesh.nfacets > LARGEST:
             return
         problem = refined(problem)
         yield problem
@@ -181,7 +181,7 @@ def run(
                 raise KeyboardInterrupt
 
 
-def _finished(plan: Sequence[PlannedSolve], rows: Sequence[Record], results: Results) -> dict[str, Record]:
+def _finished(plan: Sequence[PlannedSolve], rows: Records, results: Results) -> dict[str, Record]:
     """Rows of solves that need not be done again."""
     by_key = {row.get("key"): row for row in rows if row["success"] and row["status"] != INTERRUPTED}
     done = {}

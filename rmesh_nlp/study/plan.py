@@ -21,8 +21,9 @@ from rmesh_nlp.examples.reference import with_reference
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.folder import safe_name
 from rmesh_nlp.io.problem_file import load_problem, read_table
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, Records
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.formulation import Chooser, Formulation, checked, taken
 from rmesh_nlp.study.study_file import StudyTable
 
@@ -36,13 +37,13 @@ class PlannedSolve:
     All but ``built`` and ``made`` are plain JSON values, which travel to other processes and machines.
     """
 
-    problem: Mapping[str, Any]  # kind (example, file, random) and what states it; empty where built is all
+    problem: ByName  # kind (example, file, random) and what states it; empty where built is all
     name: str
     family: str  # of problems that summaries join
     size: str
     variant: str  # its name in a study; empty in a comparison
     formulation: str  # name of an installed one, or what rows call made
-    options: Mapping[str, Any] = field(default_factory=dict)  # of a solve: objective, seed, ...
+    options: ByName = field(default_factory=dict)  # of a solve: objective, seed, ...
     repeat: int = 0  # number of the repetition in a study
     time_s: float = math.inf  # limits, above which a process of its own is killed
     memory_mb: float = math.inf
@@ -71,10 +72,9 @@ class PlannedSolve:
                 for name, value in sorted(_flat(self.options))
             ]
             return safe_name("-".join(filter(None, [*which, self.formulation, *options])))
-        decisive = ("formulation", "options", "repeat", "certify", "time_s", "memory_mb")
+        decisive = ("variant", "formulation", "options", "repeat", "certify", "time_s", "memory_mb")
         content = {
             "problem": {k: v for k, v in self.problem.items() if k != "path"},
-            "strategy": self.variant,  # its name when the first keys were made
             "version": __version__,
             **{name: getattr(self, name) for name in decisive},
         }
@@ -94,13 +94,13 @@ class PlannedSolve:
         motion, rule = self.built.motion.delta_record(), self.built.rule
         return {**entries, "n": self.built.size, "delta": motion, "quadrature": rule}
 
-    def plain(self) -> dict[str, Any]:
+    def plain(self) -> Values:
         """What travels, by the names of the attributes."""
         kept = (attribute.name for attribute in fields(self) if attribute.name not in ("built", "made"))
         return {name: getattr(self, name) for name in kept}
 
 
-def _flat(options: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(options: ByName) -> Iterator[tuple[str, Any]]:
     """Options and those inside of them."""
     for name, value in options.items():
         if isinstance(value, Mapping):
@@ -110,10 +110,10 @@ def _flat(options: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
 
 
 def planned(
-    built: ContactProblem, formulation: str, options: Mapping[str, Any] | None = None, **others: Any
+    built: ContactProblem, formulation: str, options: ByName | None = None, **others: Any
 ) -> PlannedSolve:
     """A solve of a problem that is at hand, with other attributes by name."""
-    about: dict[str, Any] = {"name": built.name, "family": built.name, "size": built.size, "built": built}
+    about: Values = {"name": built.name, "family": built.name, "size": built.size, "built": built}
     about |= {"formulation": formulation, "options": options or {}}
     return PlannedSolve(**{"problem": {}, "variant": "", **about, **others})
 
@@ -127,15 +127,15 @@ def build(solve: PlannedSolve) -> ContactProblem:
     return problem  # where nothing is known of the solution the formulation refuses such an objective
 
 
-def _problem(stated: Mapping[str, Any]) -> ContactProblem:
+def _problem(stated: ByName) -> ContactProblem:
     if stated["kind"] == "example":
         return build_example(**{key: value for key, value in stated.items() if key != "kind"})
     if stated["kind"] == "file":
         return load_problem(stated["path"], stated.get("order"))
     if stated["kind"] == "random":
         problem = random_problem(stated["seed"], kind=stated["of"], order=stated.get("order", 1))
-        return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.t.shape[1]} triangles")
-    raise BadInputError(f"unknown kind of problem {stated['kind']!r}")
+        return replace(problem, name=f"random-{stated['seed']}", size=f"{problem.mesh.nelements} triangles")
+    raise ValueError(f"unknown kind of problem {stated['kind']!r}")
 
 
 def build_example(example: str, quadrature: str | int | None = None, **given: Any) -> ContactProblem:
@@ -156,7 +156,7 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     """
     stated = study.objectives
     variants = {stated: list(_variants(study, path, stated))}
-    common: dict[str, Any] = {"time_s": study.limits.seconds, "memory_mb": study.limits.memory}
+    common: Values = {"time_s": study.limits.seconds, "memory_mb": study.limits.memory}
     common |= {"fields": study.fields, "certify": study.certify}
     problems, solves = list(_problems(study, path)), []
     if (count := len(problems) * len(variants[stated]) * study.repeats) > LARGEST:
@@ -175,16 +175,14 @@ def make_plan(study: StudyTable, path: Path) -> list[PlannedSolve]:
     return list({solve.key: solve for solve in solves}.values())
 
 
-def _variants(
-    study: StudyTable, path: Path, objectives: Sequence[str]
-) -> Iterator[tuple[str, str, dict[str, Any]]]:
+def _variants(study: StudyTable, path: Path, objectives: Sequence[str]) -> Iterator[tuple[str, str, Values]]:
     """Name, formulation and options of each for each objective and seed, also those that it does not take."""
     limits = {"seconds": study.limits.seconds, "iterations": study.limits.iterations}
     limits = {name: value for name, value in limits.items() if value is not None}
     for variant, table in study.formulations.items():
         formulation = table.formulation or variant
         for objective, seed in product(objectives, study.seeds):
-            common: dict[str, Any] = {"limits": limits}
+            common: Values = {"limits": limits}
             common |= {} if objective == "energy" else {"objective": objective}
             common |= {} if seed == "given" else {"seed": seed}
             with located(f"{path}: formulations.{variant}"):
@@ -192,13 +190,13 @@ def _variants(
             yield variant, formulation, options
 
 
-def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], str, str, str]]:
+def _problems(study: StudyTable, path: Path) -> Iterator[tuple[Values, str, str, str]]:
     """What states each problem, its name, family and size."""
     for name in study.examples:
         sizes = study.sizes.get(name, ()) if isinstance(study.sizes, dict) else study.sizes
         for size, order in product(sizes or (None,), study.order or (1,)):
-            stated = {"kind": "example", "example": name, "quadrature": study.quadrature or RULES[order]}
-            stated |= ({} if size is None else {"n": size}) | _order(order)
+            stated = {"kind": "example", "example": name, "order": order}
+            stated |= {"quadrature": study.quadrature or RULES[order]} | ({} if size is None else {"n": size})
             with located(path):
                 built = _problem(stated)
             yield stated, name, name, built.size
@@ -210,23 +208,17 @@ def _problems(study: StudyTable, path: Path) -> Iterator[tuple[dict[str, Any], s
             parts.append((file.parent / table.mesh.file).read_bytes())
         digest = hashlib.sha256(b"\0".join(parts)).hexdigest()
         for order in study.order or (table.order,):
-            own = {} if order == table.order == 1 else {"order": order}
-            stated = {"kind": "file", "digest": digest, "path": str(file.resolve()), **own}
+            stated = {"kind": "file", "digest": digest, "path": str(file.resolve()), "order": order}
             yield stated, load_problem(file, order).name, Path(text).stem, ""
     if (draws := study.random) is not None:
         for number in range(draws.seed, draws.seed + draws.count):
             kind = draws.kinds[number % len(draws.kinds)]
             for order in study.order or (1,):
-                stated = {"kind": "random", "seed": number, "of": kind, **_order(order)}
+                stated = {"kind": "random", "seed": number, "of": kind, "order": order}
                 yield stated, f"random-{number}", f"random {kind}", ""
 
 
-def _order(order: int) -> dict[str, int]:
-    """What states another order than 1, which keys of old do not name."""
-    return {} if order == 1 else {"order": order}
-
-
-def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Sequence[Record]) -> float:
+def seconds_of_plan(solves: Sequence[PlannedSolve], rows: Records) -> float:
     """Seconds that the solves take one after the other at most, by their limits, and roughly by these rows.
 
     A solve takes the median of those of its variant, family and order; none exceeds its limit.

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from statistics import median
 
 from rmesh_nlp.errors import one_line
 from rmesh_nlp.io.export import write_solution
 from rmesh_nlp.io.folder import write_whole
-from rmesh_nlp.io.records import REQUIRED, Record
+from rmesh_nlp.io.records import REQUIRED, Record, Records
 from rmesh_nlp.io.results import Result, write_history
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
@@ -109,7 +108,7 @@ def failure(solve: PlannedSolve, status: str, message: str, seconds: float = 0.0
     }
 
 
-def joined(rows: Sequence[Record]) -> Record:
+def joined(rows: Records) -> Record:
     """The first of several rows of one solve, with the medians of the times of all.
 
     Beside each time stands its range, ``build_time_range_s`` and so on: the least and the largest.

@@ -18,7 +18,7 @@ from pydantic import (
 
 from rmesh_nlp.examples.paper import as_size
 from rmesh_nlp.io.problem_file import read_tables, read_toml
-from rmesh_nlp.io.problem_schema import Table
+from rmesh_nlp.io.problem_schema import FileTable
 from rmesh_nlp.io.problem_values import LARGEST, Flag, ObjectiveText, Seed, Text, as_list, expected
 
 Kind = Literal["scalar", "membrane", "elastic", "rough"]
@@ -67,7 +67,7 @@ Seeds = Annotated[
 ]
 
 
-class RandomTable(Table):
+class RandomTable(FileTable):
     """``random``: so many random contact problems, numbered from a seed."""
 
     seed: Seed = 0
@@ -89,7 +89,7 @@ class FormulationTable(BaseModel):
         return dict(self.model_extra or {})
 
 
-class LimitsTable(Table):
+class LimitsTable(FileTable):
     """``[limits]`` of each solve: seconds, megabytes, iterations."""
 
     seconds: Positive = 60.0
@@ -97,7 +97,7 @@ class LimitsTable(Table):
     iterations: Count | None = None
 
 
-class StudyTable(Table):
+class StudyTable(FileTable):
     """A whole study file."""
 
     name: Text | None = None

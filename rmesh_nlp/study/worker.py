@@ -1,21 +1,81 @@
-"""What a worker does with a planned solve: solve it in a process of its own and write its row."""
+"""What a worker does with a planned solve: solve it in a process of its own and write its row.
+
+``python -m rmesh_nlp.study.worker`` is that process, which can be killed: a hang, a leak or a crash becomes a
+row. It takes solves on stdin and gives rows on stdout, as JSON lines.
+"""
 
 from __future__ import annotations
 
 import functools
 import json
 import os
+import platform
 import socket
 import sys
+import warnings
+from collections.abc import Collection
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from rmesh_nlp.io.records import Record
-from rmesh_nlp.optimize.budget import Budget
-from rmesh_nlp.study.contained import Contained
-from rmesh_nlp.study.environment import environment
+import numpy as np
+
+from rmesh_nlp.io.records import Record, to_json
+from rmesh_nlp.io.results import Results
+from rmesh_nlp.optimize.budget import Budget, processor_seconds
+from rmesh_nlp.optimize.process import Process, serve
+from rmesh_nlp.settings import Values
+from rmesh_nlp.solving.entries import versions
 from rmesh_nlp.study.plan import PlannedSolve
 from rmesh_nlp.study.rows import RowsFile, keys_of
+from rmesh_nlp.study.runner import failure, perform
+
+GRACE_S = 2.0
+GRACE = 1.25
+"""A solve is killed after its time limit times ``GRACE`` plus ``GRACE_S``: formulations that keep the limit
+themselves then still return their best point."""
+
+
+class Contained:
+    """Runs planned solves one after the other in a process of their own on the given cores.
+
+    Once the ``session`` is stopped a StoppedError ends what is solved.
+    """
+
+    def __init__(self, cores: Collection[int] | None, session: Budget | None) -> None:
+        self._process, self._session = Process("rmesh_nlp.study.worker", cores), session
+        self.close = self._process.close
+
+    def solve(self, solve: PlannedSolve, folder: Path) -> Record:
+        """The row of a solve, whatever happens to it; its fields are kept in a folder of results."""
+        request = json.dumps({"solve": solve.plain(), "folder": str(folder)})
+        seconds = solve.time_s * GRACE + GRACE_S
+        answer = self._process.ask(request.encode(), self._session, seconds, solve.memory_mb)
+        if answer.line is not None:
+            if self._process.megabytes > 0.5 * solve.memory_mb:
+                self.close()  # what a leak has left is not charged to the next solve
+            row: Record = json.loads(answer.line)
+            return row
+        said = {
+            "time_limit": f"killed after {answer.seconds:.1f} s: the limit is {solve.time_s:g} s",
+            "memory_limit": f"killed with more memory than the limit of {solve.memory_mb:g} MB",
+            "died": f"its process ended twice, at last with code {answer.code}",
+        }
+        return failure(solve, answer.why, said[answer.why], answer.seconds)
+
+
+def _row(line: bytes) -> bytes:
+    """Run a solve, keep its fields in a folder of results, and return its row as JSON."""
+    request = json.loads(line)
+    solve, folder = PlannedSolve(**request["solve"]), Path(request["folder"])
+    watch, cpu = Budget(), processor_seconds()
+    done = perform(solve)
+    times = {"task_time_s": watch.elapsed, "cpu_time_s": processor_seconds() - cpu}
+    row = {**done.row, **times}
+    if solve.fields:
+        done.save(Results(folder).result(row))
+    return to_json(row).encode()
+
 
 ALONE = 0.9  # a solve that got less of its time from the processor shared it with something
 
@@ -68,7 +128,7 @@ def worker_of(folder: str) -> Worker:
     return Worker(Path(folder))
 
 
-def task(content: dict[str, Any], folder: str) -> Record:
+def task(content: Values, folder: str) -> Record:
     """A task of a cluster: :meth:`Worker.perform`, unless a lost worker has written the row before."""
     solve = PlannedSolve(**content)
     if solve.key in keys_of(Path(folder)):
@@ -91,3 +151,40 @@ def _own_core() -> tuple[int, socket.socket] | None:
         else:
             return core, holder
     return None
+
+
+def environment() -> Values:
+    """What decides times, and in chaotic descents the last digits, as plain JSON values."""
+    return {
+        "host": socket.gethostname(),
+        "system": platform.platform(),
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "cores_allowed": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else None,
+        "blas": _blas(),
+        "threads": {name: os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")},
+        "openblas_coretype": os.environ.get("OPENBLAS_CORETYPE"),
+        "versions": versions(),
+    }
+
+
+def _processor() -> str:
+    with suppress(OSError):
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor()
+
+
+def _blas() -> str:
+    try:
+        config: Any = np.show_config(mode="dicts")
+        blas = config["Build Dependencies"]["blas"]
+        return f"{blas['name']} {blas['version']}"
+    except (TypeError, KeyError):  # other versions of numpy say it otherwise
+        return "unknown"
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    serve(_row)

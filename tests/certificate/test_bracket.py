@@ -18,7 +18,7 @@ from rmesh_nlp.certificate import NotCertifiableError, equilibration
 from rmesh_nlp.certificate.bracket import AT_NODES, Bracket, bracket, edge_residual, refined_bracket
 from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
-from rmesh_nlp.certificate.fields import Fields, element_of, law_of
+from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of
 from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.skeleton import skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
@@ -374,7 +374,7 @@ def test_a_field_that_does_not_balance_its_load_is_noticed(law: PlaneStrain | La
     skeleton, element, rng = skeleton_of(problem, mesh.p), element_of(problem), np.random.default_rng(0)
     functions = element.pieces.restriction.shape[2]
     load = rng.normal(size=(problem.components, functions, mesh.t.shape[1]))
-    fields = Fields(element, skeleton, law_of(problem, skeleton), load)
+    fields = TraceFields(element, skeleton, law_of(problem, skeleton), load)
     field = fields.of_traces(rng.normal(size=fields.source.shape))
     assert fields.imbalance(field, load) < 1e-12
     assert fields.imbalance(field, load * 1.01) > 1e-8

@@ -13,7 +13,7 @@ import pytest
 import rmesh_nlp as rm
 from formulations import nested as module
 from formulations import outer_solvers
-from formulations.finish import EXACT_FINISH, Finish
+from formulations.finish import EXACT_FINISH, Finished
 from formulations.nested import CREEPING, LONG_WINDOW, WINDOW, Creeping, Nested
 from formulations.outer_solvers import OuterResult
 from gallery.kinks import seal
@@ -70,7 +70,7 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
 def test_a_finish_that_fails_is_not_taken_and_the_descent_that_is_left_is_said(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(module, "finished", lambda outer, q, monitor: Finish(q, False))
+    monkeypatch.setattr(module, "finished", lambda outer, q, monitor: Finished(q, False))
     solution = rm.solve(SEAL, "nested", objective=LEAK)
     row = solution.record()
     assert (solution.success, solution.status) == (True, Status.STALLED)
@@ -91,7 +91,7 @@ def test_where_a_descent_creeps_the_finish_begins_at_its_best_point(monkeypatch:
         return OuterResult(last, Status.INTERRUPTED)
 
     monkeypatch.setattr(outer_solvers, "solved", creeping)
-    monkeypatch.setattr(module, "finished", lambda outer, q, monitor: begun.append(q) or Finish(q, False))
+    monkeypatch.setattr(module, "finished", lambda outer, q, monitor: begun.append(q) or Finished(q, False))
     found = Nested().run(outer, start, Monitor())
     assert found.status is Status.STALLED
     np.testing.assert_array_equal(begun, [best])

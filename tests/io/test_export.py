@@ -96,7 +96,7 @@ def test_file_has_all_fields(problem, solution, tmp_path):
     assert file.cells[0].type == {1: "triangle", 2: "triangle6"}[space.order]
     assert len(file.points) == space.n_nodes
     limit = np.pad(solution.multipliers.limit, (0, space.n_nodes - space.n_vertices))
-    np.testing.assert_array_equal(nodes["box_multiplier"], limit)
+    np.testing.assert_array_equal(nodes["limit_multiplier"], limit)
     assert np.all(nodes["mobility"][: space.n_vertices] >= 0)
     assert np.all(nodes["mobility"][space.n_vertices :] == -1)
     assert np.any(solution.multipliers.limit != 0)

@@ -17,7 +17,7 @@ from rmesh_nlp.examples.random_problems import random_problem
 from rmesh_nlp.meshes import from_arrays
 from rmesh_nlp.meshes.coarsening import Lines, decimated
 from rmesh_nlp.meshes.curves import Circle
-from rmesh_nlp.meshes.delaunay import Measured, delaunay
+from rmesh_nlp.meshes.delaunay import MetricNodes, delaunay
 from rmesh_nlp.meshes.geometry import counter_clockwise, signed_areas
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.energy_nlp import relocation
@@ -214,7 +214,7 @@ def test_delaunay_in_the_plane_is_scipys_and_keeps_fixed_edges() -> None:
     p = mesh.p.copy()
     inside = mesh.interior_nodes()
     p[:, inside] += rng.uniform(-0.07, 0.07, (2, inside.size))
-    plane = Measured(p, np.tile([[1.0], [0.0], [1.0]], p.shape[1]))
+    plane = MetricNodes(p, np.tile([[1.0], [0.0], [1.0]], p.shape[1]))
     t, fixed = counter_clockwise(p, mesh.t), mesh.facets[:, [10, 20, 30]]
     found = delaunay(plane, t, np.zeros((2, 0), dtype=int))
     expected = Delaunay(p.T).simplices

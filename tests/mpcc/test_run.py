@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, solve
-from rmesh_nlp.mpcc.result import Step, in_words
+from rmesh_nlp.mpcc.result import Stage, in_words
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import ended, run_of, two_minima
 
@@ -47,7 +47,7 @@ def test_history_is_a_table_and_lines_are_shown(capsys):
     solve(two_minima(), 0.5, progress=True)
     assert "relaxed" in capsys.readouterr().out
     measured = {"objective": 1.0, "constraint_violation": 0.0, "complementarity": 0.0, "product": 0.0}
-    line = Step(phase="branch", t=0.0, **measured, iterations=3).line()
+    line = Stage(phase="branch", t=0.0, **measured, iterations=3).line()
     assert line.split() == ["branch", "0.0e+00", "1.00000000e+00", *["0.0e+00"] * 3, "3", "converged"]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.report.blocks import (
-    Block,
+    Case,
     block_key,
     blocks,
     delta_text,
@@ -46,7 +46,7 @@ def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
     ],
 )
 def test_values_of_the_paper_are_for_its_settings(changes: dict[str, Any], is_paper: bool) -> None:
-    block = Block((fixed_61(**changes),))
+    block = Case((fixed_61(**changes),))
     assert (block.paper is not None) == is_paper
     rows = body(ENERGIES, block)
     assert len(rows) == (3 if is_paper else 1)
@@ -72,11 +72,11 @@ def test_labels(changes: dict[str, Any], text: str) -> None:
 
 
 def test_titles_and_names_tell_the_settings_that_differ() -> None:
-    assert Block((fixed_61(),)).title == "Example 6.1: n = 8, delta = 0.0275, midpoint rule"
-    rule = Block((fixed_61(quadrature=6, delta=None),))
+    assert Case((fixed_61(),)).title == "Example 6.1: n = 8, delta = 0.0275, midpoint rule"
+    rule = Case((fixed_61(quadrature=6, delta=None),))
     assert rule.title == "Example 6.1: n = 8, delta = none, rule of degree 6"
     quadratic = fixed_61(order=2)
-    assert Block((quadratic,)).title == "Example 6.1: n = 8, order 2, delta = 0.0275, midpoint rule"
+    assert Case((quadratic,)).title == "Example 6.1: n = 8, order 2, delta = 0.0275, midpoint rule"
     assert names_of_solves([quadratic]) == ["6.1, order 2, fixed"]
     assert names_of_solves([fixed_61(), quadratic]) == ["6.1, order 1, fixed", "6.1, order 2, fixed"]
     assert delta_text({"relative": 0.3}) == "0.3 x shortest edge"
@@ -92,13 +92,13 @@ def test_titles_and_names_tell_the_settings_that_differ() -> None:
 
 def test_the_best_is_the_success_of_least_energy_or_of_the_least_value_of_another_objective() -> None:
     low, bad = joint_61(energy_audited=-1.2), joint_61(energy_audited=-9.0, success=False)
-    block = Block((bad, low, fixed_61(energy_audited=-1.1)))
+    block = Case((bad, low, fixed_61(energy_audited=-1.1)))
     assert block.best is low
     assert len(block.succeeded) == 2
-    assert Block((bad,)).best is None
+    assert Case((bad,)).best is None
     one, two = designed(), designed(objective_value=5e-4, energy_audited=9.0)
-    assert Block((one, two)).best is two
-    assert Block((one, {**two, "objective_value": None})).best is one
+    assert Case((one, two)).best is two
+    assert Case((one, {**two, "objective_value": None})).best is one
 
 
 PAID, REACHED, BOTH = "cost [contact solves]", "cost to that J", ("guaranteed_lower", "guaranteed_upper")

@@ -18,14 +18,14 @@ from matplotlib.text import Text
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
-from rmesh_nlp.io.vtu import Fields, MeshState, read_vtu, state_of
+from rmesh_nlp.io.vtu import MeshState, SolutionFields, read_vtu, state_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure
 from rmesh_nlp.report.drawing import (
-    Body,
+    DrawnBody,
     contact_figure,
     displacement_figure,
     window,
@@ -153,7 +153,7 @@ TRIANGLE = np.array([[0], [1], [2]])
 
 def stress_figure(curves: dict[str, MeshState], units: Units = Units()) -> Figure:  # noqa: B008
     """Contact stresses of states by name."""
-    figure = contact_figure([Body(name, TRIANGLE, one) for name, one in curves.items()], PAGE, units)
+    figure = contact_figure([DrawnBody(name, TRIANGLE, one) for name, one in curves.items()], PAGE, units)
     assert figure is not None
     return figure
 
@@ -188,7 +188,7 @@ def test_with_friction_a_second_panel_has_the_bounds() -> None:
 def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
     record = {"relative_error_bound": 0.25, "guaranteed_lower": True}
     bounds = {"error_bound_initial": np.array([0.2]), "error_bound": np.array([0.05])}
-    fields = Fields(TRIANGLE, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
+    fields = SolutionFields(TRIANGLE, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
     figure = error_figure(fields, record, PAGE)  # of area 0.1
     before, after = figure.axes[:2]
     assert [float(axis.collections[0].get_array()[0]) for axis in (before, after)] == pytest.approx([2, 1])
@@ -243,7 +243,7 @@ def drawings(solution: Solution, folder: Path) -> Sequence[Axes]:
     result = saved(solution, folder)
     meshes = next(figure for name, figure in pictures(result, PAGE) if name == "mesh")
     fields = read_vtu(result.vtu)
-    bodies = [Body("it", fields.triangles, fields.final)]
+    bodies = [DrawnBody("it", fields.triangles, fields.final)]
     grids = displacement_figure(bodies, PAGE, Units(), deformed=True)
     return [meshes.axes[1], grids.axes[1]]
 
@@ -271,7 +271,9 @@ def test_flat_foundation_stays_flat_and_is_touched(
 def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, is_far: bool) -> None:
     problem = replace(pressed(0.0).problem, obstacle=Obstacle.line("bottom", (0.0, -below), (0.0, 1.0)))
     none = np.zeros(problem.mesh.p.shape[1])
-    block = Body("", problem.mesh.t, state_of(problem, problem.mesh.p, np.stack([none, none]), none, none))
+    block = DrawnBody(
+        "", problem.mesh.t, state_of(problem, problem.mesh.p, np.stack([none, none]), none, none)
+    )
     (one,) = block.contacts
     assert (one.name, block.near) == ("bottom", [] if is_far else [one])
     assert one.distance == pytest.approx(below)

@@ -17,7 +17,7 @@ from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
 from rmesh_nlp.report.curves import design_figure
-from rmesh_nlp.report.drawing import Body
+from rmesh_nlp.report.drawing import DrawnBody
 from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.pictures import Limit, limits, pictures
 from rmesh_nlp.report.style import Page
@@ -74,7 +74,7 @@ def test_the_contact_set_of_a_membrane_is_where_it_touches(tmp_path: Path) -> No
     result = saved(joint.solve(problem), tmp_path)
     _, meshes = next(pictures(result, Page()))
     fields = read_vtu(result.vtu)
-    bodies = [Body("", fields.triangles, state) for state in (fields.given, fields.final)]
+    bodies = [DrawnBody("", fields.triangles, state) for state in (fields.given, fields.final)]
     for state, axis in zip(bodies, meshes.axes, strict=True):
         inside = np.isin(np.arange(state.triangles.shape[1]), state.closed)
         assert 0 < inside.sum() < inside.size

@@ -19,8 +19,8 @@ from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.attainable import LeastErrors
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
 from rmesh_nlp.solving.advice import Advice, advise, recommended
-from rmesh_nlp.solving.attained import attained
 from rmesh_nlp.solving.driver import solve
+from rmesh_nlp.solving.refinement import attained
 
 
 def parabola(n: int, **changes: Any) -> ContactProblem:

@@ -12,8 +12,8 @@ from rmesh_nlp.io.records import REQUIRED, DamagedRecordsWarning, to_json
 from rmesh_nlp.io.results import Results, read_results
 from rmesh_nlp.study import comparison, engine
 from rmesh_nlp.study.comparison import plan_comparison, run
-from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.runner import Done, failure, perform
+from rmesh_nlp.study.worker import Contained
 from support.planted import plant, raising
 from support.problem_files import VALID
 

@@ -16,11 +16,11 @@ from rmesh_nlp.io.records import MEASURED
 from rmesh_nlp.io.results import read_results, row_files
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.study import engine, worker
-from rmesh_nlp.study.contained import Contained
 from rmesh_nlp.study.plan import PlannedSolve, make_plan
 from rmesh_nlp.study.rows import RowsFile
 from rmesh_nlp.study.runner import failure
 from rmesh_nlp.study.study_file import read_study
+from rmesh_nlp.study.worker import Contained
 from support.planted import install
 
 SMALL = 'random = { seed = 0, count = 3 }\nformulations = ["fixed"]\n'
@@ -73,7 +73,7 @@ def answers(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("bad")
 def test_a_hang_a_leak_and_a_crash_are_a_row_each_and_the_next_solve_runs(tmp_path, monkeypatch):
-    monkeypatch.setattr("rmesh_nlp.study.contained.GRACE_S", 0.2)
+    monkeypatch.setattr("rmesh_nlp.study.worker.GRACE_S", 0.2)
     monkeypatch.setenv("CRASH_MARK", str(tmp_path / "mark"))
     plan = [solve_of("hang", time_s=0.5), solve_of("leak", memory_mb=600.0, time_s=60.0)]
     plan += [solve_of(name) for name in ("crash", "crash_once", "fixed")]
@@ -165,7 +165,7 @@ def test_workers_that_outlived_their_client_and_a_missing_extra_are_one_line(tmp
 def test_without_processes_a_study_ends_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(sys, "executable", "false")
     assert cli.run(["study", study_file(tmp_path), "--out", str(tmp_path / "out"), "--jobs", "2"]) == 2
-    assert capsys.readouterr().err.endswith("study.contained could be started: it ended with code 1\n")
+    assert capsys.readouterr().err.endswith("study.worker could be started: it ended with code 1\n")
 
 
 @pytest.mark.slow

@@ -13,7 +13,7 @@ from rmesh_nlp.mpcc import MPCC, Options
 from rmesh_nlp.mpcc.lifting import Lifted, lift
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.result import Step
+from rmesh_nlp.mpcc.result import Stage
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
@@ -97,7 +97,7 @@ class ScriptedRun(Run):
         answer = self.relaxations(self.calls[-1])
         measured = {"objective": answer.objective, "constraint_violation": 0.0, "complementarity": 0.0}
         self.steps.append(
-            Step(phase="relaxed", t=t, **measured, product=answer.product, status=answer.status)
+            Stage(phase="relaxed", t=t, **measured, product=answer.product, status=answer.status)
         )
         self.answered_cost = answer.cost
         return ended(answer.x, answer.status)
