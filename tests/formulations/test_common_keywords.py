@@ -40,7 +40,9 @@ UNLIMITED = replace(SMALL, motion=replace(SMALL.motion, delta=None))
 @pytest.mark.parametrize("formulation", [*FORMULATIONS, auto])
 def test_every_formulation_has_the_common_keywords(formulation: Any) -> None:
     asked = {*KEYWORDS, "sede"}
-    assert options(formulation.name) & asked == ({"audit", "objective"} if formulation is fixed else {*KEYWORDS})
+    assert options(formulation.name) & asked == (
+        {"audit", "objective"} if formulation is fixed else {*KEYWORDS}
+    )
 
 
 WITH_STEPS = pytest.mark.parametrize(
