@@ -105,6 +105,6 @@ def test_an_exception_is_a_row(one, error, status, message, monkeypatch):
 
 def test_a_problem_that_cannot_be_built_is_a_row():
     row = perform(PlannedSolve({"kind": "dream"}, "x", "f", "9", "v", "fixed")).row
-    assert (row["status"], row["message"]) == ("failed", "BadInputError: unknown kind of problem 'dream'")
+    assert (row["status"], row["message"]) == ("failed", "ValueError: unknown kind of problem 'dream'")
     assert set(REQUIRED) <= set(row)
     assert (row["example"], row["family"], row["n"], row["variant"], row["repeat"]) == ("x", "f", "9", "v", 0)
