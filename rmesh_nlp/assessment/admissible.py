@@ -333,7 +333,7 @@ def _in_contact(program: ContactSystem, x: Array) -> Equilibrium:
     A node touches where its force is positive, and slides where friction has its bound, up to rounding.
     """
     rotated, bound = program.rotated, program.slip_bound
-    residual = rotated.turned(program.stiffness @ x - program.load)
+    residual = rotated.basis.T @ (program.stiffness @ x - program.load)
     normal = np.maximum(residual[rotated.normal], 0.0)
     along = np.where(rotated.slips, residual[rotated.tangent], 0.0)[: bound.size]
     sliding = np.where(np.abs(along) < bound * (1 - 1e-6), 0, -np.sign(along)).astype(np.int8)
