@@ -14,10 +14,11 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
-from rmesh_nlp.assessment.tightening import Springs, tightened
 from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.interior_point import BarrierProgram
 from rmesh_nlp.contact.solver import Directions, coefficients
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
@@ -180,26 +181,64 @@ class Continuous:
 
         With Coulomb friction, where no energy is least, that in equilibrium.
         """
-        standoff, by_edges = self.first_standoff(), not self.problem.has_coulomb and bool(self.cells)
-        is_level = any(part.obstacle.level is not None for part in self.space.contact_sets)
-        if not (by_edges and (self.space.order == 2 or is_level or np.any(standoff))):
-            system = self.system(standoff)
-            state = _solved(system, start)
-            if not (by_edges and self._turns(state)):
+        has_program = bool(self.cells) and not self.problem.has_coulomb
+        if self.space.order == 1 or not has_program:
+            system = self._bare if has_program else self.system(self.first_standoff())
+            state = solve(system, start)
+            if not has_program or not (
+                np.any(self._missing(self.field.values(state.u))) or self._turns(state)
+            ):
                 return self._made(system, state)
         program, whole, last = self._reduced
-        state = _solved(program.with_offset(self._bare.offset - standoff), start)
-        springs = self._springs(last)
+        x = self._lowest(program, last, solve(program, start))
+        state = _in_contact(program, x)
+        gap = program.normals @ x + self._bare.offset
+        standoff = np.where(state.active.touching & (gap > PROVED * magnitude(x)), gap, 0.0)
+        return self._made(self.system(standoff), replace(state, u=whole(x)))
+
+    def _lowest(self, program: ContactSystem, last: Index, state: Equilibrium) -> Array:
+        """The unknowns ``last`` of least energy with gaps and friction at the points of cells.
+
+        ``state`` is the solution with both at nodes. Triangles matter where it presses or is not admissible.
+        What a gap falls by between points depends on the displacement a little.
+        """
 
         def displacement(x: Array) -> Array:
             u = np.zeros(self._bare.load.size)
             u[last] = x
             return self.field.values(u)
 
-        x, forces = tightened(program, state, displacement, springs)
-        state = self._at_nodes(springs, x, forces)
-        standoff = np.where(state.active.touching, program.normals @ x + self._bare.offset, 0.0)
-        return self._made(self.system(standoff), replace(state, u=whole(x)))
+        at_nodes = displacement(state.u)
+        near = [
+            np.repeat(
+                (not cells.are_triangles) | cells.pressed(state.normal_force) | (cells.missing(at_nodes) > 0),
+                cells.shares.shape[1],
+            )
+            for cells in self.cells
+        ]
+        N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in self.cells], "csr")
+        acts = (np.diff(N.indptr) > 0) & np.concatenate(near)
+        rubbing = [cells for cells in self.cells if cells.contact.obstacle.has_bound]
+        T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
+        bounds = (on_points(each.contact.obstacle.friction, each.points) * each.lengths for each in rubbing)
+        bound = np.concatenate([np.zeros(0), *(each.ravel() for each in bounds)])
+        rubs = (np.diff(T.indptr) > 0) & (bound > 0)
+
+        def offset(x: Array) -> Array:
+            u = displacement(x)
+            return np.concatenate([(cells.distance - cells.dips(u)).ravel() for cells in self.cells])[acts]
+
+        rows = N[acts], T[rubs], bound[rubs]
+        return BarrierProgram(program.stiffness, program.load, *rows, offset).minimised(state.u)
+
+    def _rows(self, cells: Cells, vectors: Array) -> sp.csr_array:
+        """(m k, unknowns) what takes unknowns to components along ``vectors`` (components, m, k)."""
+        values = np.einsum("cmk,vk->cvmk", vectors, cells.shares)
+        column = np.broadcast_to(self.field.index[:, cells.nodes][..., None], values.shape)
+        row = np.broadcast_to(np.arange(cells.distance.size).reshape(cells.distance.shape), values.shape)
+        used = (column >= 0) & (values != 0)
+        shape = cells.distance.size, self._bare.load.size
+        return sp.csr_array((values[used], (row[used], column[used])), shape=shape)
 
     def _turns(self, state: Equilibrium) -> bool:
         """Whether a slip may change its sign within an edge, where friction is less than at nodes."""
@@ -210,40 +249,13 @@ class Continuous:
                 return True
         return False
 
-    def _springs(self, last: Index) -> list[Springs]:
-        """Springs of gaps and of friction at the points of all cells, for the unknowns ``last``."""
-        place = np.full(self._bare.load.size + 1, -1)  # the last one is that of no unknown
-        place[last], springs = np.arange(last.size), []
-        for cells in self.cells:
-            places = place[np.moveaxis(self.field.index[:, cells.nodes], 2, 0)].reshape(cells.number.size, -1)
-            springs.append(Springs(cells, cells.normals, None, places))
-            if cells.contact.obstacle.has_bound:
-                bound = on_points(cells.contact.obstacle.friction, cells.points, "the friction bound")
-                springs.append(Springs(cells, cells.tangents, bound * cells.lengths, places))
-        return springs
-
-    def _at_nodes(self, springs: Sequence[Springs], x: Array, forces: Sequence[Array]) -> Equilibrium:
-        """The displacement with the forces at points shared among their nodes.
-
-        A node touches where its share of pressure is positive, and slides where friction has its bound.
-        """
-        normal, along, bound = np.zeros((3, self._bare.offset.size))
-        for part, force in zip(springs, forces, strict=True):
-            rows, free = part.cells.rows, part.cells.rows >= 0
-            pairs = [(normal, force)] if part.limit is None else [(along, force), (bound, part.limit)]
-            for total, values in pairs:
-                np.add.at(total, rows[free], (part.cells.shares @ values.T)[free])
-        along, bound = (each[: self._bare.slip_bound.size] for each in (along, bound))
-        sliding = np.where(np.abs(along) < bound * (1 - ROUNDING), 0, -np.sign(along)).astype(np.int8)
-        return Equilibrium(x, np.nan, normal, along, ActiveSet(normal > 0, sliding), Status.CONVERGED, 1)
-
     def _made(self, system: ContactSystem, state: Equilibrium) -> Admissible:
         """The displacement, its nodes raised by what it lacks to be admissible, and its energy."""
         u, normals = state.u, self._bare.normals
         rounding = 8 * np.finfo(float).eps * (magnitude(u) + magnitude(self._bare.offset))
         for _ in range(REPEATS):
             displacement = self.field.values(u)
-            missing = self._raised([cells.missing(displacement) for cells in self.cells])
+            missing = self._missing(displacement)
             penetration = float(np.max(missing, initial=0.0))
             if penetration <= rounding:
                 penetration = 0.0
@@ -280,6 +292,10 @@ class Continuous:
             heights.append(np.where(off > PROVED * size, off, 0.0))
         return self._raised(heights)
 
+    def _missing(self, displacement: Array) -> Array:
+        """(gaps,) by how much each free node must keep off more for a displacement (components, nodes)."""
+        return self._raised([cells.missing(displacement) for cells in self.cells])
+
     def _raised(self, off: Sequence[Array]) -> Array:
         """(gaps,) the largest ``off`` (m,) of the cells at each free node."""
         standoff = np.zeros(self.space.contact_nodes.size)
@@ -311,7 +327,15 @@ def admissible(
     return continuous.solve(start)
 
 
-def _solved(system: ContactSystem, start: ActiveSet | None) -> Equilibrium:
-    """From a set that touched on this mesh or on a similar one; from a guess if that fails."""
-    state = solve(system, start)
-    return state if state.status is Status.CONVERGED or start is None else solve(system)
+def _in_contact(program: ContactSystem, x: Array) -> Equilibrium:
+    """Unknowns with the forces at nodes that hold them.
+
+    A node touches where its force is positive, and slides where friction has its bound, up to rounding.
+    """
+    rotated, bound = program.rotated, program.slip_bound
+    residual = rotated.basis.T @ (program.stiffness @ x - program.load)
+    normal = np.maximum(residual[rotated.normal], 0.0)
+    along = np.where(rotated.slips, residual[rotated.tangent], 0.0)[: bound.size]
+    sliding = np.where(np.abs(along) < bound * (1 - 1e-6), 0, -np.sign(along)).astype(np.int8)
+    active = ActiveSet(normal > ROUNDING * max(program.force_scale, magnitude(normal)), sliding)
+    return Equilibrium(x, np.nan, normal, along, active, Status.CONVERGED, 1)

@@ -9,7 +9,7 @@ import numpy as np
 
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import ROUNDING, Array, cross
-from rmesh_nlp.fem.contact_pressure import Recovered, recovered
+from rmesh_nlp.fem.contact_pressure import ContactStress, recovered
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import Place
 from rmesh_nlp.problem.data import ContactSet
@@ -81,7 +81,7 @@ def contact_results(
     return results
 
 
-def _vector(nodes: Array, pressure: Recovered, friction: Recovered) -> dict[str, float]:
+def _vector(nodes: Array, pressure: ContactStress, friction: ContactStress) -> dict[str, float]:
     """Force and moment of the forces at nodes; none of a scalar problem."""
     if pressure.space.problem.components == 1:
         return {}

@@ -111,7 +111,7 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
 
 
 @dataclass(frozen=True, eq=False)
-class Recovered:
+class ContactStress:
     """Forces at the nodes of a contact set, and the stress that is recovered from them.
 
     ``nodal`` (nodes,) has those at shared vertices. ``cells`` (corners, n) are the edges or triangles on
@@ -206,12 +206,12 @@ class Recovered:
         return self.cells.ravel(), self.cells[::-1].ravel(), np.tile(self.size, 2)
 
 
-def recovered(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Array) -> list[Recovered]:
+def recovered(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Array) -> list[ContactStress]:
     """The stresses of forces as of :func:`nodal_forces`, at vertex positions (2, vertices)."""
     cells, size = space.contact_cells(part.obstacle, X)
     is_open = np.any(np.isin(space.nodes_of(cells), part.nodes), axis=0)
     cells, size = cells[:, is_open], size[is_open]
-    return [Recovered(space, part, each, cells, size) for each in nodal_forces(space, X, part, *of_gaps)]
+    return [ContactStress(space, part, each, cells, size) for each in nodal_forces(space, X, part, *of_gaps)]
 
 
 def contact_stresses(space: DisplacementSpace, X: Array, normal: Array, tangential: Array) -> Array:

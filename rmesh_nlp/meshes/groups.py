@@ -6,7 +6,10 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from io import BytesIO
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,33 +33,34 @@ def _gmsh(text: str, data: bytes) -> list[str]:
     names = re.findall(r'^\s*\d+\s+(\d+)\s+"(.*)"', _section(text, "PhysicalNames"), re.M)
     version, is_binary, *_ = _section(text, "MeshFormat").split()
     named_tags = {int(tag) for tag, _ in names} if version == "4.1" else set()
-    groups = _in_binary(data.partition(b"$Entities\n")[2]) if is_binary == "1" else _in_text(text)
-    for tags in groups:
+    for tags in _groups(text, data if is_binary == "1" else None, 3 if version == "4.1" else 6):
         if len(tags) > 1 and not set(map(abs, tags)) <= named_tags:
             raise BadInputError(f"one entity is in the physical groups {tags}: name all, save as 4.1")
     said = "physical groups have one name, {}, and all but one lose it: give each its own"
     return [said.format(name) for name in _repeated([name for _, name in names])]
 
 
-def _in_text(text: str) -> Iterator[list[int]]:
-    """Physical groups of each curve and surface."""
-    sizes, *rows = [row.split() for row in _section(text, "Entities").splitlines()] or [["0"] * 4]
-    first, curves, surfaces, _ = map(int, sizes)
-    for row in rows[first : first + curves + surfaces]:
-        yield [int(tag) for tag in row[8 : 8 + int(row[7])]]
+def _groups(text: str, binary: bytes | None, of_point: int) -> Iterator[list[int]]:
+    """Physical groups of each curve and surface.
 
+    An entity is a tag, a place or box, numbered groups, and from curves on numbered boundaries.
+    """
+    stream = BytesIO((binary or b"").partition(b"$Entities\n")[2])
+    words = iter(_section(text, "Entities").split())
 
-def _in_binary(data: bytes) -> Iterator[list[int]]:
-    """The same: a tag, a place or box, numbered groups, and from curves on numbered boundaries."""
-    at = 32
-    for dimension, count in enumerate(np.frombuffer(data[:32], "<u8").tolist()):
-        for _ in range(count):
-            at += 52 if dimension else 28
-            for part in range(1 + (dimension > 0)):
-                size = int.from_bytes(data[at : at + 8], "little")
-                if part == 0 and dimension:
-                    yield np.frombuffer(data, "<i4", size, at + 8).tolist()
-                at += 8 + 4 * size
+    def taken(kind: str, count: int) -> list[Any]:
+        if binary is None:
+            return np.array([*islice(words, count)], float).astype(kind).tolist()
+        return np.frombuffer(stream.read(count * np.dtype(kind).itemsize), kind).tolist()
+
+    for dimension, entities in enumerate(taken("<u8", 4)):
+        for _ in range(entities):
+            taken("<i4", 1)
+            taken("<f8", 6 if dimension else of_point)
+            tags = taken("<i4", *taken("<u8", 1))
+            if dimension:
+                yield tags
+                taken("<i4", *taken("<u8", 1))
 
 
 def _abaqus(text: str) -> list[str]:

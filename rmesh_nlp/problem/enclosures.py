@@ -12,11 +12,13 @@ References
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import casadi as ca
 import numpy as np
 
 from rmesh_nlp.evaluation import PROVED, Array, Expression, Mask, magnitude
-from rmesh_nlp.problem.coefficients import Coefficient, as_function, evaluated, once
+from rmesh_nlp.problem.coefficients import Coefficient, as_function, evaluated
 from rmesh_nlp.problem.switches import LOGICAL, ROUNDED
 
 REACH = 8
@@ -39,20 +41,21 @@ def resolved(
     centre = np.mean(corners, axis=-1)
     half = np.max(np.abs(corners - centre[..., None]), axis=-1)
     # (REACH + 1): in one direction on the ellipse, in the other one in the cell
-    value, far = evaluated(_enclosing(coefficient, False), np.concatenate([centre, (REACH + 1) * half]))
+    graph = as_function(coefficient).serialize()  # equal functions share what is made of it
+    value, far = evaluated(_enclosing(graph, False), np.concatenate([centre, (REACH + 1) * half]))
     size = max(size, magnitude(value[np.isfinite(value)]))
     rho = REACH + np.sqrt(REACH**2 - 1)
     is_seen = 2 * (1 + REACH) ** 3 * rho ** (-2 * points) * far <= PROVED * size
     if not np.all(is_seen):
-        near = evaluated(_enclosing(coefficient, True), np.concatenate([centre, half]))[1]
+        near = evaluated(_enclosing(graph, True), np.concatenate([centre, half]))[1]
         is_seen |= share * near <= PROVED * size
     return is_seen, size
 
 
-@once
-def _enclosing(coefficient: Coefficient, is_real: bool) -> ca.Function:
+@lru_cache
+def _enclosing(text: str, is_real: bool) -> ca.Function:
     """``(x, y, halves of the box) -> (value, how far it may be off)``; complex values are, without bound."""
-    graph, halves = as_function(coefficient), ca.vertsplit(ca.SX.sym("halves", 2))
+    graph, halves = ca.Function.deserialize(text), ca.vertsplit(ca.SX.sym("halves", 2))
     position, known = graph.sx_in(), dict[int, tuple[Expression, Expression]]()
     for k, value in enumerate(ca.vertsplit(graph.instructions_sx())):
         operation, sources = graph.instruction_id(k), graph.instruction_input(k)

@@ -30,9 +30,6 @@ HIGH = 8
 those solved with degree 6 had a gain that the audit did not confirm to 10 %; 8 is for faster
 oscillations."""
 
-LARGEST_EXPRESSION = 5_000
-"""Operations in a derivative beyond which it is not looked at further."""
-
 
 @dataclass(frozen=True)
 class Switches:
@@ -82,25 +79,42 @@ def polynomial_degree(coefficient: Coefficient) -> int | None:
 
 @once
 def degree_of_pieces(coefficient: Coefficient) -> int | None:
-    """The same between places where it jumps or kinks."""
+    """The same between places where it jumps or kinks, by the operations of its graph."""
     if not callable(coefficient):
         return 0
-    point = ca.SX.sym("point", 2)
     try:
-        derivatives = ca.SX(at(coefficient, point[0], point[1]))
+        graph = ca.Function("coefficient", [*POSITION], [ca.densify(ca.SX(at(coefficient, *POSITION)))], OPEN)
     except (NotImplementedError, RuntimeError, TypeError, ValueError):
         return None  # a function of MX alone, or one that the assembly refuses with a reason
-    for degree in range(HIGH):
-        graph = ca.Function("count", [point], [derivatives], OPEN)
-        if graph.n_nodes() > LARGEST_EXPRESSION or UNKNOWN & set(
-            map(graph.instruction_id, range(graph.n_instructions()))
-        ):
+    degrees: dict[int, float] = {}
+    for k in range(graph.n_instructions()):
+        operation, sources = graph.instruction_id(k), graph.instruction_input(k)
+        if operation in UNKNOWN:
             return None
-        derivatives = ca.sparsify(ca.simplify(ca.vec(ca.jacobian(derivatives, point))))
-        derivatives = ca.vertcat(*{hash(e): e for e in ca.vertsplit(derivatives) if e.nnz()}.values())
-        if derivatives.shape[0] == 0:
-            return degree
-    return None
+        if operation in (ca.OP_CONST, ca.OP_INPUT, ca.OP_PARAMETER):
+            degree: float = operation == ca.OP_INPUT
+        else:
+            degree = _degree(operation, *(degrees[source] for source in sources))
+        degrees[graph.instruction_output(k)[0]] = degree
+    return int(degree) if degree < HIGH else None
+
+
+def _degree(operation: int, a: float, b: float = 0) -> float:
+    """Degree of the result of an operation by those of its arguments, between where it jumps or kinks."""
+    if a == b == 0 or operation in (*LOGICAL, *ROUNDED, ca.OP_SIGN):
+        return 0
+    match operation:
+        case ca.OP_ADD | ca.OP_SUB | ca.OP_FMIN | ca.OP_FMAX | ca.OP_NEG | ca.OP_TWICE | ca.OP_FABS:
+            return max(a, b)
+        case ca.OP_MUL:
+            return a + b
+        case ca.OP_SQ:
+            return 2 * a
+        case ca.OP_IF_ELSE_ZERO:
+            return b
+        case ca.OP_OUTPUT | ca.OP_DIV if b == 0:
+            return a
+    return np.inf  # whole powers are products
 
 
 def affine_switches(coefficients: Iterable[Coefficient]) -> list[ca.Function]:
