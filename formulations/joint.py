@@ -93,10 +93,11 @@ class Joint(Formulation):
         status = Status.CONVERGED if result.converged else result.status
         if not result.converged and not outer.is_valid(end):
             return Outcome(outer, track.best(q), status)
-        last = q if is_above(result.f, first) else end
+        above = is_above(result.f, first)
+        last = q if above else end
         before = monitor.budget.iterations
         finish = Finished(last, False) if status is Status.ITERATION_LIMIT else finished(outer, last, monitor)
-        if finish.q is end:
+        if not (above or finish.method):
             return Outcome(outer, end, status, own=_own(program, result))
         status = Status.CONVERGED if finish.is_stationary else status
         return Outcome(outer, finish.q, status, details={"newton_steps": monitor.budget.iterations - before})

@@ -67,12 +67,16 @@ class NestedSettings(Settings):
 
 @dataclass(frozen=True)
 class OuterResult:
-    """Where an outer solver stopped, what it ran, and how many of its iterations factorise a KKT matrix."""
+    """Where an outer solver stopped, what it ran, and how many of its iterations factorise a KKT matrix.
+
+    Unless it ``is_lower`` it is the start, below which nothing was found.
+    """
 
     q: Array
     status: Status
     method: str = ""
     factorised: int = 0
+    is_lower: bool = True
 
 
 def interior(outer: Outer, start: Array, watch: Watch, settings: NestedSettings) -> OuterResult:
@@ -101,7 +105,7 @@ def interior(outer: Outer, start: Array, watch: Watch, settings: NestedSettings)
     q = outer.clipped(result.x[:n])
     if not (np.isfinite(result.f) and outer.merit(function(q)) <= most):
         status = Status.STALLED if result.converged else result.status
-        return OuterResult(start, status, INTERIOR, result.iterations)
+        return OuterResult(start, status, INTERIOR, result.iterations, is_lower=False)
     status = Status.CONVERGED if result.converged or stationary else result.status
     return OuterResult(q, status, INTERIOR, result.iterations)
 
@@ -121,7 +125,7 @@ def solved(outer: Outer, start: Array, watch: Watch, settings: NestedSettings) -
     method, factorised = NEWTON, 0
     if has_rows and is_small and not is_part:
         end = interior(outer, start, watch, settings)
-        if end.q is not start:
+        if end.is_lower:
             return end
         method, factorised = f"{INTERIOR}, then {NEWTON}", end.factorised
     result = descend(

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, largest_side
 from rmesh_nlp.fem.contact_terms import given_gaps
 from rmesh_nlp.fem.fields import ElementGroup, Fields
@@ -136,7 +137,7 @@ def boundary_of(constraint: Constraint) -> str | None:
     if word.strip() != LARGEST or not bracket:
         return None
     if constraint.bounds[0] > -np.inf:
-        raise ValueError(f"{constraint.value}: the largest pressure may be bounded from above alone")
+        raise BadInputError(f"{constraint.value}: the largest pressure may be bounded from above alone")
     return rest.removesuffix(")").strip()
 
 

@@ -24,6 +24,7 @@ from collections.abc import Callable
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Expression, cross
 from rmesh_nlp.fem.cells import affine
 from rmesh_nlp.fem.element import NO_ROWS
@@ -58,7 +59,7 @@ def reference_shapes(problem: ContactProblem) -> Array:
     if problem.reference is None:
         return problem.mesh.p[:, problem.triangles]
     if problem.reference.shape != (2, 3, problem.mesh.t.shape[1]):
-        raise ValueError(
+        raise BadInputError(
             f"the reference has the shape {problem.reference.shape}, and the mesh "
             f"{problem.mesh.t.shape[1]} elements"
         )

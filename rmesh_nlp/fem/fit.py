@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, is_finite
 from rmesh_nlp.fem.cells import Straight, affine, shape_functions
 from rmesh_nlp.fem.element import NO_ROWS
@@ -48,13 +49,15 @@ class Measurements:
         n = self.points.shape[-1]
         if self.points.shape != (2, n) or self.values.shape[1:] != (n,) or self.weights.shape != (n,):
             shapes = f"{self.points.shape}, {self.values.shape} and {self.weights.shape}"
-            raise ValueError(f"expected points (2, n), values (components, n) and weights (n,), got {shapes}")
+            raise BadInputError(
+                f"expected points (2, n), values (components, n) and weights (n,), got {shapes}"
+            )
         if not is_finite(self.points) or np.any(np.isinf(self.values)):
-            raise ValueError("points and measured values must be finite")
+            raise BadInputError("points and measured values must be finite")
         if not np.all((self.weights > 0) & np.isfinite(self.weights)):
-            raise ValueError("weights must be positive and finite")
+            raise BadInputError("weights must be positive and finite")
         if np.all(np.isnan(self.values)):
-            raise ValueError("nothing is measured")
+            raise BadInputError("nothing is measured")
 
 
 def fit(
@@ -94,27 +97,29 @@ def read_measurements(path: Path) -> Measurements:
             reader = csv.reader(file)
             lines = [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+        raise BadInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     names = [cell.strip() for cell in lines[0][1]] if lines else []
     own = ("u",) if "u" in names else ("ux", "uy")
     if set(names) - {"weight"} != {"x", "y", *own} or len(set(names)) < len(names):
-        raise ValueError(f"{path}: expected the columns x, y, u or ux, uy, and perhaps weight, got {names}")
+        raise BadInputError(
+            f"{path}: expected the columns x, y, u or ux, uy, and perhaps weight, got {names}"
+        )
     table = {name: np.full(len(lines) - 1, np.nan) for name in names}
     for k, (line, row) in enumerate(lines[1:]):
         if len(row) != len(names):
-            raise ValueError(f"{path}: line {line} has {len(row)} cells, expected {len(names)}")
+            raise BadInputError(f"{path}: line {line} has {len(row)} cells, expected {len(names)}")
         for name, cell in zip(names, row, strict=True):
             try:
                 table[name][k] = float(cell) if cell.strip() or name not in own else np.nan
             except ValueError:
                 what = f"line {line}: {name} = {cell.strip()!r}"
-                raise ValueError(f"{path}: {what} is not a number") from None
+                raise BadInputError(f"{path}: {what} is not a number") from None
     weights = table.get("weight", np.ones(len(lines) - 1))
     try:
         points = np.stack([table["x"], table["y"]])
         return Measurements(points, np.stack([table[name] for name in own]), weights)
     except ValueError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise BadInputError(f"{path}: {error}") from None
 
 
 def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
@@ -122,7 +127,7 @@ def _objective(measured: Callable[[], Measurements], name: str) -> Objective:
         measurements, components = measured(), on.problem.components
         if len(measurements.values) != components:
             wanted = " and ".join(DISPLACEMENTS[components])
-            raise ValueError(f"{name}: the displacement of {on.problem.name!r} is {wanted}")
+            raise BadInputError(f"{name}: the displacement of {on.problem.name!r} is {wanted}")
         triangles = _located(on, measurements.points, name)
         is_measured = ~np.isnan(measurements.values)
         data = np.vstack(
@@ -163,10 +168,10 @@ def _located(on: Fields, points: Array, name: str) -> Index:
         inside = triangles[:, in_place]
         at = f"{name}: the point ({x[0]:.6g}, {x[1]:.6g})"
         if inside.size == 0:
-            raise ValueError(f"{at} lies outside of the mesh")
+            raise BadInputError(f"{at} lies outside of the mesh")
         kept = inside[:, _least_parts(limits, inside, x) >= least[in_place]]
         if kept.size == 0:
-            raise ValueError(
+            raise BadInputError(
                 f"{at} may pass into another triangle: pin the nodes beside it, or lower their move limits"
             )
         vertices.append(kept[:, 0])

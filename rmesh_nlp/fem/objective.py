@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.functional import Functional
 
@@ -122,10 +123,10 @@ class Objective:
         if not isinstance(factor, (int, float, np.number)):
             return NotImplemented
         if not (np.isfinite(factor) and factor != 0):
-            raise ValueError(f"the weight {factor} of {self.text!r} must be finite and not zero")
+            raise BadInputError(f"the weight {factor} of {self.text!r} must be finite and not zero")
         for _, term in self.terms:
             if term.minimised_only and factor < 0:
-                raise ValueError(f"the weight {factor} of {term.name!r} must be positive")
+                raise BadInputError(f"the weight {factor} of {term.name!r} must be positive")
         return Objective(tuple((float(factor) * weight, term) for weight, term in self.terms))
 
     __rmul__ = __mul__

@@ -115,12 +115,12 @@ def _weighted(part: str, whole: str) -> Objective:
     try:
         weight = float(first)
     except ValueError:
-        raise ValueError(f"the weight {first!r} in {whole!r} is not a number") from None
+        raise BadInputError(f"the weight {first!r} in {whole!r} is not a number") from None
     term = _term("*".join(rest), whole)
     try:
         return weight * term
     except ValueError:
-        raise ValueError(f"the weight {first!r} in {whole!r} must be positive and finite") from None
+        raise BadInputError(f"the weight {first!r} in {whole!r} must be positive and finite") from None
 
 
 def _term(text: str, whole: str) -> Objective:
@@ -130,7 +130,7 @@ def _term(text: str, whole: str) -> Objective:
     if bracket and rest.endswith(")") and kind.strip() in QUANTITIES:
         return _quantity(kind.strip(), rest[:-1], text)
     choices = (*TERMS, *(f"{kind}(...)" for kind in QUANTITIES))
-    raise ValueError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(choices)}")
+    raise BadInputError(f"unknown objective {text!r} in {whole!r}: choose from {', '.join(choices)}")
 
 
 def _density(text: str, expression: str, more: Mapping[int, tuple[str, ...]]) -> Callable[..., Expression]:
@@ -167,7 +167,7 @@ def _node(x: float, y: float, expression: str, *, name: str) -> Objective:
 
 def _peak_pressure(boundary: str, reference: float, exponent: float = 8.0, *, name: str) -> Objective:
     if exponent != int(exponent):
-        raise ValueError(f"{name}: the exponent must be a whole number, got {exponent:g}")
+        raise BadInputError(f"{name}: the exponent must be a whole number, got {exponent:g}")
     return peak_pressure(boundary, reference, exponent=int(exponent), name=name)
 
 
@@ -214,7 +214,7 @@ def _quantity(kind: str, inside: str, text: str) -> Objective:
     words, arguments = form.split(", "), _split(inside, ",")
     needed = [word for word in words if not word.startswith("[")]
     if not (len(needed) <= len(arguments) <= len(words) and all(arguments)):
-        raise ValueError(f"{text}: expected {kind}({form})")
+        raise BadInputError(f"{text}: expected {kind}({form})")
     read = [_number(text, a) if word in NUMBERS else a for word, a in zip(words, arguments, strict=False)]
     return make(*read, name=text)
 
@@ -230,7 +230,7 @@ def _number(text: str, value: str) -> float:
     except ValueError:
         number = np.nan
     if not np.isfinite(number):
-        raise ValueError(f"{text}: {value!r} is not a finite number")
+        raise BadInputError(f"{text}: {value!r} is not a finite number")
     return number
 
 

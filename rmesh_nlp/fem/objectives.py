@@ -20,6 +20,7 @@ from typing import Any
 
 import casadi as ca
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression
 from rmesh_nlp.fem.cells import affine
 from rmesh_nlp.fem.contact_terms import friction
@@ -48,7 +49,7 @@ def energy(on: Fields) -> list[ElementGroup]:
 
 def _energy(on: Fields) -> list[ElementGroup]:
     if on.problem.has_coulomb:
-        raise ValueError("with Coulomb friction there is no energy that the displacement minimises")
+        raise BadInputError("with Coulomb friction there is no energy that the displacement minimises")
     return energy(on)
 
 
@@ -56,7 +57,7 @@ def _compliance(on: Fields) -> list[ElementGroup]:
     """The work of source or body force, tractions and point loads, (3.3)."""
     groups = loads(on, on.problem.rule)
     if not groups:
-        raise ValueError(f"the objective 'compliance' needs a load, and {on.problem.name!r} has none")
+        raise BadInputError(f"the objective 'compliance' needs a load, and {on.problem.name!r} has none")
     return [scaled_group(group, -1.0) for group in groups]
 
 
@@ -91,7 +92,7 @@ def _contact(on: Fields) -> list[ElementGroup]:
     """
     exact = _theorem(on, "contact")
     if len(on.problem.laws) > 1 or any(not isinstance(o.boundary, str) for o in on.problem.obstacles):
-        raise ValueError("the objective 'contact' needs one law and contact on a boundary")
+        raise BadInputError("the objective 'contact' needs one law and contact on a boundary")
     return [_work(on, exact, obstacle) for obstacle in on.problem.obstacles]
 
 
@@ -105,9 +106,9 @@ def _friction(on: Fields) -> list[ElementGroup]:
     """
     exact = _theorem(on, "friction")
     if not on.problem.frictional:
-        raise ValueError("the objective 'friction' needs a contact boundary with friction")
+        raise BadInputError("the objective 'friction' needs a contact boundary with friction")
     if len(on.problem.laws) > 1:
-        raise ValueError("the objective 'friction' needs one law")
+        raise BadInputError("the objective 'friction' needs one law")
     rough = [obstacle for obstacle in on.problem.obstacles if obstacle.frictional]
     return [*friction(on), *(_work(on, exact, obstacle, along=True) for obstacle in rough)]
 
@@ -134,7 +135,7 @@ def _distortion(name: str, on: Fields) -> list[ElementGroup]:
 
 def _exact(on: Fields, name: str) -> ExactSolution:
     if on.problem.exact is None:
-        raise ValueError(
+        raise BadInputError(
             f"the objective {name!r} needs an exact or reference solution, and {on.problem.name!r} has none"
         )
     return on.problem.exact
@@ -142,7 +143,7 @@ def _exact(on: Fields, name: str) -> ExactSolution:
 
 def _theorem(on: Fields, name: str) -> ExactSolution:
     if on.problem.has_coulomb:
-        raise ValueError(
+        raise BadInputError(
             f"the objective {name!r} is a term of Theorem 4.1 on a least energy, and with Coulomb friction "
             "there is none"
         )

@@ -16,6 +16,7 @@ from functools import reduce
 import casadi as ca
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.contact_pressure import ends, force_at_end, may_slip
 from rmesh_nlp.fem.edge_gaps import patches
@@ -71,7 +72,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
     def quantity(on: Fields) -> list[ElementGroup]:
         forces, part = _forces_on(on, boundary), contact_on(on.space, boundary)
         if not part.obstacle.frictional:
-            raise ValueError(f"{name}: contact on {boundary!r} is without friction")
+            raise BadInputError(f"{name}: contact on {boundary!r} is without friction")
         minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
         free = part.nodes[may_slip(on.space, part)]
         return _integral(on, part, free, forces[1:], ca.vertcat(minus, plus), plus - minus)
@@ -146,7 +147,7 @@ def peak_pressure(
     """
     _check_reference(name, reference)
     if not exponent >= 3:
-        raise ValueError(f"{name}: the exponent must be at least 3, got {exponent}")
+        raise BadInputError(f"{name}: the exponent must be at least 3, got {exponent}")
 
     def quantity(on: Fields) -> list[ElementGroup]:
         length = float(
@@ -221,18 +222,18 @@ def contact_on(space: DisplacementSpace, boundary: str) -> ContactSet:
     if len(parts) == 1:
         return parts[0]
     if parts:
-        raise ValueError(f"{boundary!r} may meet {len(parts)} obstacles: give each a boundary of its own")
+        raise BadInputError(f"{boundary!r} may meet {len(parts)} obstacles: give each a boundary of its own")
     every = space.problem.obstacles
     names = [str(obstacle.boundary) for obstacle in every if isinstance(obstacle.boundary, str)]
-    raise ValueError(f"{boundary!r} is not a contact boundary: choose from {', '.join(names) or 'none'}")
+    raise BadInputError(f"{boundary!r} is not a contact boundary: choose from {', '.join(names) or 'none'}")
 
 
 def _forces_on(on: Fields, boundary: str) -> Forces:
     if on.forces is None:
-        raise ValueError(f"the forces on {boundary!r} are not known here")
+        raise BadInputError(f"the forces on {boundary!r} are not known here")
     return on.forces
 
 
 def _check_reference(name: str, reference: float) -> None:
     if not (np.isfinite(reference) and reference > 0):
-        raise ValueError(f"{name}: the reference pressure must be positive, got {reference}")
+        raise BadInputError(f"{name}: the reference pressure must be positive, got {reference}")

@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.errors import located
+from rmesh_nlp.errors import BadInputError, located
 from rmesh_nlp.evaluation import Expression, Index
 from rmesh_nlp.fem.cells import Density, Straight
 from rmesh_nlp.fem.element import NO_ROWS
@@ -157,7 +157,7 @@ def nodal(
     def quantity(on: Fields) -> list[ElementGroup]:
         n = on.problem.mesh.p.shape[1]
         if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n:
-            raise ValueError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
+            raise BadInputError(f"{name}: node numbers must lie between 0 and {n - 1}, got {list(nodes)}")
         at_nodes = Straight(chosen.size, on.problem.components, 1)
         value = at_nodes.function("quantity", _scalar(function(at_nodes.X, at_nodes.u), name))
         return [on.group(value, [on.positions.at(chosen), on.displacement.at(chosen)])]
@@ -207,7 +207,7 @@ def of_design(value: ca.SX, *, name: str = "design") -> Objective:
         names = names_in(rest)
         for variable in names:
             if design is None or variable not in design.names:
-                raise ValueError(f"{name}: {variable!r} is no design variable")
+                raise BadInputError(f"{name}: {variable!r} is no design variable")
         local = design.of(names, 1) if design is not None and names else constant_field(np.zeros((1, 1)))
         symbols = ca.vertcat(*map(symbol, names)) if names else ca.SX.sym("none")
         function = ca.Function("of_design", [symbols], [rest, NO_ROWS])
@@ -230,7 +230,7 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
         By default the text of both.
     """
     if not np.isfinite(value):
-        raise ValueError(f"the square of {of.text!r} needs a finite value, got {value}")
+        raise BadInputError(f"the square of {of.text!r} needs a finite value, got {value}")
 
     def quantity(on: Fields) -> Functional:
         return of.on(on).then(lambda result: (result - value) ** 2)
@@ -249,12 +249,12 @@ def boundary_length(problem: ContactProblem, name: str) -> float:
     """Length of a named boundary on the initial mesh; a ValueError if it is none, or an interface."""
     facets = members_of("boundary", name, problem.mesh.boundaries)
     if np.any(problem.mesh.f2t[1, facets] >= 0):
-        raise ValueError(f"{name!r} is an interface inside the body, not a boundary")
+        raise BadInputError(f"{name!r} is an interface inside the body, not a boundary")
     return float(lengths(problem.mesh.p, problem.mesh.facets[:, facets]).sum())
 
 
 def _scalar(value: Expression, name: str) -> Expression:
     value = ca.SX(value)
     if value.shape != (1, 1):
-        raise ValueError(f"{name}: the function must return one value, got one of shape {value.shape}")
+        raise BadInputError(f"{name}: the function must return one value, got one of shape {value.shape}")
     return value

@@ -20,6 +20,7 @@ from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.meshes.geometry import have_same_mesh
 from rmesh_nlp.models.reduced_model import ReducedPoint
 from rmesh_nlp.models.regularisation import gain_estimate
+from rmesh_nlp.models.residual import OuterResidual
 from rmesh_nlp.mpcc import Iterate
 from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError, deferred
 from rmesh_nlp.optimize.status import Status
@@ -90,8 +91,8 @@ class Monitor:
             Value of the objective where the program's is one.
         """
         with self.budget.during("build"):
-            _ = outer.residual  # of a model that is built when it is first asked for
-        self._track = Track(self, self.tracked(outer), unit)
+            measure = outer.residual
+        self._track = Track(self, self.tracked(outer), measure, unit)
         return self._track
 
     def tracked(self, outer: Outer) -> Outer:
@@ -176,8 +177,8 @@ class Track:
         and multipliers ``(x, lam_g)`` of an NLP, of the unknowns ``x`` of a homotopy, which hold the forces.
     """
 
-    def __init__(self, monitor: Monitor, outer: Outer, unit: float) -> None:
-        self.monitor, self.outer, self._unit = monitor, outer, unit
+    def __init__(self, monitor: Monitor, outer: Outer, measure: OuterResidual, unit: float) -> None:
+        self.monitor, self.outer, self._measure, self._unit = monitor, outer, measure, unit
         self._before, self._first = monitor.budget.iterations, len(monitor.steps)
         self.residual: Callable[..., float] | None = None
         mesh = outer.problem.mesh
@@ -227,7 +228,7 @@ class Track:
         if lower and np.isfinite(point.value) and self.outer.is_valid(q):
             self._best = merit, np.array(q)
         spent = self.monitor.spent.contact_solves
-        known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": self.outer.residual(point)}
+        known |= {"t": 0.0, "primal_residual": merit[0], "dual_residual": self._measure(point)}
         energy = point.equilibrium.energy
         return self._note(iteration, q, energy=energy, objective=point.value, contact_solves=spent, **known)
 

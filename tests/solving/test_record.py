@@ -24,14 +24,16 @@ from rmesh_nlp.optimize.status import NOT_STATIONARY_YET, Status
 from rmesh_nlp.problem import Constraint, ContactProblem, Laplace, Motion
 from rmesh_nlp.problem.units import Units
 from rmesh_nlp.solving.entries import ENTRIES
+from rmesh_nlp.solving.entries import record as record_of
 from rmesh_nlp.solving.entry import KNOWN
 from rmesh_nlp.solving.first_order import FirstOrder
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Certificate, Step, Trace, Work, plain
 from rmesh_nlp.solving.refinement import ReducedError
+from rmesh_nlp.solving.relocated import Relocated
 from rmesh_nlp.solving.solution import Solution
-from rmesh_nlp.solving.summary import contact_rows
+from rmesh_nlp.solving.summary import contact_rows, summary
 from rmesh_nlp.solving.verification import TaylorTest, error_terms, verify_gradient
 from rmesh_nlp.study.progress import summary as one_line
 from support.conclusions import compared, with_energies
@@ -45,6 +47,16 @@ from support.solved import solved
 @pytest.fixture(scope="module")
 def solution() -> Solution:
     return solved("joint", "6.2", (4, 2))
+
+
+def test_record_and_table_are_of_what_was_found_alone(solution: Solution) -> None:
+    """They stand above it: what a solve found has neither, and both take it."""
+    found = Relocated(**{name: value for name, value in vars(solution).items() if name != "error_terms"})
+    assert (found.given, found.final) == (solution.assessment.given, solution.assessment.final)
+    assert record_of(found) == solution.record()
+    assert summary(found) == solution.summary()
+    assert not hasattr(found, "record")
+    assert len(found.history) == len(found.trace.steps) > found.trace.iterations
 
 
 def test_figures_are_those_of_the_solution(solution: Solution) -> None:
