@@ -5,6 +5,7 @@ from rmesh_nlp.api.results import Comparison as Comparison
 from rmesh_nlp.api.results import compare as compare
 from rmesh_nlp.api.results import plot as plot
 from rmesh_nlp.api.results import read_records as read_records
+from rmesh_nlp.errors import BadInputError as BadInputError
 from rmesh_nlp.examples import EXAMPLES as EXAMPLES
 from rmesh_nlp.fem import objective_text
 from rmesh_nlp.fem import quantities as quantities
