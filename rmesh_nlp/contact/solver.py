@@ -49,13 +49,17 @@ class Directions:
         return self._rows(normals), self._rows(np.stack([normals[1], -normals[0]]))
 
     def _rows(self, vectors: Array) -> sp.csr_array:
-        """Rows that take the component of the displacement along ``vectors`` (components, gaps)."""
-        index = self.displacement.index[:, self.space.contact_nodes]
-        if index.size == 0:
-            return sp.csr_array((0, self.n_u))
-        row = np.broadcast_to(np.arange(index.shape[1]), index.shape)
-        used = (np.abs(vectors) > ROUNDING) & (index >= 0)
-        return sp.csr_array((vectors[used], (row[used], index[used])), shape=(index.shape[1], self.n_u))
+        """Rows that take the displacements that gaps depend on along ``vectors`` (components, gaps)."""
+        entries = [np.zeros((3, 0))]
+        for part in self.space.contact_sets:
+            for factor, nodes in zip(part.factors, part.carriers, strict=True):
+                index, along = self.displacement.index[:, nodes], factor * vectors[:, part.rows]
+                used = (np.abs(along) > ROUNDING) & (index >= 0)
+                row = np.broadcast_to(part.rows, index.shape)
+                entries.append(np.stack([along[used], row[used], index[used]]))
+        values, row, column = np.hstack(entries)
+        shape = vectors.shape[1], self.n_u
+        return sp.csr_array((values, (row.astype(np.int32), column.astype(np.int32))), shape=shape)
 
 
 def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:

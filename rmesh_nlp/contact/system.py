@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
 from rmesh_nlp.contact.factorisation import Condensed, Solve, factorised, factorised_lu
 from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
@@ -255,42 +256,38 @@ class RotatedSystem:
 def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:
     """Basis of ``u = basis @ w``, and the entries of w that are N u and T u.
 
-    They are -1 where T u is given, or no friction acts. A gap takes the place of the component of u nearest
-    to the normal, a slip that of the other one.
+    They are -1 where T u is given, or no friction acts. A gap takes the place of the displacement that it
+    depends on most, of those that no row with fewer has taken, and a slip that of one which is left.
     """
-    N, T, n = system.normals, system.tangents, system.load.size
-    gaps = np.arange(N.shape[0])
-    normal, tangent, taken = np.zeros(gaps.size, np.int64), np.full(gaps.size, -1), np.zeros(n, dtype=bool)
-    best, other = _columns(N, gaps)
-    single = best == other
-    is_later = np.ones(gaps.size, dtype=bool)  # of two foundations that meet at a node
-    is_later[np.unique(np.minimum(best, other), return_index=True)[1]] = False
-    for chosen in (single, ~single & ~is_later, ~single & is_later):
-        normal[chosen] = np.where(taken[best], other, best)[chosen]
-        taken[normal[chosen]] = True
-    acts = gaps if system.frictional is None else np.flatnonzero(system.frictional)
-    slides = acts[np.diff(T.indptr)[acts] > 0] if system.slip_bound.size else acts[:0]
-    best, other = _columns(T, slides)
-    place = np.where(taken[best], other, best)
-    fresh = ~taken[place]
-    tangent[slides] = np.where(fresh, place, -1)
-    taken[place[fresh]] = True
-    own, rest = T[slides[fresh]], np.flatnonzero(~taken)
-    rows = np.repeat(np.append(normal, place[fresh]), np.append(np.diff(N.indptr), np.diff(own.indptr)))
-    values = np.concatenate([N.data, own.data, np.ones(rest.size)])
-    where = np.append(rows, rest), np.concatenate([N.indices, own.indices, rest])
-    inverse = sp.csr_array((values, where), shape=(n, n))
-    # its blocks are of one or two rows, so the square of what is beside the diagonal is a diagonal again
-    diagonal = inverse.diagonal()
-    beside = sp.diags_array(1 / diagonal) @ (inverse - sp.diags_array(diagonal))
-    square = (beside @ beside).diagonal()
-    basis = (sp.eye_array(n) - beside) @ sp.diags_array(1 / (diagonal * (1 - square)))
-    return sp.csc_array(basis), normal, tangent
+    N, T, taken = system.normals, system.tangents, np.zeros(system.load.size, dtype=bool)
+    slides = np.arange(system.slip_bound.size)
+    if system.frictional is not None:
+        slides = slides[system.frictional[: slides.size]]
+    normal, tangent = _places(N, taken), np.full(N.shape[0], -1)
+    tangent[slides] = _places(T[slides], taken)
+    slips = np.flatnonzero(tangent >= 0)
+    places, rest = np.append(normal, tangent[slips]), np.flatnonzero(~taken)
+    rows, order = sp.vstack([N, T[slips]], format="csr"), np.append(places, rest)
+    if rows.nnz == places.size:
+        scale = np.ones(taken.size)
+        scale[places] = 1 / rows.data
+        return sp.csc_array(sp.diags_array(scale)), normal, tangent
+    # the rows that share displacements, mostly those of one node, are few
+    inverse = sp.csr_array(splu(sp.csc_array(rows[:, places])).solve(np.eye(places.size)))
+    blocks = [[inverse, -inverse @ rows[:, rest]], [None, sp.eye_array(rest.size)]]
+    basis = sp.block_array(blocks, format="coo")
+    where = order[basis.row], order[basis.col]
+    return sp.csc_array((basis.data, where), shape=basis.shape), normal, tangent
 
 
-def _columns(matrix: sp.csr_array, rows: Index) -> tuple[Index, Index]:
-    """Columns of the larger and of the smaller entry of rows with one or two entries."""
-    first, last = matrix.indptr[rows], matrix.indptr[rows + 1] - 1
-    swapped = np.abs(matrix.data[last]) > np.abs(matrix.data[first])
-    pair = matrix.indices[first], matrix.indices[last]
-    return np.where(swapped, *pair[::-1]), np.where(swapped, *pair)
+def _places(rows: sp.csr_array, taken: Mask) -> Index:
+    """For each row the column of its largest entry that is not taken, which then is; -1 without any."""
+    entries, place = rows.tocoo(), np.full(rows.shape[0], -1)
+    order = np.lexsort((-np.abs(entries.data), np.diff(rows.indptr)[entries.row]))
+    row, column = entries.row[order], entries.col[order]
+    while (left := (place[row] < 0) & ~taken[column]).any():
+        row, column = row[left], column[left]
+        chosen = np.sort(np.unique(row, return_index=True)[1])
+        chosen = chosen[np.unique(column[chosen], return_index=True)[1]]
+        place[row[chosen]], taken[column[chosen]] = column[chosen], True
+    return place

@@ -27,6 +27,9 @@ from rmesh_nlp.problem import Obstacle, at
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient
 from rmesh_nlp.problem.data import ContactSet
 
+OWN = np.ones(1)
+"""Share of the one vertex that carries a node, and factor of the one node that a gap depends on."""
+
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
 
@@ -54,35 +57,41 @@ def _forces(shares: Array) -> tuple[ca.SX, ...]:
     return *_node(shares), *map(ca.SX.sym, ("lambda", "mu_minus", "mu_plus"))
 
 
-def gap_function(obstacle: Obstacle, components: int, shares: Array) -> ca.Function:
-    """``(X_i, u_i) -> (0, gap)`` of one contact node: normal(X) . u + distance(X).
+def _displaced(components: int, factors: Array) -> tuple[ca.SX, ca.SX]:
+    """Displacements of the nodes that a gap depends on, as a column, and their sum times factors."""
+    u = ca.SX.sym("u", components, factors.size)
+    return ca.vec(u), u @ factors
+
+
+def gap_function(obstacle: Obstacle, components: int, shares: Array, factors: Array = OWN) -> ca.Function:
+    """``(X_i, u) -> (0, gap)`` of one contact node: normal(X) . (u @ factors) + distance(X).
 
     At an edge the coefficient of the parabola through the distances at ends and middle stands in the place of
     the distance. Where no normal varies the gap along the edge is so interpolated.
     """
-    (X, x, y), u = _node(shares), ca.SX.sym("u", components)
+    (X, x, y), (column, u) = _node(shares), _displaced(components, factors)
     distance = obstacle.distance(x, y)
     if shares.size == 2:
         ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.vertsplit(X, 2)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
-    return ca.Function("gap", [X, u], [0, ca.dot(obstacle.direction(x, y), u) + distance], OPEN)
+    return ca.Function("gap", [X, column], [0, ca.dot(obstacle.direction(x, y), u) + distance], OPEN)
 
 
-def slip_function(obstacle: Obstacle, shares: Array) -> ca.Function:
-    """``(X_i, u_i, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
-    (X, x, y), u, s = _node(shares), ca.SX.sym("u", 2), ca.SX.sym("s")
+def slip_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Function:
+    """``(X_i, u, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
+    (X, x, y), (column, u), s = _node(shares), _displaced(2, factors), ca.SX.sym("s")
     slip = ca.dot(obstacle.tangential(x, y), u)
-    return ca.Function("slip", [X, u, s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
+    return ca.Function("slip", [X, column, s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
 
 
-def force_function(obstacle: Obstacle, shares: Array) -> ca.Function:
-    """``(X_i, lambda[, mu-, mu+]) -> (0, -lambda n + (mu- - mu+) t)`` of one contact node."""
+def force_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Function:
+    """``(X_i, lambda[, mu-, mu+]) -> (0, (-lambda n + (mu- - mu+) t) @ factors^T)`` of one contact node."""
     X, x, y, pressure, minus, plus = _forces(shares)
-    force = -pressure * obstacle.direction(x, y)
-    if not obstacle.frictional:
-        return ca.Function("contact_force", [X, pressure], [0, force], OPEN)
-    force += (minus - plus) * obstacle.tangential(x, y)
-    return ca.Function("contact_force", [X, pressure, minus, plus], [0, force], OPEN)
+    force, used = -pressure * obstacle.direction(x, y), [X, pressure]
+    if obstacle.frictional:
+        force += (minus - plus) * obstacle.tangential(x, y)
+        used += [minus, plus]
+    return ca.Function("contact_force", used, [0, ca.vec(force @ factors[None])], OPEN)
 
 
 def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
@@ -94,8 +103,8 @@ def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
             groups += edge_gaps(on, part, rows)
             continue
         for which, vertices, shares in on.space.kinds(part.nodes):
-            function = gap_function(part.obstacle, on.problem.components, shares)
-            local = on.positions.at(vertices), on.displacement.at(part.nodes[None, which])
+            function = gap_function(part.obstacle, on.problem.components, shares, part.factors)
+            local = on.positions.at(vertices), on.displacement.at(part.carriers[:, which])
             groups.append(on.group(function, local, rows[None, which]))
     return groups
 
@@ -109,7 +118,7 @@ def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
     for part in on.problem.contact_sets:
         nodes = on.problem.given_gaps(part)[0][None]
         if nodes.size:
-            function = gap_function(part.obstacle, on.problem.components, np.ones(1))
+            function = gap_function(part.obstacle, on.problem.components, OWN)
             rows = first_row + np.arange(nodes.size)[None]
             groups.append(on.group(function, [on.positions.at(nodes), on.displacement.at(nodes)], rows))
             first_row += nodes.size
@@ -134,9 +143,9 @@ def slips(on: Fields, first_row: int = 0) -> list[ElementGroup]:
     for part, numbers in _frictional(on.space):
         slip = on.slip.component(part.number)
         for which, vertices, shares in on.space.kinds(part.nodes):
-            nodes, rows = part.nodes[None, which], first_row + numbers[which] + np.array([[0], [n_s]])
-            local = on.positions.at(vertices), on.displacement.at(nodes), slip.at(nodes)
-            groups.append(on.group(slip_function(part.obstacle, shares), local, rows))
+            rows, u = first_row + numbers[which] + np.array([[0], [n_s]]), on.displacement
+            local = on.positions.at(vertices), u.at(part.carriers[:, which]), slip.at(part.nodes[None, which])
+            groups.append(on.group(slip_function(part.obstacle, shares, part.factors), local, rows))
     return groups
 
 
@@ -191,10 +200,10 @@ def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
     for part in on.space.contact_sets:
         used = on.forces if part.obstacle.frictional else on.forces[:1]
         for which, vertices, shares in on.space.kinds(part.nodes):
-            nodes = part.nodes[which]
-            forces = (field.component(part.number).at(nodes[None]) for field in used)
-            function = force_function(part.obstacle, shares)
-            groups.append(on.group(function, [on.positions.at(vertices), *forces], rows[:, nodes]))
+            forces = (field.component(part.number).at(part.nodes[None, which]) for field in used)
+            function = force_function(part.obstacle, shares, part.factors)
+            own = np.vstack([rows[:, nodes] for nodes in part.carriers[:, which]])
+            groups.append(on.group(function, [on.positions.at(vertices), *forces], own))
     return groups
 
 

@@ -179,16 +179,18 @@ def _pattern(relocation: Relocation) -> sp.csc_array:
     """Upper triangle of where the lifted Hessian may have entries, whatever is active.
 
     It is that of the energy NLP, in which slips, and displacements at touching nodes, follow w and the outer
-    variables that gap and slip there depend on. In the coordinates of contact the displacements of a node are
-    turned into each other.
+    variables that gap and slip there depend on. In the coordinates of contact the displacements of a node,
+    and those of one gap, are turned into each other.
     """
     rel, q, u = relocation, relocation.unknowns["q"], relocation.unknowns["u"]
     index = rel.displacement.index - u.start
     component, node = np.nonzero(index >= 0)
     places = index[component, node], node
     of_node = sp.csr_array((np.ones(node.size), places), shape=(rel.parts.n_u, index.shape[1]))
-    turned, first = of_node @ of_node.T, sp.csr_array(rel.assembled.first.pattern, dtype=float)
+    first = sp.csr_array(rel.assembled.first.pattern, dtype=float)
     gaps, slips = first[rel.rows["gaps"]], first[rel.rows["plus"]]
+    rows = sp.vstack([gaps, slips])[:, u]
+    turned = of_node @ of_node.T @ (sp.eye_array(rows.shape[1]) + rows.T @ rows)
     follows = turned @ (gaps[:, u].T @ gaps[:, q] + slips[:, u].T @ slips[:, q])
     unknowns = sp.block_array(
         [[sp.eye_array(rel.parts.n_q), None], [follows, turned], [slips[:, q], slips[:, u] @ turned]]

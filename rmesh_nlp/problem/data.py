@@ -31,13 +31,26 @@ BY_VALIDITY = Motion()
 class ContactSet:
     """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles.
 
-    Of a problem they are vertices, of a displacement space its nodes.
+    Of a problem they are vertices, of a displacement space its nodes. A gap is where its node is; it depends
+    on the sum of the displacements of its ``carriers`` (nodes, gaps) times ``factors`` (nodes,): its own, and
+    further ones where ``others`` has them, each a factor and as many nodes.
     """
 
     number: int
     obstacle: Obstacle
     nodes: Index
     rows: Index
+    others: tuple[tuple[float, Index], ...] = ()
+
+    @property
+    def carriers(self) -> Index:
+        """(nodes, gaps) the nodes that each gap depends on, its own first."""
+        return np.stack([self.nodes, *(nodes for _, nodes in self.others)])
+
+    @property
+    def factors(self) -> Array:
+        """(nodes,) their factors."""
+        return np.array([1.0, *(factor for factor, _ in self.others)])
 
 
 @dataclass(frozen=True)
