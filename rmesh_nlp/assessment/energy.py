@@ -14,7 +14,7 @@ from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body, Edges, gradients
 from rmesh_nlp.problem.coefficients import Coefficient, is_nonzero, on_points
-from rmesh_nlp.problem.laws import Laplace, Law
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.switches import polynomial_degree
 
@@ -44,15 +44,10 @@ def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
 
 def _density(law: Law, gradient: Array) -> Array:
     """Integrand (n components, n components, m, k) of the stiffness for gradients (n, 2, m, k)."""
-    inner = np.einsum("aimk,bimk->abmk", gradient, gradient)
-    if isinstance(law, Laplace):
-        return law.conductivity * inner
-    lam, mu = law.in_plane_lambda, law.lame_mu
-    full = lam * np.einsum("aimk,bjmk->aibjmk", gradient, gradient)
-    full += mu * np.einsum("ajmk,bimk->aibjmk", gradient, gradient)
-    for i in range(2):
-        full[:, i, :, i] += mu * inner
-    return full.reshape(2 * len(gradient), 2 * len(gradient), *gradient.shape[2:])
+    each = np.einsum("akmp,ikjl->aijlmp", gradient, law.moduli, optimize=True)
+    full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
+    n = len(gradient) * law.components
+    return full.reshape(n, n, *gradient.shape[2:])
 
 
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:

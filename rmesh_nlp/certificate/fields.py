@@ -22,7 +22,7 @@ from rmesh_nlp.certificate.oscillation import korn
 from rmesh_nlp.certificate.raviart_thomas import raviart_thomas
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array, magnitude
-from rmesh_nlp.problem import ContactProblem, Elastic
+from rmesh_nlp.problem import ContactProblem
 
 
 def element_of(problem: ContactProblem) -> Element:
@@ -42,19 +42,10 @@ def law_of(problem: ContactProblem, skeleton: Skeleton) -> Law:
     """The law of a problem on its triangles."""
     values, count = problem.components + 1, skeleton.areas.size
     stiffness, compliance = np.zeros((2, values, values, count))
-    gradient_by_energy = np.zeros(count)
+    gradient_by_energy, factor = np.zeros(count), None if problem.components == 1 else korn(skeleton)
     for law, part in problem.regions:
-        if isinstance(law, Elastic):
-            lam, mu = law.in_plane_lambda, law.lame_mu
-            share = lam / (2 * (lam + mu))
-            direct = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
-            inverse = np.array([[1 - share, -share, 0], [-share, 1 - share, 0], [0, 0, 2]])
-            inverse /= 2 * mu
-            gradient_by_energy[part] = korn(skeleton)[part] / np.sqrt(min(2 * mu, 2 * (lam + mu)))
-        else:
-            k = law.conductivity
-            direct, inverse = k * np.eye(2), np.eye(2) / k
-            gradient_by_energy[part] = 1 / np.sqrt(k)
+        direct, inverse = law.stiffness, law.compliance
+        gradient_by_energy[part] = (1.0 if factor is None else factor[part]) / np.sqrt(law.least_modulus)
         stiffness[:, :, part], compliance[:, :, part] = direct[:, :, None], inverse[:, :, None]
     return Law(stiffness, compliance, gradient_by_energy)
 

@@ -20,7 +20,7 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero, once
-from rmesh_nlp.problem.laws import Law, energy_density
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
 
 
@@ -30,7 +30,7 @@ def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
     energy = cell.kind(0)
     for shares, weight in cell.energy_rule:
         at = cell.at(shares)
-        energy += weight * at.part * energy_density(law, at.scaled) / at.det  # a quadratic one: one division
+        energy += weight * at.part * law.energy_density(at.scaled) / at.det  # a quadratic one: one division
     return cell.function("strain_energy", energy)
 
 

@@ -25,7 +25,7 @@ from math import comb
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, Expression, cross
-from rmesh_nlp.problem.laws import Elastic, Law
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.quadrature import triangle_rule
 
 EQUILATERAL = np.array([[1.0, -0.5, -0.5], [0.0, np.sqrt(0.75), -np.sqrt(0.75)]]) / (27 / 16) ** 0.25
@@ -64,11 +64,8 @@ def _of_linear(law: Law, triangles: Expression, second: Expression) -> Expressio
     for i in range(3):
         cx, cy = edges[i]
         w = [_along(H, edges[i - 1], edges[i - 2]) for H in second]
-        size = sum(wi**2 for wi in w) * (cx**2 + cy**2)  # the gradient of lambda_i is (-cy, cx) / (2 area)
-        if isinstance(law, Elastic):
-            total += law.lame_mu * size + (law.in_plane_lambda + law.lame_mu) * (w[1] * cx - w[0] * cy) ** 2
-        else:
-            total += law.conductivity * size
+        # the gradient of lambda_i is (-cy, cx) / (2 area)
+        total += law.energy_product([[-wi * cy, wi * cx] for wi in w])
     return total / (48 * double)  # area / 3 * 1/4 * 1/2 / (2 area)^2
 
 
@@ -92,13 +89,7 @@ def _of_quadratic(law: Law, triangles: Expression, third: Expression) -> Express
                     sum(edge[0] * rate for edge, rate in zip(edges, by_lambda, strict=True)),
                 )
             )
-        if isinstance(law, Elastic):
-            (a, b), (c, d) = slopes
-            shear = law.lame_mu * (2 * a * a + 2 * d * d + (b + c) ** 2)
-            density = law.in_plane_lambda * (a + d) ** 2 + shear
-        else:
-            density = law.conductivity * sum(value**2 for value in slopes[0])
-        total += weight * density
+        total += weight * law.energy_product(slopes)
     return total / (4 * double)  # area * 1/2 / (2 area)^2
 
 

@@ -33,7 +33,6 @@ from rmesh_nlp.fem.objective import Groups, Term
 from rmesh_nlp.fem.space import outward_edges
 from rmesh_nlp.problem import ExactSolution, Obstacle
 from rmesh_nlp.problem.coefficients import OPEN
-from rmesh_nlp.problem.laws import energy_density
 
 ERROR_DEGREE = 10
 """Degree of the rules for error integrals: high, since an optimiser exploits a low one."""
@@ -77,7 +76,7 @@ def _error(which: str, on: Fields) -> list[ElementGroup]:
         def density(x: Any, y: Any, u: Any, slope: Any, law: Any = law) -> Any:
             value, gradient = solution(x, y)
             if which == "error-energy":
-                return energy_density(law, slope - gradient)
+                return law.energy_density(slope - gradient)
             return ca.sumsqr(u - value if which == "error-l2" else slope - gradient)
 
         cells = on.problem.triangles[:, elements]
@@ -117,7 +116,7 @@ def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool =
     """Work of the exact stress on one contact boundary: normal on the gap, or ``along`` it on the slip."""
     solution, gradient = _with_gradient(exact), ca.SX.sym("gradient", on.problem.components, 2)
     # the stress is the derivative of the energy density by the gradient
-    energy = energy_density(on.problem.laws[0], gradient)
+    energy = on.problem.laws[0].energy_density(gradient)
     stress = ca.Function("stress", [gradient], [ca.gradient(energy, gradient)], OPEN)
 
     def density(x: Expression, y: Expression, u: Expression, n: Expression) -> Expression:

@@ -10,7 +10,6 @@ from rmesh_nlp.fem.sampling import pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.body import gradients as of_shares
-from rmesh_nlp.problem.laws import Laplace
 
 CENTRE = np.full(3, 1 / 3)
 
@@ -43,14 +42,7 @@ def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Arr
     gradient = gradients(problem, X, displacement, shares)
     result = np.zeros((2 if problem.components == 1 else 4, *gradient.shape[2:]))
     for law, elements in problem.regions:
-        part = gradient[:, :, elements]
-        if isinstance(law, Laplace):
-            result[:, elements] = law.conductivity * part[0]
-            continue
-        trace = part[0, 0] + part[1, 1]
-        shear = law.lame_mu * (part[0, 1] + part[1, 0])
-        normal = [law.in_plane_lambda * trace + 2 * law.lame_mu * part[i, i] for i in range(2)]
-        result[:, elements] = [*normal, shear, law.out_of_plane_stress(trace)]
+        result[:, elements] = law.written(gradient[:, :, elements])
     return result
 
 

@@ -22,14 +22,14 @@ from rmesh_nlp.problem.checks import check, check_names
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
-from rmesh_nlp.problem.laws import Elastic, Laplace
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.lines import harmonic_motions, onto_curves, onto_lines
 from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
-    "laws": ((Laplace, Elastic), "Laplace, PlaneStrain or PlaneStress"),
+    "laws": ((Law,), "Laplace, PlaneStrain or PlaneStress"),
     "dirichlet": ((str, Dirichlet), "names of boundaries or Dirichlet"),
     "tractions": ((Traction,), "Traction"),
     "point_loads": ((PointLoad,), "PointLoad"),

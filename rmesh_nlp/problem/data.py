@@ -16,7 +16,7 @@ from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
-from rmesh_nlp.problem.laws import LOCKING, Law, PlaneStrain
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
 from rmesh_nlp.problem.quadrature import exact_rule
@@ -118,8 +118,7 @@ class ProblemData:
     @property
     def locking(self) -> tuple[float, ...]:
         """Poisson's ratios for which linear triangles are much too stiff; none at order 2."""
-        ratios = (law.poisson for law in self.laws if isinstance(law, PlaneStrain))
-        return tuple(ratio for ratio in ratios if self.order == 1 and ratio > LOCKING)
+        return tuple(law.locking for law in self.laws if self.order == 1 and law.locking)
 
     @property
     def components(self) -> int:

@@ -6,14 +6,15 @@ import warnings
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from numbers import Real
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
+import numpy as np
 from skfem.models.elasticity import lame_parameters
 
 from rmesh_nlp.display import describe
 from rmesh_nlp.errors import BadInputError, require
-from rmesh_nlp.evaluation import Expression, is_finite
+from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import Coefficient, is_number
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.settings import Number, check_positive
@@ -25,8 +26,72 @@ LOCKING = 0.45
 """Poisson's ratio from which on linear triangles in plane strain are too stiff."""
 
 
+class Law(ABC):
+    """A linear material law; a law of your own derives from it, and needs no other change.
+
+    Gradients of the displacement are ``gradient[i][j]``: numbers, arrays or expressions.
+    """
+
+    components: ClassVar[int]
+    """Number of displacement components, 1 or 2."""
+
+    @property
+    @abstractmethod
+    def load(self) -> tuple[Coefficient, ...]:
+        """Source or body force, one coefficient per component."""
+
+    @property
+    @abstractmethod
+    def least_modulus(self) -> float:
+        """The least ratio of ``energy_product`` to the square of a gradient, or of a strain."""
+
+    @abstractmethod
+    def in_words(self, stress: str) -> str:
+        """The law's numbers, with ``stress`` as the unit of moduli, and its load."""
+
+    @abstractmethod
+    def energy_density(self, gradient: Expression) -> Expression:
+        """Energy per area, of a gradient (components, 2) of CasADi."""
+
+    @abstractmethod
+    def stress(self, gradient: Any) -> list[list[Any]]:
+        """Stress, or flux, by component and direction."""
+
+    def written(self, gradient: Any) -> list[Any]:
+        """What files and pictures have: the flux, or sigma_xx, sigma_yy, sigma_xy and sigma_zz."""
+        return self.stress(gradient)[0]
+
+    def energy_product(self, gradient: Any) -> Any:
+        """Stress times gradient: twice the energy density."""
+        rows = zip(self.stress(gradient), gradient, strict=True)
+        return sum(s * g for row in rows for s, g in zip(*row, strict=True))
+
+    @property
+    def locking(self) -> float:
+        """Poisson's ratio where linear triangles are much too stiff; else 0."""
+        return 0.0
+
+    @property
+    def moduli(self) -> Array:
+        """(components, 2, components, 2) stresses of unit gradients."""
+        shape = self.components, 2
+        units = np.eye(2 * self.components).reshape(-1, *shape)
+        return np.array([self.stress(unit) for unit in units], dtype=float).reshape(*shape, *shape)
+
+    @property
+    def stiffness(self) -> Array:
+        """(values, values) stresses of a unit gradient, or of unit strains xx, yy and twice xy."""
+        i, j = ((0, 0), (0, 1)) if self.components == 1 else ((0, 1, 0), (0, 1, 1))
+        return self.moduli[i, j][:, i, j]
+
+    @property
+    def compliance(self) -> Array:
+        """Its inverse."""
+        return np.asarray(np.linalg.inv(self.stiffness), dtype=float)
+
+
 @dataclass(frozen=True)
-class Laplace:
+class Laplace(Law):
     """Scalar problem (3.1): ``-div(conductivity grad u) = source``.
 
     Energy 1/2 (conductivity grad u, grad u) - (source, u).
@@ -56,12 +121,25 @@ class Laplace:
         """Conductivity and source."""
         return f"Laplace, conductivity {describe(self.conductivity)}, source {describe(self.source)}"
 
+    @property
+    def least_modulus(self) -> float:
+        """The conductivity."""
+        return self.conductivity
+
+    def energy_density(self, gradient: Expression) -> Expression:
+        """Half the conductivity times the square of the gradient."""
+        return 0.5 * self.conductivity * ca.sumsqr(gradient)
+
+    def stress(self, gradient: Any) -> list[list[Any]]:
+        """The flux, conductivity times grad u."""
+        return [[self.conductivity * slope for slope in gradient[0]]]
+
 
 E = TypeVar("E", bound="Elastic")
 
 
 @dataclass(frozen=True)
-class Elastic(ABC):
+class Elastic(Law):
     """Isotropic elasticity (3.7) with Lamé coefficients in N/m^2: the base of the two plane laws.
 
     Parameters
@@ -117,6 +195,34 @@ class Elastic(ABC):
         return f"{type(self).__name__}, {lame}, body force ({force})"
 
     @property
+    def least_modulus(self) -> float:
+        """The lesser of 2 mu and 2 (lambda + mu), lambda that in the plane."""
+        return 2 * min(self.lame_mu, self.in_plane_lambda + self.lame_mu)
+
+    @property
+    def compliance(self) -> Array:
+        """The inverse of ``stiffness``, also of a body that is almost incompressible."""
+        share = self.in_plane_lambda / (2 * (self.in_plane_lambda + self.lame_mu))
+        return np.array([[1 - share, -share, 0], [-share, 1 - share, 0], [0, 0, 2]]) / (2 * self.lame_mu)
+
+    def energy_density(self, gradient: Expression) -> Expression:
+        """Half the stress times the strain."""
+        strain = (gradient + gradient.T) / 2
+        return 0.5 * self.in_plane_lambda * ca.trace(strain) ** 2 + self.lame_mu * ca.sumsqr(strain)
+
+    def stress(self, gradient: Any) -> list[list[Any]]:
+        """The stress in the plane."""
+        trace = self.in_plane_lambda * (gradient[0][0] + gradient[1][1])
+        shear = self.lame_mu * (gradient[0][1] + gradient[1][0])
+        xx, yy = (trace + 2 * self.lame_mu * gradient[i][i] for i in range(2))
+        return [[xx, shear], [shear, yy]]
+
+    def written(self, gradient: Any) -> list[Any]:
+        """sigma_xx, sigma_yy, sigma_xy and sigma_zz."""
+        (xx, xy), (_, yy) = self.stress(gradient)
+        return [xx, yy, xy, self.out_of_plane_stress(gradient[0][0] + gradient[1][1])]
+
+    @property
     @abstractmethod
     def in_plane_lambda(self) -> float:
         """Factor of ``trace(strain) I`` in the in-plane stress."""
@@ -134,6 +240,11 @@ class PlaneStrain(Elastic):
     def poisson(self) -> float:
         """Poisson's ratio."""
         return self.lame_lambda / (2 * (self.lame_lambda + self.lame_mu))
+
+    @property
+    def locking(self) -> float:
+        """Poisson's ratio of a body that is almost incompressible."""
+        return self.poisson if self.poisson > LOCKING else 0.0
 
     @property
     def in_plane_lambda(self) -> float:
@@ -160,14 +271,3 @@ class PlaneStress(Elastic):
     def out_of_plane_stress(self, trace: Expression) -> Expression:
         """Zero."""
         return 0 * trace
-
-
-Law = Laplace | Elastic
-
-
-def energy_density(law: Law, gradient: Expression) -> Expression:
-    """Energy per area as a function of the displacement gradient (components, 2)."""
-    if isinstance(law, Laplace):
-        return 0.5 * law.conductivity * ca.sumsqr(gradient)
-    strain = (gradient + gradient.T) / 2
-    return 0.5 * law.in_plane_lambda * ca.trace(strain) ** 2 + law.lame_mu * ca.sumsqr(strain)

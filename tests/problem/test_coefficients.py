@@ -24,7 +24,6 @@ from rmesh_nlp.problem import (
     where,
 )
 from rmesh_nlp.problem.coefficients import is_nonzero, on_points
-from rmesh_nlp.problem.laws import energy_density
 from rmesh_nlp.problem.quadrature import exact_rule
 from rmesh_nlp.problem.switches import polynomial_degree
 from support.formulations import fixed
@@ -157,7 +156,7 @@ def test_stress_and_energy_of_an_elastic_law(law: Elastic, in_plane: float, out_
     assert law.in_plane_lambda == pytest.approx(in_plane, rel=1e-15)
     assert law.out_of_plane_stress(2.0) == out_of_plane
     # strain ((1, 2.5), (2.5, 4)): trace 5, sum of squares 29.5
-    density = energy_density(law, ca.DM([[1, 2], [3, 4]]))
+    density = law.energy_density(ca.DM([[1, 2], [3, 4]]))
     assert float(density) == pytest.approx(0.5 * in_plane * 25 + 8 * 29.5, rel=1e-15)
     assert law.components == 2
 
