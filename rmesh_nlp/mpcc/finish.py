@@ -71,7 +71,7 @@ def resolved(run: Run, z: Array, warm: Warm) -> Finish | None:
     result = newton(run, z, warm)
     if result is None:
         return None
-    run.budget.iterations += result.iterations
+    run.monitor("newton", 0.0)(result.iterations, result.x, result.f, result.lam_g)  # its end alone is shown
     run.record("newton", 0.0, result)
     end = labelled(run, result.x, result.f, result.status, result.lam_g, search=False)
     return end if end.solved else None

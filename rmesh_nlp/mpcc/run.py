@@ -107,7 +107,7 @@ class Run:
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], idle + fill)
-        result = solver(np.append(z, idle), monitor=self._monitor(phase, t), **arguments)
+        result = solver(np.append(z, idle), monitor=self.monitor(phase, t), **arguments)
         result = replace(result, x=result.x[:n], lam_x=result.lam_x[:n])
         self.budget.iterations = before + result.iterations
         self.record(phase, t, result)
@@ -179,7 +179,7 @@ class Run:
         """Ipopt iterations spent."""
         return self.budget.iterations - self._before
 
-    def _monitor(self, phase: str, t: float) -> Monitor:
+    def monitor(self, phase: str, t: float) -> Monitor:
         """What an NLP calls after each iteration."""
         budget, before, n = self.budget, self.budget.iterations, self.lifted.nlp.n_x
 
