@@ -71,8 +71,8 @@ def newton(run: Run, z: Array, warm: Warm) -> NLPResult | None:
     strong = (np.abs(lam[pairs]) > weak) & (z < upper[:n] - z)[pairs]
     zero = np.where(np.any(strong, axis=0), strong, lifted.smaller(z))
     side = 1 * (np.isfinite(upper) & (lam > weak)) - (np.isfinite(lower) & (lam < -weak))
-    left = run.budget.iterations_left
-    for k in range(1, 1 + (_STEPS if left is None else min(_STEPS, left))):
+    limit = run.budget.iterations_left
+    for k in range(1, 1 + (_STEPS if limit is None else min(_STEPS, limit))):
         side[pairs[zero]] = 0
         active = equal | (side != 0)
         active[pairs[zero]] = True
