@@ -21,6 +21,7 @@ from rmesh_nlp.mpcc.stationarity import UNLABELLED, Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
+_GAP, _GAP_FLOOR = 1e-3, 1e-6  # an end further above the expected objective is not yet final
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
 
 
@@ -63,7 +64,15 @@ def finish(run: Run, z: Array, *, search: bool, warm: Warm = None) -> Finish:
     ``warm`` at ``z`` on.
     """
     end = resolved(run, z, warm) if search else None
-    return settled(run, run.branch(z, run.lifted.smaller(z))) if end is None else end
+    if end is not None and at_the_limit(end.f, run.objective(z)):
+        return end
+    other = settled(run, run.branch(z, run.lifted.smaller(z)))
+    return other if end is None or other.rank > end.rank else end
+
+
+def at_the_limit(finished: float, expected: float) -> bool:
+    """Whether an end is where the relaxed solutions were going, or lower: else another may be better."""
+    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
 def resolved(run: Run, z: Array, warm: Warm) -> Finish | None:

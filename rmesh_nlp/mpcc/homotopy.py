@@ -9,14 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Mask, is_finite
-from rmesh_nlp.mpcc.finish import Finish, finish, resolved
+from rmesh_nlp.mpcc.finish import Finish, at_the_limit, finish, resolved
 from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
-_GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 _FREE = 1e-6  # relative change of the objective in which pairs cost nothing
 _SLOPES, _ABOVE = 3.0, 1e-2  # a step may end above the last by so many of its slopes and this share of f
 _SMALL = 5.0  # members whose means have a larger product are large for t = 1
@@ -97,7 +96,7 @@ def follow(
         is_settled = before is not None and _settled(before, sides)
         if (t == t0 and is_free) or (is_settled and t <= options.crossover * (1 + ROUNDING)):
             near = resolved(run, result.x, lam)
-            if near is not None and path.keep(near) and _at_the_limit(near.f, objective):
+            if near is not None and path.keep(near) and at_the_limit(near.f, objective):
                 return
         # pairs that cost nothing yet do not say what they will cost
         allowed = np.inf if is_free else _allowed(objective, cost)
@@ -160,11 +159,6 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     while t > product and t > t_final:
         t *= factor
     return t_final if t <= t_final * (1 + ROUNDING) else t
-
-
-def _at_the_limit(finished: float, expected: float) -> bool:
-    """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
-    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
 def _settled(before: Mask, sides: Mask) -> bool:
