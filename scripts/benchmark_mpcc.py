@@ -34,6 +34,7 @@ import numpy as np
 import pandas as pd
 
 from isolated import Failed, isolated
+from mpcc_library.applications import APPLICATIONS
 from mpcc_library.families import FAMILIES
 from mpcc_library.large import LARGE
 from mpcc_library.solvers import NEEDS, SOLVERS
@@ -64,7 +65,7 @@ def read_collection(path: Path) -> Iterator[Problem]:
 def problems(
     paths: Sequence[Path], families: Sequence[str], sizes: int, seeds: int
 ) -> Iterator[tuple[str, Problem]]:
-    """Problems of files and of generated families ("all", or names), each with its group."""
+    """Problems of files and of generated families ("all", "applications", or names), each with its group."""
     for path in paths:
         if path.suffix == ".py":
             yield from ((path.stem, problem) for problem in read_collection(path))
@@ -73,9 +74,11 @@ def problems(
             [p for p in sorted(path.rglob("*")) if p.suffix.lower() in READERS] if path.is_dir() else [path]
         )
         yield from ((file.parent.name, read(file)) for file in files)
-    for name in list(FAMILIES) if list(families) == ["all"] else families:
-        if name not in (known_families := {**FAMILIES, **LARGE}):
-            raise ValueError(f"unknown family {name!r}; there are {', '.join(['all', *known_families])}")
+    groups = {"all": list(FAMILIES), "applications": list(APPLICATIONS)}
+    known_families = {**FAMILIES, **APPLICATIONS, **LARGE}
+    for name in [name for family in families for name in groups.get(family, [family])]:
+        if name not in known_families:
+            raise ValueError(f"unknown family {name!r}; there are {', '.join([*groups, *known_families])}")
         make, sizes_of = known_families[name]
         yield from ((name, make(size, seed)) for size in sizes_of[:sizes] for seed in range(seeds))
 
@@ -171,7 +174,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "paths", nargs="*", type=Path, metavar="FILE", help="collections, .nl, .json, folders"
     )
-    parser.add_argument("--families", help="generated problems: all, or names")
+    parser.add_argument("--families", help="generated problems: all, applications, or names")
     parser.add_argument("--sizes", type=int, default=2, help="sizes of each family")
     parser.add_argument("--seeds", type=int, default=4, help="problems of each size")
     parser.add_argument("--solvers", nargs="+", choices=list(SOLVERS), default=list(SOLVERS))

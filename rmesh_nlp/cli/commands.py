@@ -317,6 +317,12 @@ def mpcc(
     starts: Annotated[
         int, Option(min=1, metavar="N", help="The lowest of N starts: the file's, random ones.")
     ] = 1,
+    start: Annotated[
+        Path | None,
+        Option(
+            metavar="FILE", help="What --json printed for a neighbouring problem: start from its solution."
+        ),
+    ] = None,
     log: Annotated[bool, Option("--log", help="A line per nonlinear program.")] = False,
     json: o.Json = False,
 ) -> int:
@@ -326,12 +332,13 @@ def mpcc(
     rmesh mpcc problem.nl
     rmesh mpcc problem.nl --relaxation kanzow-schwartz --time-limit 30 --log
     rmesh mpcc problem.nl --json > result.json
+    rmesh mpcc changed.nl --start result.json
     rmesh-mpcc problem -AMPL relaxation=kanzow-schwartz time_limit_s=30    (writes problem.sol)
     """
     chosen = {"relaxation": relaxation, "starts": starts, "max_iterations": max_iterations}
     if time_limit is not None:
         chosen["time_limit_s"] = time_limit
-    return load("cli.mpcc").run(files or [], chosen, log, json)
+    return load("cli.mpcc").run(files or [], chosen, log, json, start)
 
 
 @app.command()

@@ -11,7 +11,7 @@ from rmesh_nlp.mpcc.options import Options
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.reading import Problem, read
 from rmesh_nlp.mpcc.relaxations import RELAXATIONS
-from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Stage
+from rmesh_nlp.mpcc.result import Duals, Iterate, MPCCResult, Reached, Stage, shift
 from rmesh_nlp.mpcc.solver import MPCCSolver, classify, solve
 
 __all__ = [
@@ -32,6 +32,7 @@ __all__ = [
     "classify",
     "mpccsol",
     "read",
+    "shift",
     "solve",
     "solve_bilevel",
 ]

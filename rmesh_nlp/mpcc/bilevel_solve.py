@@ -5,13 +5,12 @@ value than that of an end, each bilevel solution obeys ``f(x, y) <= f(x, y_k)`` 
 the MPCC is solved again with that row. Where the feasible set moves with x the row holds or y_k violates a
 constraint: with the violations r(x) of y_k, positive where it is infeasible ::
 
-    f(x, y) - f(x, y_k) <= s,   0 <= s  _|_  w >= 0,   sum lambda_i r_i(x) + w >= 0,   sum lambda = 1.
+    f(x, y) - f(x, y_k) <= s,   0 <= s  _|_  w >= 0,   max_i r_i(x) + w >= 0.
 
 On a constraint that moves y_k would be infeasible beside its own x, and the row without effect: y_k is as far
-inside as a fifth of the gain allows. Where linear equations move y_k moves with them, by least squares; other
-equations that move allow no cut. Disjunction and inner points are those of A. Mitsos, P. Lemonidis,
-P. I. Barton, Global solution of bilevel programs with a nonconvex inner program, J. Global Optim. 42 (2008)
-475-513.
+inside as a fifth of the gain allows. Equations that move allow no cut. Disjunction and inner points are those
+of A. Mitsos, P. Lemonidis, P. I. Barton, Global solution of bilevel programs with a nonconvex inner program,
+J. Global Optim. 42 (2008) 475-513.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array, flat, magnitude
+from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.mpcc.bilevel import bilevel
 from rmesh_nlp.mpcc.finish import is_below
 from rmesh_nlp.mpcc.lower_level import LowerLevel
@@ -102,38 +101,30 @@ def solve_bilevel(
     level, chosen = program.lower_level, Options.of(options).having({"starts": starts, **changes})
     assert level is not None
     parameters, budget = program.parameters(p), chosen.budget()
-    moving, made = _moving(level), list[ca.Function]()
-    has_pairs = moving is not None and not moving[0].is_empty()  # cuts have s and w, which may hide branches
+    violations, made = _moving(level), list[ca.Function]()
+    has_pairs = violations is not None and not violations.is_empty()
     points, before = [program.start(x0, parameters)], np.full(level.size, np.inf)
     found: list[MPCCResult] = []
     while True:
         solver = MPCCSolver(program, chosen)
         results = [solver(point, p=parameters, budget=budget) for point in points]
-        if has_pairs:
+        if has_pairs and made:  # cuts have s and w, which hide branches where they are not least
             results += [solver.finish(point, p=parameters, budget=budget) for point in points[1:]]
+            is_lower = True
+            while is_lower:
+                best = min(results, key=_rank)
+                results.append(solver.finish(best.x[: level.size], p=parameters, budget=budget))
+                is_lower = _rank(results[-1]) < _rank(best) and is_below(results[-1].f, best.f)
         ends = [end for result in results for end in result.ends or (result,)]
-        end = min(ends, key=_rank)
-        while has_pairs and made and not budget.is_over():  # a start takes the least s and w
-            lower_end = solver.finish(end.x[: level.size], p=parameters, budget=budget)
-            if _rank(lower_end) >= _rank(end) or not is_below(lower_end.f, end.f):
-                break
-            end = lower_end
-            ends.append(end)
         found += [end for end in ends if end.success]
+        end = min(ends, key=_rank)
         lowest, at = _lower(level, end, parameters), end.x[: level.size]
-        if (
-            lowest is None
-            or moving is None
-            or len(made) == cuts
-            or budget.is_over()
-            or np.allclose(at, before)
-        ):
+        is_stuck = violations is None or len(made) == cuts or np.allclose(at, before)
+        if lowest is None or is_stuck or budget.is_over():
             break
-        before, x, (violations, slope) = at, at[: level.n_upper], moving
-        y = type(program.x)(ca.DM(_inside(level, violations, end, lowest, parameters)))
-        y += ca.sparsify(slope) @ (ca.vertcat(program.parts["upper"], program.p) - np.append(x, parameters))
+        before, y = at, _inside(level, violations, end, lowest, parameters)
         program = _with_cut(program, level, violations, y, made)
-        points = [points[0], at, level.start(x, lowest, p=parameters)]
+        points = [points[0], at, level.start(at[: level.n_upper], lowest, p=parameters)]
     is_proved = end.success and lowest is None
     others = (other for other in sorted(found, key=_rank) if not is_proved or is_below(other.f, end.f))
     best = next((other for other in others if _lower(level, other, parameters) is None), end)
@@ -163,26 +154,14 @@ def _lower(level: LowerLevel, end: MPCCResult, p: Array) -> Array | None:
     return lowest.x if lowest.converged and check.f - lowest.f > ZERO * (1 + abs(check.f)) else None
 
 
-def _moving(level: LowerLevel) -> tuple[Symbolic, Array] | None:
-    """Violations of the inequalities that move with the upper level, and how y_k moves to keep equations.
-
-    Nothing if equations move that are not linear, or that y alone cannot keep.
-    """
+def _moving(level: LowerLevel) -> Symbolic | None:
+    """Violations of the inequalities that move with the upper level; nothing if equations move."""
     nlp, (entry, sign, bound, equal) = level.nlp, level.sides
-    column, slope = ca.vertcat(nlp.x, nlp.g), np.zeros((nlp.n_x, nlp.p.shape[0]))
     depends = np.array(ca.which_depends(nlp.g, nlp.p, 1, True), dtype=bool)
     moves = np.append(np.zeros(nlp.n_x, dtype=bool), depends)[entry]
-    if np.any(moves & equal):
-        equations, both = column[entry[equal].tolist()], ca.vertcat(nlp.x, nlp.p)
-        if any(ca.which_depends(equations, both, 2, True)):
-            return None
-        by_y, by_x = np.split(ca.evalf(ca.jacobian(equations, both)).full(), [nlp.n_x], axis=1)
-        slope, moves = -np.linalg.pinv(by_y) @ by_x, ~equal
-        if magnitude(by_y @ slope + by_x) > ZERO:
-            return None
     # one entry taken at no place is a row of none
-    rows = ca.reshape(column[entry[moves].tolist()], -1, 1)
-    return ca.DM(sign[moves]) * (rows - ca.DM(bound[moves])), slope
+    rows = ca.reshape(ca.vertcat(nlp.x, nlp.g)[entry[moves].tolist()], -1, 1)
+    return None if np.any(moves & equal) else ca.DM(sign[moves]) * (rows - ca.DM(bound[moves]))
 
 
 def _inside(level: LowerLevel, violations: Symbolic, end: MPCCResult, lowest: Array, p: Array) -> Array:
@@ -201,30 +180,25 @@ def _inside(level: LowerLevel, violations: Symbolic, end: MPCCResult, lowest: Ar
 
 
 def _with_cut(
-    program: MPCC, level: LowerLevel, violations: Symbolic, y: Symbolic, made: list[ca.Function]
+    program: MPCC, level: LowerLevel, violations: Symbolic, y: Array, made: list[ca.Function]
 ) -> MPCC:
     """The program with the cut by ``y``, which is added to those ``made``."""
     nlp, kind, upper = level.nlp, type(program.x), ca.vertcat(program.parts["upper"], program.p)
-    lower, n = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, violations]), violations.shape[0]
-    value, rows = lower(y, upper)
-    gain = lower(program.parts["lower"], upper)[0] - value
-    made.append(ca.Function("cut", [program.parts["lower"], upper], [gain, rows]))
-    if n == 0:
+    values = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, ca.mmax(violations)])
+    value, violation = values(ca.DM(y), upper)
+    gain = values(program.parts["lower"], upper)[0] - value
+    if violations.is_empty():
+        made.append(values)
         return program.extended(g=gain, ubg=0)
-    s, w, weights = kind.sym("s"), kind.sym("w"), kind.sym("lambda", n)
+    made.append(ca.Function("cut", [program.parts["lower"], upper], [ca.vertcat(gain, -violation)]))
+    s, w = kind.sym("s"), kind.sym("w")
     longer = program.extended(
-        x=ca.vertcat(s, w, weights), lbx=0, G=s, H=w,
-        g=ca.vertcat(gain - s, -ca.dot(weights, rows) - w, ca.sum1(weights) - 1),
-        lbg=[-np.inf, -np.inf, 0], ubg=0,
-    )  # fmt: skip
+        x=ca.vertcat(s, w), lbx=0, G=s, H=w, g=ca.vertcat(gain - s, -violation - w), ubg=0
+    )
 
     def completion(own: Array, p: Array) -> Array:
-        """The least s and w of each cut, and its most violated row."""
+        """The least s and w of each cut."""
         x, y, _ = level.split(own)
-        parts = []
-        for cut in made:
-            gain, rows = (flat(part) for part in cut(y, np.append(x, p)))
-            parts += [np.maximum([gain[0], -np.max(rows)], 0.0), np.eye(n)[np.argmax(rows)]]
-        return np.concatenate(parts)
+        return np.maximum(np.concatenate([flat(cut(y, np.append(x, p))) for cut in made]), 0.0)
 
     return replace(longer, n_added=longer.n_x - level.size, completion=completion)

@@ -13,15 +13,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, Mask
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.mpcc.lpec import Linearisation, linearise
+from rmesh_nlp.mpcc.newton import newton
 from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.mpcc.stationarity import UNLABELLED, Stationarity, stationarity
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
+_GAP, _GAP_FLOOR = 1e-3, 1e-6  # an end further above the expected objective is not yet final
 _DECREASE = 1e-9  # a branch is better if f falls by more than this, relative to 1 + |f|
-_SIGN_STEPS = 200  # cheap: each starts at the solution of the one before
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +63,27 @@ def finish(run: Run, z: Array, *, search: bool, warm: Warm = None) -> Finish:
     ``search`` looks for another branch if the one next to the point is infeasible, from the multipliers
     ``warm`` at ``z`` on.
     """
-    zero = run.lifted.smaller(z)
-    result = _by_signs(run, z, zero, warm) if search else None
-    return settled(run, result or run.branch(z, zero))
+    end = resolved(run, z, warm) if search else None
+    if end is not None and at_the_limit(end.f, run.objective(z)):
+        return end
+    other = settled(run, run.branch(z, run.lifted.smaller(z)))
+    return other if end is None or other.rank > end.rank else end
 
 
-def proved(run: Run, result: NLPResult) -> Finish:
-    """The end of a branch; solved if its own multipliers prove S, without a linear program."""
-    return labelled(run, result.x, result.f, result.status, result.lam_g, search=False)
+def at_the_limit(finished: float, expected: float) -> bool:
+    """Whether an end is where the relaxed solutions were going, or lower: else another may be better."""
+    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
+
+
+def resolved(run: Run, z: Array, warm: Warm) -> Finish | None:
+    """The solution next to a point, by Newton steps; None if they lead to none."""
+    result = newton(run, z, warm)
+    if result is None:
+        return None
+    run.monitor("newton", 0.0)(result.iterations, result.x, result.f, result.lam_g)  # its end alone is shown
+    run.record("newton", 0.0, result)
+    end = labelled(run, result.x, result.f, result.status, result.lam_g, search=False)
+    return end if end.solved else None
 
 
 def labelled(
@@ -122,26 +136,3 @@ def pivot(run: Run, point: Finish) -> Finish:
     last = labelled(run, point.z, point.f, Status.CONVERGED)
     status = Status.ITERATION_LIMIT if point.pivots == most else last.status
     return replace(last, pivots=point.pivots, status=status)
-
-
-def _by_signs(run: Run, z: Array, zero: Mask, warm: Warm) -> NLPResult | None:
-    """Primal-dual active set: leave the signs free, and switch every pair whose sign comes out wrong.
-
-    The branch next to ``z`` if none is. Where the pairs determine the rest (a lower level with one solution)
-    it moves a contact boundary node by node: an obstacle problem of a thousand pairs takes 2.5 s, by phase I
-    more than a minute. M. Hintermueller, K. Ito, K. Kunisch, The primal-dual active set strategy as a
-    semismooth Newton method, SIAM J. Optim. 13 (2002) 865-888. None if it does not end in an exact point.
-    """
-    worst = np.inf
-    for _ in range(_SIGN_STEPS):
-        result = run.branch(z, zero, free_signs=True, warm=warm)
-        z, warm = result.x, None
-        G, H = z[run.lifted.pairs]
-        free = np.where(zero[0], H, G)
-        wrong, before, worst = free < -run.options.complementarity, worst, -float(np.min(free, initial=0.0))
-        if not result.converged or worst > before:
-            return None
-        if not np.any(wrong):
-            return result if run.exact(z) else None
-        zero = zero ^ wrong
-    return None

@@ -9,14 +9,13 @@ from typing import NamedTuple
 import numpy as np
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Mask, is_finite
-from rmesh_nlp.mpcc.finish import Finish, finish, proved, settled
+from rmesh_nlp.mpcc.finish import Finish, at_the_limit, finish, resolved
 from rmesh_nlp.mpcc.result import is_same
 from rmesh_nlp.mpcc.run import Run, Warm
 from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _UNSETTLED = 0.01  # share of the pairs that may still change sides: the finish puts them right
-_GAP, _GAP_FLOOR = 1e-3, 1e-6  # an early finish further above the expected objective is not yet final
 _FREE = 1e-6  # relative change of the objective in which pairs cost nothing
 _SLOPES, _ABOVE = 3.0, 1e-2  # a step may end above the last by so many of its slopes and this share of f
 _SMALL = 5.0  # members whose means have a larger product are large for t = 1
@@ -65,7 +64,7 @@ def follow(
     A step that fails, or ends above what the slope of the last objective in t allows, has left the path: it
     is done once more from the multipliers of the last, and the lower end counts. Where both fail, the finish
     begins at the one before. Where the pairs cost nothing at t0, to first order, they hold nothing up, and
-    the next step is the last. ``first`` are multipliers for the first step, ``former`` the levels of
+    Newton steps are tried at once. ``first`` are multipliers for the first step, ``former`` the levels of
     trajectories that this one may join; ``dependent`` relaxations reckon with equations that follow from
     each other.
     """
@@ -73,7 +72,6 @@ def follow(
     t0, t_final = t0 or options.t0, options.t_final
     t, z, warm, lam, allowed = t0, z0, first, None, np.inf
     sides: Mask | None = None
-    near: Finish | None = None
     while True:
         ends = [_step(run, z, t, warm, first=lam is None, dependent=dependent)]
         if lam is None:
@@ -91,25 +89,14 @@ def follow(
             return
         cost = run.cost(result, t)
         is_free = cost <= _FREE * abs(objective)
-        if t == t0 and is_free:
-            last = run.relaxed(result.x, t_final, (result.lam_x, result.lam_g), last=True)
-            if last.converged and _at_the_limit(run.objective(last.x), objective):
-                path.relaxed = result = last
-                t = t_final
         before, sides = sides, run.lifted.smaller(result.x)
         lam = result.lam_x, result.lam_g
         if run.exact(result.x) or t <= t_final:
             break
         is_settled = before is not None and _settled(before, sides)
-        if is_settled and t <= options.crossover * (1 + ROUNDING):
-            branch = run.branch(result.x, sides, warm=lam)
-            near, earlier = proved(run, branch), near
-            is_end = near.solved and _at_the_limit(near.f, objective)
-            again = earlier is not None and near.lin is not None and is_same(near.f, earlier.f)
-            if again and not near.solved:  # without the signs of S f is lower by sqrt(t) on the path
-                near = settled(run, branch)
-                is_end = near.solved
-            if path.keep(near) and is_end:
+        if (t == t0 and is_free) or (is_settled and t <= options.crossover * (1 + ROUNDING)):
+            near = resolved(run, result.x, lam)
+            if near is not None and path.keep(near) and at_the_limit(near.f, objective):
                 return
         # pairs that cost nothing yet do not say what they will cost
         allowed = np.inf if is_free else _allowed(objective, cost)
@@ -172,11 +159,6 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     while t > product and t > t_final:
         t *= factor
     return t_final if t <= t_final * (1 + ROUNDING) else t
-
-
-def _at_the_limit(finished: float, expected: float) -> bool:
-    """Whether an early finish is where the homotopy was going, or lower: else a smaller t may end better."""
-    return finished - expected <= _GAP * max(abs(finished), abs(expected)) + _GAP_FLOOR
 
 
 def _settled(before: Mask, sides: Mask) -> bool:

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, magnitude
+from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, Symmetric, magnitude, numbered
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
@@ -71,12 +71,25 @@ class Lifted:
         """The smaller member of each pair, of equal ones the first."""
         return on_side(z[self.pairs[0]] <= z[self.pairs[1]])
 
-    def curvature(self, z: Array, p: Array, lam_rows: Array) -> Array:
-        """Hessian of the Lagrangian, dense, where the source problem has one."""
+    @cached_property
+    def _hessian(self) -> tuple[Evaluator, Symmetric]:
         assert self.nlp.derivatives is not None
         assert self.nlp.derivatives.hess_lag is not None
-        upper = self.nlp.derivatives.hess_lag(z, p, 1.0, lam_rows).full()
-        return upper + np.triu(upper, 1).T
+        function = self.nlp.derivatives.hess_lag
+        return Evaluator(function), Symmetric(numbered(function.sparsity_out(0)))
+
+    def hessian(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_array:
+        """Hessian of the Lagrangian, where the source problem has one."""
+        upper, whole = self._hessian
+        return whole(upper(z, p, 1.0, lam_rows)[0])
+
+    @cached_property
+    def cross(self) -> ca.Function:
+        """``(z, p, lam_rows) ->`` derivatives by p of the Lagrangian's gradient, then of the rows."""
+        nlp, lam, n = self.nlp, ca.MX.sym("lam", self.nlp.n_g), self.source.p.shape[0]
+        slope = ca.gradient(nlp.f + ca.dot(lam, nlp.g), nlp.x)
+        by_p = ca.jacobian(ca.vertcat(slope, nlp.g), nlp.p)[:, :n]
+        return ca.Function("cross", [nlp.x, nlp.p, lam], [by_p])
 
     def weight(self, x0: Array, p: Array) -> float:
         """Weight that brings the gradient of a small objective up to 1; 1 for others, and for a constant.

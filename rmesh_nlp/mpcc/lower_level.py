@@ -25,7 +25,7 @@ from rmesh_nlp.optimize.nlp import NLP
 from rmesh_nlp.optimize.solver import NLPResult, Solver
 
 MOST = 200
-"""Most unknowns, slacks included, of a point whose critical directions are searched: by dense matrices."""
+"""Most variables of a lower level whose critical directions are searched."""
 
 _FACES = 6  # most weakly active constraints for that
 DENSE = 1000
@@ -211,7 +211,7 @@ class LowerLevel:
         flat = max(magnitude(np.nan_to_num(beside - hessian)), ZERO * magnitude(hessian))
         matrix, gradients = hessian.reshape(n_y, n_y, order="F"), sign[:, None] * rows[entry]
         low, _ = least_eigenvalue(matrix, directions(gradients[strong]))
-        high, _, _ = least_critical(matrix, gradients[strong], gradients[active & ~strong])
+        high = least_critical(matrix, gradients[strong], gradients[active & ~strong])
         is_quadratic, is_linear = self._shape
         is_convex = is_quadratic and is_linear and least_eigenvalue(matrix, np.eye(n_y))[0] >= -flat
         lowest, searched = None, SEARCHED if search and not is_convex else 0
@@ -271,23 +271,16 @@ def least_eigenvalue(matrix: Array, directions: Array) -> tuple[float, Array]:
     return float(values[0]), directions @ vectors[:, 0]
 
 
-def least_critical(
-    matrix: Array, strong: Array, weak: Array, pair: Index | None = None
-) -> tuple[float, Array, bool]:
-    """Least curvature found along d with ``strong d = 0``, ``weak d <= 0``; d, and whether all was searched.
+def least_critical(matrix: Array, strong: Array, weak: Array) -> float:
+    """Least curvature found along d with ``strong d = 0``, ``weak d <= 0``.
 
-    Of rows with the same number in ``pair``, not negative, at most one may change along d. The least one is
-    attained inside a face of the cone, at an eigenvector there. With few weakly active constraints all faces
-    are searched, of each its least eigenvector; else that of all active constraints.
+    The least one is attained inside a face of the cone, at an eigenvector there. With few weakly active
+    constraints all faces are searched, of each its least eigenvector; else that of all active constraints.
     """
-    n = weak.shape[0]
+    n, least = weak.shape[0], np.inf
     few = n <= _FACES and matrix.shape[0] <= MOST
-    least, along = np.inf, np.zeros(matrix.shape[0])
     for face in itertools.product((False, True), repeat=n) if few else [(True,) * n]:
         value, d = least_eigenvalue(matrix, directions(np.vstack([strong, weak[list(face)]])))
-        for side in (d, -d):
-            slopes = weak @ side
-            changed = np.zeros(0) if pair is None else pair[(pair >= 0) & (slopes < -ROUNDING)]
-            if value < least and np.all(slopes <= ROUNDING) and np.unique(changed).size == changed.size:
-                least, along = value, side
-    return least, along, few
+        if any(np.all(weak @ side <= ROUNDING) for side in (d, -d)):
+            least = min(least, value)
+    return least

@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from rmesh_nlp.evaluation import Array, is_finite, magnitude
-from rmesh_nlp.mpcc.curvature import descent_of_curvature
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import Finish, finish, is_below
 from rmesh_nlp.mpcc.homotopy import Path
 from rmesh_nlp.mpcc.lower_level import DENSE
+from rmesh_nlp.mpcc.newton import curvature
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
 _SADDLES, _LENGTH = 4, 0.1  # saddles that are left, and the length of a step from one, relative
+_LARGE = 10_000  # most unknowns of a point whose curvature is tested
 _HUGE = 1e15  # |f| or |x| beyond this: the iterates diverge
 _NEARLY = 1e-6  # residual of a point so far away that is feasible, in units of its size
 _UNTOLD = {Status.INFEASIBLE, Status.STALLED, Status.INACCURATE, Status.CONVERGED}
@@ -30,16 +31,23 @@ def best(paths: Sequence[Path]) -> Finish | None:
 
 
 def leave_saddles(run: Run, paths: list[Path]) -> None:
-    """Go on from ends with negative curvature, and keep what is lower."""
+    """Go on beside ends with negative curvature, and keep what is lower."""
+    lifted, random = run.lifted, np.random.default_rng(run.options.seed)
     for _ in range(_SADDLES):
         end = best(paths)
-        if end is None or not end.solved:
+        if end is None or end.lin is None or end.stationarity.label != "S" or end.z.size > _LARGE:
             return
-        run.curvature, d = descent_of_curvature(run, end)
-        if d is None:
+        own = end.stationarity.multipliers
+        if own is None or lifted.base.hess_lag is None:
             return
-        z = end.z + _LENGTH * (1.0 + magnitude(end.z)) / magnitude(d) * d
-        lower = finish(run, np.clip(z, run.lifted.nlp.lbx, run.lifted.nlp.ubx), search=False)
+        lam_z = own.z.copy()
+        np.add.at(lam_z, lifted.pairs, own.pairs)
+        run.curvature = curvature(run, end.z, end.lin, lam_z, own.rows)
+        if run.curvature != "negative":
+            return
+        z = end.z + _LENGTH * (1.0 + magnitude(end.z)) * random.normal(size=end.z.size)
+        z[lifted.pairs[end.lin.zero & ~end.lin.zero[::-1]]] = 0.0
+        lower = finish(run, np.clip(z, lifted.nlp.lbx, lifted.nlp.ubx), search=False)
         if not (lower.solved and is_below(lower.f, end.f)):
             return
         paths.append(Path(finish=lower))

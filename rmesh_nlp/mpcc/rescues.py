@@ -105,10 +105,11 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
         is_lower = False
         # the functions may not be defined there, and z may be the least of this branch already
         if np.isfinite(run.excess(trial)) and np.any(zero != tried):
-            least, tried = run.least_violation(trial, zero), zero
-            is_lower = is_finite(least.x) and least.f <= (1 - _FLAT) * violation
+            trial, tried = run.branch(trial, zero).x, zero
+            rows, _ = lifted.jacobian(trial, run.p)
+            is_lower = is_finite(trial) and _sum(rows, nlp.lbg, nlp.ubg) <= (1 - _FLAT) * violation
         if is_lower:
-            z = least.x
+            z = trial
         else:
             radius *= _SHRINK
     return z, Status.STALLED

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
+from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.mpcc.lower_level import LowerLevelCheck
 from rmesh_nlp.mpcc.problem import MPCC
@@ -20,8 +21,8 @@ class Measured:
     Attributes
     ----------
     phase : str
-        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side), ``signs`` (a
-        branch with free signs) or ``feasible`` (the violation on a branch).
+        ``relaxed`` (a relaxation solved at ``t``), ``branch`` (each pair fixed on one side) or ``newton``
+        (Newton steps with active sets).
     t : float
         Relaxation parameter; 0 in the finish.
     objective, constraint_violation : float
@@ -138,6 +139,29 @@ class Duals:
     lam_H: Array  # noqa: N815
 
 
+def shift(result: MPCCResult, blocks: int) -> tuple[Array, Duals]:
+    """A result moved one stage ahead, as ``x0`` and ``start`` of the next solve over a receding horizon.
+
+    The unknowns, ``g`` and the pairs each end with ``blocks`` stages of equal length. The last stage is
+    repeated, and what stands before the stages is kept.
+
+    Raises
+    ------
+    BadInputError
+        If ``blocks`` is not a positive whole number.
+    """
+    if not isinstance(blocks, int) or blocks < 1:
+        raise BadInputError(f"blocks must be a positive whole number, got {blocks!r}")
+
+    def ahead(values: Array) -> Array:
+        n = values.size // blocks
+        first = values.size - n * blocks
+        return np.concatenate([values[:first], values[first + n :], values[values.size - n :]])
+
+    names = ("lam_x", "lam_g", "lam_G", "lam_H")
+    return ahead(result.x), Duals(*(ahead(getattr(result, name)) for name in names))
+
+
 @dataclass(frozen=True)
 class Reached:
     """Where some of several starts ended: objective (NaN without success), status, number of starts."""
@@ -194,9 +218,9 @@ class MPCCResult:
         Wall time: ``total`` is the sum of ``build``, ``homotopy`` (relaxed NLPs) and ``finish``: all else,
         branches, labels, linear and mixed-integer programs.
     curvature : str
-        Of the Lagrangian along the critical cones of the branches: ``"not negative"``, ``"negative"`` (a
-        saddle from which no lower point was found), or ``"not tested"`` (not S, more than 200 unknowns with
-        slacks, no Hessian, or more than six constraints without multipliers).
+        Of the Lagrangian along what is active: ``"not negative"``, ``"negative"`` (a saddle beside which no
+        lower point was found), or ``"not tested"`` (not S, more than 10,000 unknowns with slacks, no Hessian,
+        or undecided where something active has no multiplier).
     ends : tuple of MPCCResult
         The results of several starts, in their order; the first is from the given start. A start whose
         trajectory came upon a former one has that one's result. The result itself is the best one; its

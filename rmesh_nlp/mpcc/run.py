@@ -86,46 +86,14 @@ class Run:
                 return replace(result, status=Status.ACCEPTABLE)
         return result
 
-    def branch(
-        self,
-        z: Array,
-        zero: Mask,
-        *,
-        free_signs: bool = False,
-        warm: Warm = None,
-    ) -> NLPResult:
-        """Solve the NLP in which the given members are zero, from ``z``.
-
-        ``free_signs`` lets the other members be negative.
-        """
-        nlp, (lower, upper) = self.lifted.nlp, self._bounds(zero, free_signs)
-        solver = self.nlps.solver(nlp, self.options.exact(warm is not None))
-        start = np.clip(z, lower, upper)
-        phase = "signs" if free_signs else "branch"
-        return self.solve(phase, 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
-
-    def least_violation(self, z: Array, zero: Mask) -> NLPResult:
-        """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
-
-        ``f`` is that sum.
-        """
-        nlp, (lower, upper) = self.nlps.elastic, self._bounds(zero)
-        z = np.clip(z, lower, upper)
-        rows, _ = self.lifted.jacobian(z, self.p)
-        apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
-        start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
-        lower, upper = np.append(lower, nlp.lbx[z.size :]), np.append(upper, nlp.ubx[z.size :])
-        solver = self.nlps.solver(nlp, self.options.exact())
-        return self.solve("feasible", 0.0, solver, start, p=self.p, lbx=lower, ubx=upper)
-
-    def _bounds(self, zero: Mask, free_signs: bool = False) -> tuple[Array, Array]:
-        """Bounds of the lifted unknowns with the given members at zero."""
+    def branch(self, z: Array, zero: Mask, *, warm: Warm = None) -> NLPResult:
+        """Solve the NLP in which the given members are zero, from ``z``."""
         lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
-        if free_signs:
-            lower[self.lifted.member] = -np.inf
         fixed = self.lifted.pairs[zero]
         lower[fixed] = upper[fixed] = 0.0
-        return lower, upper
+        solver = self.nlps.solver(self.lifted.nlp, self.options.exact(warm is not None))
+        start = np.clip(z, lower, upper)
+        return self.solve("branch", 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
 
     def solve(
         self, phase: str, t: float, solver: Solver, z: Array, warm: Warm = None, **arguments: Array
@@ -139,14 +107,14 @@ class Run:
         for name, fill in (("lbx", -np.inf), ("ubx", np.inf), ("lam_x0", 0.0)):
             if name in arguments:
                 arguments[name] = np.append(arguments[name], idle + fill)
-        result = solver(np.append(z, idle), monitor=self._monitor(phase, t), **arguments)
+        result = solver(np.append(z, idle), monitor=self.monitor(phase, t), **arguments)
         result = replace(result, x=result.x[:n], lam_x=result.lam_x[:n])
         self.budget.iterations = before + result.iterations
-        self._record(phase, t, result)
+        self.record(phase, t, result)
         self.budget.check()
         return result
 
-    def _record(self, phase: str, t: float, result: NLPResult) -> None:
+    def record(self, phase: str, t: float, result: NLPResult) -> None:
         """Measure the end of an NLP on the source problem and show it."""
         measured = self._measured(phase, t, result.x)
         self.keep(result.x, measured["objective"])
@@ -211,7 +179,7 @@ class Run:
         """Ipopt iterations spent."""
         return self.budget.iterations - self._before
 
-    def _monitor(self, phase: str, t: float) -> Monitor:
+    def monitor(self, phase: str, t: float) -> Monitor:
         """What an NLP calls after each iteration."""
         budget, before, n = self.budget, self.budget.iterations, self.lifted.nlp.n_x
 

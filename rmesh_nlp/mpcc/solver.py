@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import multiprocessing
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import chain, islice
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from rmesh_nlp.errors import BadInputError, expect
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.mpcc.finish import finish, labelled, settled
+from rmesh_nlp.mpcc.finish import finish, labelled, resolved
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lifting import warm_start
+from rmesh_nlp.mpcc.newton import sensitivity
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
 from rmesh_nlp.mpcc.options import Options, OptionsLike
 from rmesh_nlp.mpcc.outcome import best_of, end_of, leave_saddles, result_of
@@ -85,7 +89,7 @@ class MPCCSolver:
         first = None if start is None else warm_start(lifted, run.p[-1], start)
         with run.limited():
             if first is not None:
-                paths.append(Path(finish=settled(run, run.branch(z0, lifted.smaller(z0), warm=first))))
+                paths.append(Path(finish=resolved(run, z0, first)))
             if not any(path.ended for path in paths):
                 follow(run, main, z0, first, former)
                 if main.joined is not None and len(main.levels) == 1:
@@ -97,6 +101,31 @@ class MPCCSolver:
             if main.joined is None:
                 leave_saddles(run, paths)
         return result_of(run, end_of(run, paths, z0)), main
+
+    def map(
+        self, x0s: ArrayLike, ps: Sequence[ArrayLike], *, processes: int | None = None
+    ) -> list[MPCCResult]:
+        """Solve for each of the parameters ``ps`` in processes of their own, by default one per processor.
+
+        ``x0s`` is one start, or one for each of the parameters. Limits are those of each solve.
+        """
+        given = np.asarray(x0s, dtype=float)
+        starts = given if given.ndim == 2 else [given] * len(ps)
+        fork = multiprocessing.get_context("fork")  # what is compiled is shared
+        with ProcessPoolExecutor(processes, fork, _workers.append, (self,)) as pool:
+            return list(pool.map(_solved, starts, ps))
+
+    def sensitivity(self, result: MPCCResult, *, p: ArrayLike = ()) -> Array:
+        """Derivatives of a solution's x by the parameters (n_x, n_p), by one KKT matrix.
+
+        NaN where they are not shown to exist: without S, where something active has no multiplier, and where
+        the Hessian of the Lagrangian is not positive along what is active.
+        """
+        run, z = self._at(result.x, p)
+        duals = warm_start(self.nlps.lifted, run.p[-1], result)
+        if result.stationarity != "S":
+            return np.full((self.mpcc.n_x, run.p.size - 1), np.nan)
+        return sensitivity(run, z, *duals)[: self.mpcc.n_x]
 
     def finish(self, x0: ArrayLike, *, p: ArrayLike = (), budget: Budget | None = None) -> MPCCResult:
         """Only the exact finish, from a point whose pairs are complementary or nearly so.
@@ -120,6 +149,14 @@ class MPCCSolver:
         given = self.mpcc.start(x, parameters)
         run = Run(self.nlps, parameters, lifted.weight(given, parameters), budget=budget)
         return run, lifted.start(given, parameters)
+
+
+_workers: list[MPCCSolver] = []
+"""The solver of a process that :meth:`MPCCSolver.map` has made."""
+
+
+def _solved(x0: ArrayLike, p: ArrayLike) -> MPCCResult:
+    return _workers[-1](x0, p=p)
 
 
 def solve(

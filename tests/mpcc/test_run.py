@@ -16,16 +16,16 @@ from support.scripted_run import ended, run_of, two_minima
 def test_iterates_are_shown_as_they_happen():
     mpcc, iterates = two_minima(), []
     result = solve(mpcc, 0.1, on_iteration=iterates.append)
-    steps = result.history
+    steps = [step for step in result.history if step.phase != "newton"]
     assert result.success
     # Ipopt shows its start as iteration 0 of each NLP
-    assert iterates[-1].iteration == result.counts["ipopt_iterations"] == sum(s.iterations for s in steps)
+    assert result.counts["ipopt_iterations"] == sum(s.iterations for s in result.history)
     assert [i.iteration for i in iterates] == sorted(i.iteration for i in iterates)
-    assert len(iterates) == result.counts["ipopt_iterations"] + len(steps)
-    assert {(i.phase, i.t) for i in iterates} == {(s.phase, s.t) for s in steps}
+    assert len(iterates) == sum(s.iterations for s in steps) + len(result.history)
+    assert {(i.phase, i.t) for i in iterates} == {(s.phase, s.t) for s in result.history}
     assert iterates[-1].x.size == mpcc.n_x
-    assert iterates[-1].product == pytest.approx(steps[-1].product, rel=1e-3)
-    assert iterates[-1].objective == pytest.approx(steps[-1].objective, rel=1e-6)
+    assert iterates[-1].product == pytest.approx(result.history[-1].product, rel=1e-3)
+    assert iterates[-1].objective == pytest.approx(result.history[-1].objective, rel=1e-6)
     assert solve(mpcc, 0.1).x == pytest.approx(result.x, abs=1e-12)
 
 

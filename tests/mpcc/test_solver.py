@@ -94,7 +94,7 @@ def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
     solver = MPCCSolver(two_minima())
     known = solver([0.5, 0.6])
     again = solver(known.x, start=known)
-    assert (again.columns()["phase"], again.f) == (["branch"], pytest.approx(known.f))
+    assert (again.columns()["phase"], again.f) == (["newton"], pytest.approx(known.f))
     right = MPCC(XY, (x - 2) ** 2 + (y - 1) ** 2, x, x, y, lbg=1)  # no point with x = 0
     far = solve(right, [0.1, 0.2], start=Duals(*map(np.zeros, (2, 1, 1, 1))))
     assert far.success
