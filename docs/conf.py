@@ -40,6 +40,7 @@ BELOW = {
         "design_identification",
         "relocation_friction",
         "biactive",
+        "accuracy",
         "certificate",
         "studies",
         "mpcc_solver",

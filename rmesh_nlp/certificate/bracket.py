@@ -28,10 +28,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
-from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.conditions import Conditions, conditions_of
+from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
-from rmesh_nlp.certificate.integrals import body_forces
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
@@ -40,7 +38,6 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.problem import ContactProblem, Motion
 from rmesh_nlp.problem.body import Edges
-from rmesh_nlp.problem.rigid import rigid_motions
 
 DOUBT = 1e-2
 """Largest part of the gap between the bounds that may rest on doubtful quadrature."""
@@ -90,16 +87,10 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     The better the guess the closer the bounds, but any one is valid. Raises NotCertifiableError for a kind of
     problem for which no certificate is known.
     """
-    if rigid_motions(problem).size > 0:
-        raise NotCertifiableError("only contact holds the body")
-    if problem.has_coulomb:
-        raise NotCertifiableError("with Coulomb friction no energy is minimised")
-    if problem.point_loads:
-        raise NotCertifiableError("the energy under a point load has no lower bound")
     skeleton, u = skeleton_of(problem, nodes), guess.displacement
-    conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
+    field = equilibrated(problem, skeleton, guess)
+    conditions, load = field.balance.assembled.conditions, field.load
     traction, inside = conditions.traction, conditions.inside
-    field = equilibrated(problem, skeleton, conditions, load, guess)
     balance, strain, computed = field.balance, float(np.sum(field.energy)), float(np.sum(field.computed))
     on_edges = balance.pressure * skeleton.lengths[conditions.contact]
     on_elements = balance.inside * skeleton.areas[inside.elements]
@@ -112,7 +103,7 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
         + float(np.sum(on_edges * conditions.offset_doubt) + np.sum(on_elements * inside.offset_doubt))
         + abs(balance.reaction_work) * conditions.given_doubt
     )
-    r = oscillation(skeleton, load.remainder, traction.remainder, field.gradient_by_energy)
+    r = oscillation(skeleton, load.remainder, traction.remainder, field.fields.law.gradient_by_energy)
     spread = field.variation * r + r**2 / 2
     dual = balance.reaction_work - strain - pressure_work
     lower = float(dual - np.sum(spread) - doubt - rounding)

@@ -16,23 +16,25 @@ small, and so is the rounding of stresses, which would else be differences of la
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from skfem import MeshTri
 
-from rmesh_nlp.certificate.conditions import Conditions
+from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.conditions import conditions_of
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import Hybrid, hybrid
-from rmesh_nlp.certificate.integrals import Loads
+from rmesh_nlp.certificate.integrals import Loads, body_forces
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.factorisation import factorised
-from rmesh_nlp.contact.system import ActiveSet
+from rmesh_nlp.contact.system import ActiveSet, Equilibrium
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,8 @@ class Balance:
     friction: Array  # the same; zero in a scalar problem
     reaction_work: float  # of the reactions on the given displacements
     inside: Array  # (functions, m) coefficients of the pressure of an obstacle in the interior
+    assembled: Hybrid
+    solved: Equilibrium  # of its contact problem
 
 
 @dataclass(frozen=True)
@@ -89,17 +93,23 @@ class EquilibratedField:
     forces: Array  # (elements, traces), coefficients of the tractions times the edge's length
     balance: Balance
     residual: float  # largest violation of equilibrium inside elements, relative to the largest force
-    gradient_by_energy: Array  # (elements,), see :func:`rmesh_nlp.certificate.oscillation.oscillation`
+    fields: TraceFields
+    load: Loads
+    correction: Array  # what the field adds to that of the computed displacement
 
 
-def equilibrated(
-    problem: ContactProblem,
-    skeleton: Skeleton,
-    conditions: Conditions,
-    load: Loads,
-    guess: Guess,
-) -> EquilibratedField:
-    """The field of largest dual energy, as the computed one and a correction."""
+def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> EquilibratedField:
+    """The field of largest dual energy, as the computed one and a correction.
+
+    Raises NotCertifiableError for a kind of problem for which no field in equilibrium is known.
+    """
+    if rigid_motions(problem).size > 0:
+        raise NotCertifiableError("only contact holds the body")
+    if problem.has_coulomb:
+        raise NotCertifiableError("with Coulomb friction no energy is minimised")
+    if problem.point_loads:
+        raise NotCertifiableError("the energy under a point load has no lower bound")
+    conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
     element, law, inside = element_of(problem), law_of(problem, skeleton), conditions.inside
     computed = of_displacement(element, law, skeleton, guess.displacement)
     lacking = load.balanced + element.pieces.divergence(computed, skeleton.corners)[:, 0, :1]
@@ -121,7 +131,9 @@ def equilibrated(
         forces=fields.forces(field),
         balance=balanced,
         residual=fields.imbalance(field, pushing),
-        gradient_by_energy=law.gradient_by_energy,
+        fields=fields,
+        load=load,
+        correction=correction,
     )
 
 
@@ -138,31 +150,25 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     touching = np.append(inside, guess.pressure[along].ravel()) > 0
     friction = (guess.friction[along] * skeleton.lengths[conditions.contact]).ravel()[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
-    # friction turns where the slip is zero, and traces are counted from those of the base
-    base = system.tangents.T @ assembled.slips[: bound.size]
-    from_zero = replace(system, load=system.load + system.stiffness @ base)
-    solved = solve(from_zero, ActiveSet(touching, sliding))
+    solved = solve(system, ActiveSet(touching, sliding))
     force, friction = np.maximum(solved.normal_force, 0.0), solved.tangential_force
-    if solved.status is Status.CONVERGED:
-        return balanced(assembled, solved.u - base, force, friction)
-    friction = np.clip(friction, -bound, bound)
-    push = system.normals.T @ force + system.tangents.T @ friction
-    return balanced(assembled, factorised(system.stiffness)(system.load + push), force, friction)
-
-
-def balanced(assembled: Hybrid, u: Array, force: Array, friction: Array) -> Balance:
-    """What the free traces and the contact forces say of elements and edges."""
-    skeleton, conditions, held = assembled.skeleton, assembled.conditions, assembled.held
-    edge, shape = skeleton.lengths[conditions.contact], conditions.offset.shape
+    u = solved.u
+    if solved.status is not Status.CONVERGED:
+        friction = np.clip(friction, -bound, bound)
+        push = system.normals.T @ force + system.tangents.T @ friction
+        u = factorised(system.stiffness)(system.load + push)
+    edge, shape, held = skeleton.lengths[conditions.contact], conditions.offset.shape, assembled.held
     W = assembled.prescribed.copy()
-    W[~held] = u
+    W[~held] = u - assembled.base
     reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
     inside, pressure = np.split(force, [conditions.inside.offset.size])
     functions = len(conditions.inside.offset)
     return Balance(
-        traces=(assembled.turn.T @ W)[assembled.numbers],
+        traces=assembled.by_element(W),
         pressure=pressure.reshape(shape) / edge,
         friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
         reaction_work=float(reaction),
         inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
+        assembled=assembled,
+        solved=solved,
     )

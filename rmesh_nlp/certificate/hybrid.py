@@ -48,7 +48,17 @@ class Hybrid:
     held: Mask  # (traces,), which are given
     start: Array  # (traces,), the base
     prescribed: Array  # (traces,), the given ones, counted from the base
-    slips: Array  # (k contact edges,), the base along the first row of ``conditions.axes``, edges fastest
+    base: (
+        Array  # that part of the base in the free traces, from zero in ``system``, along which friction acts
+    )
+
+    def of_displacement(self, u: Array) -> Array:
+        """(traces,) those of a displacement with coefficients (components, nodes)."""
+        return _of_displacement(self.turn, self.skeleton, self.conditions, u)
+
+    def by_element(self, W: Array) -> Array:
+        """(elements, k) traces (traces,) of each element, in Cartesian components."""
+        return (self.turn.T @ W)[self.numbers]
 
 
 def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Array) -> Hybrid:
@@ -59,22 +69,17 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     skeleton, inside, degree = fields.skeleton, conditions.inside, conditions.degree
     n, k = conditions.held.shape[0], degree + 1
     on_edges, lengths = skeleton.traces(n, k), skeleton.lengths
-    base = moments(u[:, skeleton.along(skeleton.order)], degree)
-    base_inside = moments(u[:1, skeleton.displaced[:, inside.elements]], degree, 3)
-    turn, none = _turn(conditions, base_inside.size), np.zeros(base_inside.shape)
+    turn, none = _turn(conditions, inside.offset.size), np.zeros(inside.offset.shape)
     edges, size = turn.shape[0] - none.size, turn.shape[0]
     added = np.arange(edges, size)
     numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
 
-    def traces(along: NDArray, within: NDArray) -> Array:
-        return turn @ np.concatenate([along.T.ravel(), within.T.ravel()])
-
-    start, given = traces(base, base_inside), traces(conditions.given, none)
-    held = np.abs(traces(np.repeat(conditions.held[:, None], k, axis=1), none)) > 0.5
+    start = _of_displacement(turn, skeleton, conditions, u)
+    given = turned(turn, conditions.given, none)
+    held = np.abs(turned(turn, np.repeat(conditions.held[:, None], k, axis=1), none)) > 0.5
     prescribed, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
-    load = traces(
-        conditions.traction.balanced * lengths, (fields.load[0] * skeleton.areas)[:, inside.elements]
-    )
+    inside_load = (fields.load[0] * skeleton.areas)[:, inside.elements]
+    load = turned(turn, conditions.traction.balanced * lengths, inside_load)
     load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)
     load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
     count = numbers.shape[1]
@@ -86,14 +91,27 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
     unit = sp.csr_array(sp.eye_array(size))[:, free]
     normals = sp.vstack([unit[added] * inside.sign, unit[touching[-1]]])
-    gaps = (inside.offset + inside.sign * base_inside[0]).T, conditions.offset.ravel() + start[touching[-1]]
+    gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ start[free]
     tangents, bound = unit[:0], np.zeros(0)
     if np.any(conditions.friction > 0):
         forces = conditions.friction * lengths[conditions.contact]
         tangents, bound = unit[touching[0]], np.where(held[touching[0]], 0.0, forces.ravel())
-    system = ContactSystem(stiffness, rest, 0.0, normals, tangents, np.append(*gaps), bound)
-    slips = start[touching[0]]
+    # friction turns where the slip is zero, and traces are counted from those of the base
+    slips = tangents.T @ start[touching[0]][: bound.size]
+    system = ContactSystem(stiffness, rest + stiffness @ slips, 0.0, normals, tangents, gap, bound)
     return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, prescribed, slips)
+
+
+def turned(turn: sp.csr_array, along: NDArray, within: NDArray) -> Array:
+    """(traces,) of moments along edges (components, k, edges) and inside (functions, m)."""
+    return turn @ np.concatenate([along.T.ravel(), within.T.ravel()])
+
+
+def _of_displacement(turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+    """See :meth:`Hybrid.of_displacement`."""
+    inside, degree = skeleton.displaced[:, conditions.inside.elements], conditions.degree
+    along = moments(u[:, skeleton.along(skeleton.order)], degree)
+    return turned(turn, along, moments(u[:1, inside], degree, 3))
 
 
 def _turn(conditions: Conditions, added: int) -> sp.csr_array:

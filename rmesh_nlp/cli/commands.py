@@ -77,6 +77,9 @@ def solve(
     remesh: o.Remesh = False,
     nodes: o.Nodes = None,
     starts: o.Starts = None,
+    accuracy: o.Accuracy = None,
+    quantities: o.Quantities = None,
+    guaranteed: o.Guaranteed = False,
     certify: o.Certify = False,
     audit: o.Audit = True,
     time_limit: o.TimeLimit = None,
@@ -107,6 +110,7 @@ def solve(
     displacement, stress, contact pressure before and after, motion, what limits each node.
 
     \b
+    rmesh solve my.toml --accuracy 1%
     rmesh solve 6.1 --formulation joint --n 8 --delta 0.0275 --out one
     rmesh solve 6.2 --n 12x6 --delta 0.15667,0.07333
     rmesh solve 6.1 --formulation nested --n 32

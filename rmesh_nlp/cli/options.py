@@ -141,6 +141,26 @@ Verbose = Annotated[
     bool, Option("--verbose", "-v", help="Print all tables of DIR/table.md instead of the main one.")
 ]
 Json = Annotated[bool, Option("--json", help="Print JSON to stdout instead of text.")]
+Accuracy = Annotated[
+    str | None,
+    Option(
+        metavar="SHARE",
+        help="Refine where the errors of quantities are made until all are estimated to be below this share, "
+        "1% or 0.01: formulation adaptive, of order 2 unless the file or --order says 1.",
+    ),
+]
+Quantities = Annotated[
+    list[str] | None,
+    Option(
+        "--quantity",
+        metavar="TEXT",
+        help="What --accuracy is for, such as 'resultant(bottom)', 'pressure(bottom, x)', 'peak(bottom)', "
+        "'mean(top, -uy)' or energy; repeat. Default: the normal force of each contact boundary.",
+    ),
+]
+Guaranteed = Annotated[
+    bool, Option("--guaranteed", help="Half the width of guaranteed bounds decides on --accuracy.")
+]
 Certify = Annotated[
     bool,
     Option("--certify", help="Bound the error in the energy norm, before and after the relocation."),
@@ -194,6 +214,9 @@ OPTIONS = (
     "starts",
     "tolerance",
     "start",
+    "accuracy",
+    "quantities",
+    "guaranteed",
 )
 
 

@@ -21,6 +21,7 @@ from rmesh_nlp.io.records import DamagedRecordsWarning, Record, to_json
 from rmesh_nlp.io.results import RECORDS, TABLES, Results, write_single
 from rmesh_nlp.optimize.budget import deferred
 from rmesh_nlp.settings import ByName, Values
+from rmesh_nlp.solving.formulation import ACCURACY
 from rmesh_nlp.solving.parts import Step
 from rmesh_nlp.solving.summary import contact_rows
 from rmesh_nlp.study import comparison
@@ -94,8 +95,11 @@ def _of_file(
     path = stated.source.path
     problem = load_problem(path, given.get("order"), says=says)
     name, options = solve_options(path, formulation, given["options"])
+    adapts = name == "adaptive" or options.keys() & set(ACCURACY)
+    if adapts and ("order" in stated.model_fields_set or "order" in given):
+        options["own_order"] = True
     plan = planned(problem, name, options, certify=given.get("certify", stated.solve.certify))
-    if options.keys() & {"starts", "remesh"}:
+    if adapts or options.keys() & {"starts", "remesh"}:
         return plan, None
     return plan, Series(problem, most=max(2, SERIES_NODES // DisplacementSpace(problem).n_nodes))
 
@@ -154,7 +158,8 @@ def _say(done: Done, *, in_full: bool) -> None:
         )
         for sentence in certificate.sentences:
             print(sentence)
-    for remark in filter(None, (solution.safe, done.row.get("certificate_remark"))):
+    remarks = done.row.get("certificate_remark"), done.row.get("estimates_remark")
+    for remark in filter(None, (solution.safe, *remarks)):
         print(f"note: {remark}")
 
 

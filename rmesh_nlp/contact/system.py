@@ -100,13 +100,11 @@ class ContactSystem:
     def equilibrium(self, active: ActiveSet) -> Equilibrium:
         """Equilibrium with the given nodes touching, sticking and sliding."""
         rotated = self.rotated
-        w, F = np.zeros(self.load.size), rotated.F.copy()
-        w[rotated.normal[active.touching]] = -self.offset[active.touching]
+        F = rotated.F.copy()
         friction = -self.slip_bound * active.sliding
         if friction.size:
             F[rotated.tangent[rotated.slips]] += friction[rotated.slips]
-        inside, solve, _ = rotated.factor(active)
-        w[inside] = solve(rotated.combined(active, F - rotated.K @ w)[inside])
+        w = rotated.solved(active, F, self.offset)
         residual = rotated.K @ w - rotated.F
         normal_force = np.where(active.touching, residual[rotated.normal], 0.0)
         if friction.size:
@@ -115,6 +113,11 @@ class ContactSystem:
             friction = np.where(rotated.sticking(active), residual[rotated.tangent], friction)
         u = rotated.basis @ w
         return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
+
+    def response(self, active: ActiveSet, load: Array, offset: Array) -> Array:
+        """(m,) how u changes with the load (m,) and the offset (gaps,), the active set held."""
+        rotated = self.rotated
+        return rotated.basis @ rotated.solved(active, rotated.basis.T @ load, offset)
 
     def weak(self, state: Equilibrium) -> Mask:
         """(gaps,) where strict complementarity fails: there u(X) has one-sided derivatives only.
@@ -233,6 +236,13 @@ class RotatedSystem:
                 solve, transposed = factorised_lu((self.K + pull @ self.K)[:, inside][inside])
             self._factor = key, Factors(inside, solve, transposed)
         return self._factor[1]
+
+    def solved(self, active: ActiveSet, force: Array, offset: Array) -> Array:
+        """(m,) unknowns under a force (m,), with gaps and slips closed that the active set holds."""
+        w, (inside, solve, _) = np.zeros(force.size), self.factor(active)
+        w[self.normal[active.touching]] = -offset[active.touching]
+        w[inside] = solve(self.combined(active, force - self.K @ w)[inside])
+        return w
 
     def coupling(self, active: ActiveSet) -> sp.csr_array | None:
         """C, which adds the rows of the gaps of sliding nodes to those of their slips: ``s F`` times.

@@ -137,8 +137,9 @@ def _ended(plan: Plan, problem: ContactProblem, monitor: Monitor, audit: bool = 
     spent = monitor.spent  # what the assessment solves is no part of it
     # one contact solve is finite
     stopped = budget.stopped if formulation.relocates else None
+    first = outer if formulation.relocates else outcome.outer  # else nothing moves: it is one mesh
     assessment = monitor.finish(
-        lambda: assess(outer, outcome, stopped=stopped, relocates=formulation.relocates, audit=audit)
+        lambda: assess(first, outcome, stopped=stopped, relocates=formulation.relocates, audit=audit)
     )
     return RunEnd(outer, outcome, assessment, start, spent, contact_seconds)
 

@@ -330,6 +330,13 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("start_energies", list[Number], "Energy that each one reached.", unit="energy"),
         Entry("start_values", list[Number] | None, "Value that each one reached, of another objective."),
         Entry("start_spread", Number, "The largest less the least."),
+        Entry("estimates", dict[str, dict[str, Number | bool]],
+              "By quantity: the best known `value`, its estimated `error`, the `computed` value, whether it "
+              "`converges`, and where asked for `lower`, `upper` and whether they are `guaranteed` "
+              "([how](accuracy.md))."),
+        Entry("meshes", list[dict[str, Any]], "Of `adaptive`: `nodes`, `seconds` so far and `quantities` "
+              "like `estimates`, mesh by mesh."),
+        Entry("estimates_remark", Text, "Why there are no more."),
         Entry("remeshed_nodes", list[int], "With `--remesh`: nodes of the meshes that Mmg made in turn."),
         Entry("remeshed_energies", list[Number], "Energies on them before any node moved.", unit="energy"),
     ),

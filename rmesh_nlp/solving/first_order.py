@@ -70,7 +70,7 @@ def first_order(
     proved = proposed in PROVED and bool(np.any(point.weak))
     if proposed is None:
         proposed = "KKT" if holds else ""
-    return FirstOrder(residual, proposed, holds or proved or not relocates, pulls)
+    return FirstOrder(residual, proposed, holds or proved or (not relocates and said in MET), pulls)
 
 
 def _over_branches(outer: Outer, point: ReducedPoint, holds: bool, claimed: bool) -> tuple[str, Values]:

@@ -34,6 +34,9 @@ NEEDLESS = ("tolerance", "limits")
 KEYWORDS = ("objective", "audit", "start", "seed", *NEEDLESS)
 """... and all that are keywords of :func:`rmesh_nlp.solving.driver.solve`; others are settings."""
 
+ACCURACY = ("accuracy", "quantities", "guaranteed", "own_order")
+"""Options that ask for ``adaptive`` around the formulation that is named; ``auto`` is ``fixed`` then."""
+
 INSIDE_OUT = ("regularisation", "remesh", "starts")
 """Which of these options is meant of what: of several starts each one takes the whole schedule of weights."""
 
@@ -181,7 +184,7 @@ def options(formulation: Asked) -> set[str]:
     and those of ``WRAPPERS``.
     """
     kind, is_named = kind_of(formulation), isinstance(formulation, str)
-    names = {"objective", "audit", *(kind.names() if is_named else ())}
+    names = {"objective", "audit", *((*kind.names(), *ACCURACY) if is_named else ())}
     if getattr(kind, "relocates", True):
         names |= {*KEYWORDS, *(available(WRAPPERS) if is_named else ())}
     return names
@@ -239,6 +242,10 @@ def composed(formulation: Asked, given: ByName) -> Formulation | Chooser:
         return formulation
     check_taken(asked, [formulation])
     own = kind.names()
+    if asked.keys() & set(ACCURACY) - own.keys():
+        settings = {key: asked.pop(key) for key in ACCURACY if key in asked}
+        inner = composed("fixed" if formulation == "auto" else formulation, asked)
+        return composed("adaptive", {**settings, "inner": inner})
     made = kind().having({key: value for key, value in asked.items() if key in own})
     around = [key for key in asked if key in wrappers]
     for key in sorted(around, key=(*INSIDE_OUT, *around).index):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
@@ -9,6 +11,7 @@ from rmesh_nlp.evaluation import ROUNDING, difference
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.optimize.status import success_in_words
 from rmesh_nlp.problem.units import NO_UNITS, bracketed
+from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.relocated import Relocated
 
 
@@ -23,6 +26,7 @@ def summary(solution: Relocated) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
+        *_mesh_rows(solution),
         ("first-order residual", f"{conditions.residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
@@ -94,10 +98,33 @@ def _energy_rows(solution: Relocated) -> list[tuple[str, str]]:
     ]
 
 
+QUANTITIES = {"normal_force": "resultant", "peak_pressure": "peak"}
+"""Quantities that are results of contact by another name."""
+
+
+def estimate_in_words(of: ByName) -> str:
+    """An entry of ``estimates`` in words."""
+    if not of["converges"]:
+        return f"does not converge: it changes with each refinement, {figure(of['value'])} on the last mesh"
+    said = f"{of['value']:.6g} +- {of['error']:.2g} estimated".replace(" +- nan estimated", "")
+    said += f" (computed {figure(of['computed'])})" if of["computed"] != of["value"] else ""
+    if of.get("guaranteed"):
+        said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}"
+    return said
+
+
+def _mesh_rows(solution: Relocated) -> Iterator[tuple[str, str]]:
+    """Quantities and their estimated errors mesh by mesh."""
+    for mesh in solution.details.get("meshes", ()):
+        said = (f"{text} {estimate_in_words(of)}" for text, of in mesh["quantities"].items())
+        yield f"{mesh['nodes']} nodes, {mesh['seconds']:.2g} s", "; ".join(said)
+
+
 def contact_rows(solution: Relocated) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
     rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS
     named = {"peak_pressure": units.stress, "contact_length": units.length}
+    estimates = dict(solution.details.get("estimates", {}))
     meshes = {"_initial": "given", "": "relocated", "_refined": "refined"}
     for boundary, results in solution.contact.items():
         for name in ("normal_force", "tangential_force", "peak_pressure", "contact_length"):
@@ -109,6 +136,8 @@ def contact_rows(solution: Relocated) -> Rows:
                 said = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())
                 if len(set(figures.values())) == 1:
                     said = figures["relocated"]
+                if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
+                    said = estimate_in_words(of)
                 unit = bracketed(named.get(name, units.line_force))
                 rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
         if "force_x" in results:
@@ -117,7 +146,7 @@ def contact_rows(solution: Relocated) -> Rows:
             x, y, moment = (figure(value if abs(value) > least else 0.0) for value in vector)
             label = f"{boundary}: force on the body{bracketed(units.line_force)}"
             rows.append((label, f"({x}, {y}), moment {moment}"))
-    return rows
+    return rows + [(text, estimate_in_words(of)) for text, of in estimates.items()]
 
 
 def gain_in_words(before: float, after: float) -> str:

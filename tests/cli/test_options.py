@@ -120,7 +120,7 @@ def test_a_name_with_dots_is_a_setting_of_settings_and_what_is_none_is_refused()
         ),
         (
             "compare 6.1 --set foo=1",
-            "foo = 1 is not an option of fixed, nested, joint, mpcc: choose from act",
+            "foo = 1 is not an option of fixed, nested, joint, mpcc: choose from acc",
         ),
         ("compare 6.1 --formulations mpcc:start", "NAME=VALUE"),
         ("compare 6.1 --formulations mpcc:speed=9", "speed = 9 is not an option of mpcc, did"),

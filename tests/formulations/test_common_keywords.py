@@ -109,7 +109,7 @@ def test_an_error_of_on_step_reaches_the_caller(formulation: Any, problem: Any) 
         ("limits", {"seconds": 0}, "seconds must be positive and finite, got 0"),
         ("limits", {"iterations": 1.5}, r"iterations must be a whole number of at least 0, got 1\.5"),
         ("start", "jiont", "unknown start 'jiont': did you mean joint"),
-        ("start", "auto", "unknown start 'auto': choose from given, cascade, fixed, joint, mpcc, nested"),
+        ("start", "auto", "unknown start 'auto': choose from given, adaptive, cascade, fixed, joint"),
         ("start", np.zeros((2, 3)), "the start has 3 nodes, the problem 15"),
         ("start", np.zeros(3), r"start must hold positions \(2, nodes\), got an array of shape \(3,\)"),
         ("start", np.full((2, 15), np.nan), "start: node 0 has no finite position"),

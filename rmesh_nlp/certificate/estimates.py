@@ -1,0 +1,249 @@
+"""Estimated errors of contact forces and other quantities, with corrected values and where the errors arise.
+
+Where a field in equilibrium is known (:mod:`rmesh_nlp.certificate.equilibration`), a contact force is
+
+    R  ~  int p^ (n . w_h),
+
+p^ the equilibrated pressure, w_h the displacement of the same mesh that is 1 on the nodes that touch, without
+load: the computed force and the integral of (sigma^ - C eps(u_h)) : (eps(w_h) - C^-1 tau^), tau^ the
+equilibrated stress of w_h [1]_. A linear quantity of the displacement is that of the equilibrated traces.
+Contact ends within an edge, where w_h falls to 0; the distance from ``int p^`` is what that place is worth.
+
+Where no such field is known (curved foundations, Coulomb friction, bodies that only contact holds), the
+problem is solved on the mesh refined once as well.
+
+References
+----------
+.. [1] R. Becker, R. Rannacher, An optimal control approach to a posteriori error estimation in finite element
+   methods, Acta Numerica 10 (2001) 1-102.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import NamedTuple
+
+import numpy as np
+
+from rmesh_nlp.assessment.contact_results import contact_results
+from rmesh_nlp.certificate import NotCertifiableError
+from rmesh_nlp.certificate.equilibration import Guess, equilibrated
+from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
+from rmesh_nlp.certificate.hybrid import turned
+from rmesh_nlp.certificate.integrals import Loads, tractions
+from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.contact.active_set import solve
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import located
+from rmesh_nlp.evaluation import Array
+from rmesh_nlp.expressions import Expression
+from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
+from rmesh_nlp.fem.objective_text import load_of
+from rmesh_nlp.fem.pressure import contact_on
+from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.problem.data import ContactSet
+
+ENERGY = "energy"
+
+RESULTS = {
+    "resultant": "normal_force",
+    "pressure": "",
+    "peak": "peak_pressure",
+    **{name: name for name in ("contact_length", "force_x", "force_y", "moment")},
+}
+"""Quantities that are results of a contact boundary, by the names of these."""
+
+STEADY = 0.9
+"""Ratio of successive changes above which a sequence is not said to converge."""
+
+
+class Estimate(NamedTuple):
+    """A quantity: its best known value, the estimated error, and the computed value.
+
+    The value is a corrected one where there is a correction, the error, of the computed value, NaN where it
+    takes another mesh. ``local`` (elements,) is what each element adds to it, up to a common factor.
+    """
+
+    value: float
+    error: float
+    computed: float
+    local: Array
+    converges: bool = True
+
+
+def ended(sequence: Sequence[Estimate]) -> Estimate:
+    """What a sequence of ever finer meshes says of a quantity.
+
+    An estimate that the next mesh refutes makes the change of the value the error. Where there is no estimate
+    the changes are extrapolated by their ratio; values do not converge where the changes stay as large.
+    """
+    last, changes = sequence[-1], np.abs(np.diff([one.value for one in sequence]))
+    if changes.size == 0:
+        return last
+    if np.isfinite(last.error):
+        is_refuted = changes[-1] > sequence[-2].error
+        return last._replace(error=max(last.error, changes[-1])) if is_refuted else last
+    ratios = np.append(STEADY, changes[1:] / np.maximum(changes[:-1], 1e-300))
+    ratio, converges = np.clip(ratios[-1], 0.5, STEADY), ratios.size < 3 or np.min(ratios[-2:]) < STEADY
+    return last._replace(error=np.max(changes[-2:]) * ratio / (1 - ratio), converges=bool(converges))
+
+
+class OnMesh:
+    """A contact problem solved on its mesh, with what estimates need."""
+
+    def __init__(self, solver: ContactSolver) -> None:
+        self.problem, self.space = solver.problem, solver.discretisation.space
+        self.displacement, self.system = solver.displacement, solver.system(self.problem.mesh.p)
+        self.state, self.skeleton = solve(self.system), skeleton_of(self.problem, self.problem.mesh.p)
+        self.u = self.displacement.values(self.state.u)
+
+    def dual(self, gap: Array, push: Array) -> Array:
+        """(components, nodes) the displacement under a load (components, nodes) and offsets (gaps,)."""
+        index, load, dual = self.displacement.index, np.zeros(self.system.load.size), np.zeros(push.shape)
+        free = index >= 0
+        load[index[free]] = push[free]
+        dual[free] = self.system.response(self.state.active, load, gap)[index[free]]
+        return dual
+
+
+class Quantity(NamedTuple):
+    """A quantity on one mesh.
+
+    ``dual`` (components, nodes) is the displacement that says what residuals are worth: the solution itself
+    where no other does. ``part`` and ``weights`` (nodes,) are those of an integral of pressure; the work of
+    ``load`` is a linear quantity.
+    """
+
+    value: float
+    dual: Array
+    load: Loads | None = None
+    part: ContactSet | None = None
+    weights: Array = np.zeros(0)
+
+
+def _split(text: str) -> tuple[str, str, str]:
+    """Kind, name and expression of a quantity."""
+    kind, _, rest = text.strip().partition("(")
+    name, _, weight = rest[:-1].partition(",")
+    return kind, name.strip(), weight.strip() or "1"
+
+
+def check(text: str, problem: ContactProblem) -> None:
+    """Raise a BadInputError unless a text is a quantity of a problem.
+
+    They are ``resultant(NAME)``, ``pressure(NAME, EXPR)``, the integral of the pressure times a function of x
+    and y, ``force_x``, ``force_y``, ``moment``, ``peak`` and ``contact_length`` of a contact boundary,
+    ``mean(NAME, EXPR)`` and ``boundary(NAME, EXPR)``, linear in the displacement, and ``energy``.
+    """
+    kind, name, weight = _split(text)
+    if kind in RESULTS:
+        with located(text):
+            contact_on(DisplacementSpace(problem), name)
+            Expression(weight)
+    elif text != ENERGY:
+        load_of(text, problem)
+
+
+def _quantity(text: str, on: OnMesh) -> Quantity:
+    """A quantity by its text, see :func:`check`."""
+    (kind, name, weight), space, nodes = _split(text), on.space, on.problem.mesh.p
+    gap, push = np.zeros(space.contact_nodes.size), np.zeros(on.u.shape)
+    if kind in ("resultant", "pressure"):
+        part = contact_on(space, name)
+        (forces,) = nodal_forces(space, nodes, part, on.state.normal_force)
+        (weights,) = space.coefficients(on_points(Expression(weight), space.points(nodes))[None])
+        gap[part.rows] = -weights[part.nodes]
+        return Quantity(float(weights @ forces), on.dual(gap, push), None, part, weights)
+    if kind in RESULTS:
+        results = contact_results(space, nodes, on.system, on.state)
+        return Quantity(getattr(results[name], RESULTS[kind]), on.u)
+    if text == ENERGY:
+        return Quantity(on.state.energy, on.u)
+    other = copy(on.problem)  # no check depends on its loads
+    object.__setattr__(other, "tractions", (load_of(text, other),))
+    load = tractions(other, on.skeleton)
+    for component, moments in zip(push, load.moments, strict=True):
+        np.add.at(component, load.nodes, moments * load.measure)
+    return Quantity(load.work(on.u), on.dual(gap, push), load)
+
+
+def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+    """Estimates of quantities on a mesh, by a field in equilibrium or else by the mesh refined once.
+
+    Raises a NotCertifiableError or a ProblemError where neither is known.
+    """
+    try:
+        return _by_equilibrium(on, texts)
+    except NotCertifiableError:
+        return _by_refinement(on, texts)
+
+
+def _by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+    problem, skeleton, state = on.problem, on.skeleton, on.state
+    if problem.motion.curves:
+        raise NotCertifiableError("the body has curves")
+    stresses = contact_stresses(on.space, problem.mesh.p, state.normal_force, state.tangential_force)
+    field = equilibrated(problem, skeleton, Guess(on.u, *stresses))
+    fields, defect, balance, correction = field.fields, field.defect, field.balance, field.correction
+    assembled, system, solved = balance.assembled, balance.assembled.system, balance.solved
+    if solved.status is not Status.CONVERGED:
+        raise NotCertifiableError("the contact problem of the traces was not solved")
+    free = ~assembled.held
+
+    def gaps(u: Array) -> Array:
+        return system.normals @ assembled.of_displacement(u)[free]
+
+    def estimate(text: str) -> Estimate:
+        computed, w, load, part, weights = _quantity(text, on)
+        if load is None and part is None:
+            lacking = float(np.sum(defect**2)) / 2 if text == ENERGY else np.nan
+            return Estimate(computed - np.nan_to_num(lacking), lacking, computed, defect**2)
+        push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
+        if load is not None:
+            inside = np.zeros(assembled.conditions.inside.offset.shape)
+            push = turned(assembled.turn, load.balanced * skeleton.lengths, inside)[free]
+        elif part is not None:
+            nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
+            raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]
+            given = np.setdiff1d(nodes, part.nodes)
+            along[:, given], gap = raised[:, given], -gaps(raised)
+        traces = np.zeros(free.size)
+        traces[free] = system.response(solved.active, push, gap)
+        other = fields.of_traces(balance.traces + assembled.by_element(traces)) - correction
+        other -= of_displacement(fields.element, fields.law, skeleton, w)
+        if part is None:
+            products = fields.energy(correction + other) - fields.energy(correction - other)
+            value = computed + float(np.sum(products)) / 2
+        else:
+            value = float(solved.normal_force @ gaps(along))
+            end = abs(value + float(solved.normal_force @ gap))
+        local = defect * np.sqrt(fields.energy(other))
+        return Estimate(value, max(abs(value - computed), end), computed, local)
+
+    return [estimate(text) for text in texts]
+
+
+def _by_refinement(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+    finer = OnMesh(ContactSolver(refined(on.problem)))
+    if finer.state.status is not Status.CONVERGED:
+        raise NotCertifiableError("contact was not solved on the finer mesh")
+    element, law = element_of(finer.problem), law_of(finer.problem, finer.skeleton)
+    fields = TraceFields(element, finer.skeleton, law, np.zeros(0))
+
+    def norms(fine: Array, coarse: Array) -> Array:
+        raised = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
+        return np.sqrt(fields.energy(of_displacement(element, law, finer.skeleton, fine - raised)))
+
+    defect = norms(finer.u, on.u)
+
+    def estimate(text: str) -> Estimate:
+        coarse, fine = _quantity(text, on), _quantity(text, finer)
+        local = np.reshape(defect * norms(fine.dual, coarse.dual), (4, -1)).sum(axis=0)
+        return Estimate(fine.value, abs(fine.value - coarse.value), coarse.value, local)
+
+    return [estimate(text) for text in texts]

@@ -1,0 +1,71 @@
+"""Estimated errors of contact forces and other quantities against finer meshes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.certificate.estimates import Estimate, OnMesh, check, ended, estimates
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.problem.contact_problem import refined
+
+FORCE = 88.198
+"""Normal force of the body below by a mesh of order 2 with 2,334 vertices, refined where the error is."""
+
+BODY = rm.ContactProblem(
+    mesh=rm.shapes.rectangle(16, 4, x=(0, 4)),
+    law=rm.PlaneStrain.from_young(young=21600, poisson=0.3),
+    dirichlet=("left",),
+    obstacle=rm.Obstacle.graph("bottom", lambda x, y: -0.02 - 0.03 * x, friction=10.0),
+    tractions=(rm.Traction("top", (0.0, lambda x, y: -20 * x)),),
+)
+
+
+def estimated(problem: rm.ContactProblem, *texts: str) -> list[Estimate]:
+    return estimates(OnMesh(ContactSolver(problem)), texts)
+
+
+@pytest.mark.parametrize(("order", "part"), [(1, 1e-3), (2, 5e-4)])
+def test_corrected_force_is_far_nearer_than_the_computed_one(order: int, part: float) -> None:
+    (force,) = estimated(replace(BODY, order=order), "resultant(bottom)")
+    assert abs(force.value - FORCE) < part * FORCE
+    assert 0.6 < force.error / abs(force.computed - FORCE) < 1.7
+
+
+def test_quantities_of_the_displacement_and_windows_are_corrected() -> None:
+    names = "mean(top, -uy)", "pressure(bottom, x)", "energy"
+    coarse, fine = estimated(BODY, *names), estimated(replace(refined(BODY), order=2), *names)
+    for one, true in zip(coarse, fine, strict=True):
+        assert abs(one.value - true.value) < abs(one.computed - true.value) / 3
+    whole, half = estimated(BODY, "resultant(bottom)", "pressure(bottom, 0.5 + 0*x)")
+    assert half.value == pytest.approx(whole.value / 2)
+
+
+def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> None:
+    problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
+    (coarse,), (fine,) = (estimated(p, "resultant(bottom)") for p in (problem, refined(problem)))
+    assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 2
+
+
+def test_refuted_estimate_is_replaced_by_the_change() -> None:
+    first, second = (Estimate(value, 0.1, value, np.ones(1)) for value in (1.0, 2.0))
+    assert ended([first]).error == 0.1
+    assert ended([first, second]).error == 1.0
+
+
+def test_growing_peak_does_not_converge() -> None:
+    peaks = [Estimate(2.0**k, np.nan, 2.0**k, np.ones(1)) for k in range(5)]
+    settles = [Estimate(1 - 0.2**k, np.nan, 1 - 0.2**k, np.ones(1)) for k in range(5)]
+    assert not ended(peaks).converges
+    assert ended(settles).converges
+    assert ended(settles).error > abs(settles[-1].value - 1)
+
+
+@pytest.mark.parametrize("text", ["peak(top)", "pressure(bottom, z)", "mean(top, ux*uy)"])
+def test_unknown_quantity_is_refused_by_name(text: str) -> None:
+    with pytest.raises(BadInputError, match=r"top|bottom"):
+        check(text, BODY)

@@ -1,0 +1,96 @@
+"""Refinement until estimated errors are below the accuracy that was asked for."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.cli.app import run
+from rmesh_nlp.errors import BadInputError
+
+FILE = """
+mesh = { shape = "rectangle", nx = 16, ny = 4, x = [0, 4] }
+material = { law = "plane-strain", young = 21600, poisson = 0.3 }
+dirichlet = { left = [0, 0] }
+tractions = { top = [0, "-20*x"] }
+contact = { boundary = "bottom", height = "-0.02 - 0.03*x", friction = 10 }
+"""
+FORCE = 88.198
+"""Its normal force by a mesh of order 2 with 2,334 vertices, refined where the error is."""
+
+
+@pytest.fixture
+def body(tmp_path: Path) -> rm.ContactProblem:
+    (tmp_path / "my.toml").write_text(FILE)
+    return rm.read_problem(tmp_path / "my.toml")
+
+
+def test_force_is_as_accurate_as_asked(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy="0.1%")
+    force = solution.details["estimates"]["resultant(bottom)"]
+    nodes = [mesh["nodes"] for mesh in solution.details["meshes"]]
+    assert solution.formulation == "adaptive"
+    assert solution.problem.order == 2
+    assert force["error"] <= 1e-3 * force["value"]
+    assert abs(force["value"] - FORCE) <= 1e-3 * FORCE
+    assert nodes == sorted(set(nodes))
+    assert solution.mesh.p.shape[1] == nodes[-1]
+    assert set(body.mesh.boundaries) == set(solution.mesh.boundaries)
+
+
+def test_relocation_of_last_mesh_keeps_its_nodes(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, "joint", accuracy=0.05, limits={"iterations": 3})
+    assert solution.mesh.p.shape[1] == solution.details["meshes"][-1]["nodes"]
+    assert solution.formulation == "adaptive"
+
+
+def test_without_contact_the_energy_is_estimated() -> None:
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(4, 4), law=rm.Laplace(lambda x, y: x), dirichlet=("left", "right")
+    )
+    solution = rm.solve(problem, accuracy=0.02)
+    assert list(solution.details["estimates"]) == ["energy"]
+    assert solution.success
+
+
+def test_bounds_decide_where_they_are_guaranteed(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=0.05, guaranteed=True)
+    force = solution.details["estimates"]["resultant(bottom)"]
+    assert force["guaranteed"]
+    assert force["lower"] <= FORCE <= force["upper"]
+    assert force["upper"] - force["lower"] <= 2 * 0.05 * force["value"]
+
+
+def test_limit_keeps_last_estimates(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=1e-9, limits={"iterations": 2})
+    assert solution.status is rm.Status.ITERATION_LIMIT
+    assert solution.details["estimates"]
+
+
+@pytest.mark.parametrize("accuracy", [0, -1, 1, "2x", "100%"])
+def test_accuracy_that_means_nothing_is_refused(body: rm.ContactProblem, accuracy: object) -> None:
+    with pytest.raises(BadInputError, match="accuracy"):
+        rm.solve(body, accuracy=accuracy)
+
+
+def test_command_prints_estimates_and_a_row_for_each_mesh(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], body: rm.ContactProblem
+) -> None:
+    out = tmp_path / "out"
+    asked = ["--accuracy", "1%", "--quantity", "mean(top, -uy)", "--no-figures", "--out", str(out)]
+    assert run(["solve", str(tmp_path / "my.toml"), *asked]) == 0
+    said = capsys.readouterr().out
+    record = json.loads((out / "record.json").read_text())
+    assert "estimated" in said
+    assert "85 nodes" in said
+    assert record["estimates"]["mean(top, -uy)"]["value"] == pytest.approx(0.07185, rel=0.01)
+
+
+def test_order_of_the_file_is_kept(tmp_path: Path, body: rm.ContactProblem) -> None:
+    (tmp_path / "first.toml").write_text("order = 1\n" + FILE)
+    asked = ["--accuracy", "5%", "--no-figures", "--quiet", "--out", str(tmp_path / "out")]
+    assert run(["solve", str(tmp_path / "first.toml"), *asked]) == 0
+    assert json.loads((tmp_path / "out" / "record.json").read_text())["order"] == 1
