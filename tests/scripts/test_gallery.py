@@ -96,7 +96,7 @@ def test_the_seal_ends_at_biactive_nodes_where_the_objective_has_a_kink() -> Non
         assert up > 0 > down
         assert min(abs(kink.gradient - up), abs(kink.gradient - down)) < 0.1 * up
         assert -down > 2 * up
-    assert (nested.status.value, nested.stationarity) == ("converged", "S")
+    assert (nested.status.value, nested.record()["stationarity"]) == ("converged", "S")
     assert nested.record()["biactive_nodes"] == nodes
     assert nested.record()["objective_value"] == pytest.approx(best.record()["objective_value"], rel=1e-8)
     assert "exact finish" in nested.record()["outer"]
