@@ -63,10 +63,10 @@ def follow(
 
     A step that fails, or ends above what the slope of the last objective in t allows, has left the path: it
     is done once more from the multipliers of the last, and the lower end counts. Where both fail, the finish
-    begins at the one before. Where the pairs cost nothing at t0, to first order, they hold nothing up, and
-    Newton steps are tried at once. ``first`` are multipliers for the first step, ``former`` the levels of
-    trajectories that this one may join; ``dependent`` relaxations reckon with equations that follow from
-    each other.
+    begins at the one before. Where the pairs cost nothing at t0, to first order, they hold nothing up:
+    Newton steps are tried at once, and else the next step is the last. ``first`` are multipliers for the
+    first step, ``former`` the levels of trajectories that this one may join; ``dependent`` relaxations reckon
+    with equations that follow from each other.
     """
     options = run.options
     t0, t_final = t0 or options.t0, options.t_final
@@ -98,6 +98,11 @@ def follow(
             near = resolved(run, result.x, lam)
             if near is not None and path.keep(near) and at_the_limit(near.f, objective):
                 return
+        if t == t0 and is_free:
+            last = run.relaxed(result.x, t_final, lam, last=True)
+            if last.converged and at_the_limit(run.objective(last.x), objective):
+                path.relaxed, lam = last, (last.lam_x, last.lam_g)
+                break
         # pairs that cost nothing yet do not say what they will cost
         allowed = np.inf if is_free else _allowed(objective, cost)
         z, warm = result.x, lam if options.warm_duals else None

@@ -36,6 +36,14 @@ class CompiledNLPs:
         """See :func:`relaxed_nlp`."""
         return relaxed_nlp(self.lifted, self.options.relaxation)
 
+    @cached_property
+    def elastic(self) -> NLP:
+        """``min sum(up + down)`` subject to ``lbg <= g + up - down <= ubg`` and ``up, down >= 0``."""
+        nlp, n = self.lifted.nlp, self.lifted.nlp.n_g
+        apart = ca.MX.sym("apart", 2 * n)
+        up, down = ca.vertsplit(apart, [0, n, 2 * n])
+        return nlp.extended(x=apart, lbx=0, weight=0, f=ca.sum1(apart), shift=up - down)
+
     def solver(self, nlp: NLP, options: PluginOptions) -> Solver:
         """The solver of one of these NLPs, whose unknowns may have idle ones after them.
 

@@ -15,12 +15,13 @@ from rmesh_nlp.optimize.solver import PluginOptions
 from rmesh_nlp.settings import Count, Limit, Part, Positive, Seconds, Settings
 
 _PUSHES = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+_LAST = 150  # iterations of an NLP that is given up early
 _ADAPTIVE = {"mu_strategy": "adaptive", "mu_oracle": "quality-function"}
 _RELAXED = {"max_iter": 500, "tol": 1e-8, "bound_relax_factor": 0.0, **_ADAPTIVE}
 _FIRST = {"mu_strategy": "monotone", "mu_init": 0.1}
 _WARM = {"warm_start_init_point": "yes", **{f"warm_start_{push}": 1e-6 for push in _PUSHES}}
 _EXACT = {
-    "max_iter": 150,
+    "max_iter": _LAST,
     "tol": 1e-11, "constr_viol_tol": 1e-9, "compl_inf_tol": 1e-9, "bound_relax_factor": 0.0, **_ADAPTIVE,
     # the start is the relaxed solution: do not push it back into the interior
     "bound_push": 1e-6, "bound_frac": 1e-6,
@@ -115,15 +116,18 @@ class Options(Settings):
         """A budget of its limits, from now on."""
         return Budget(Limits(self.time_limit_s, self.max_iterations))
 
-    def relaxed(self, warm: bool, *, first: bool = False, dependent: bool = False) -> PluginOptions:
+    def relaxed(
+        self, warm: bool, *, first: bool = False, dependent: bool = False, last: bool = False
+    ) -> PluginOptions:
         """Ipopt options of a relaxed NLP, started with multipliers if ``warm``.
 
         The ``first`` relaxation chooses the minimum to go to. A barrier that falls monotonically keeps it
         longer in the middle, and ends in fewer poor minima; from there on the adaptive one is faster.
-        ``dependent`` reckons with equations that follow from each other;
+        The ``last`` one is given up early. ``dependent`` reckons with equations that follow from each other;
         that costs iterations.
         """
-        own = _RELAXED | (_WARM if warm else _FIRST if first else {})
+        own = _RELAXED | ({"max_iter": _LAST} if last else {})
+        own |= _WARM if warm else _FIRST if first else {}
         own |= _DEPENDENT if dependent else {}
         return {**own, **self.ipopt_relaxed, **(self.ipopt_warm if warm else {}), **self.ipopt}
 

@@ -105,11 +105,10 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
         is_lower = False
         # the functions may not be defined there, and z may be the least of this branch already
         if np.isfinite(run.excess(trial)) and np.any(zero != tried):
-            trial, tried = run.branch(trial, zero).x, zero
-            rows, _ = lifted.jacobian(trial, run.p)
-            is_lower = is_finite(trial) and _sum(rows, nlp.lbg, nlp.ubg) <= (1 - _FLAT) * violation
+            least, tried = run.least_violation(trial, zero), zero
+            is_lower = is_finite(least.x) and least.f <= (1 - _FLAT) * violation
         if is_lower:
-            z = trial
+            z = least.x
         else:
             radius *= _SHRINK
     return z, Status.STALLED

@@ -88,12 +88,31 @@ class Run:
 
     def branch(self, z: Array, zero: Mask, *, warm: Warm = None) -> NLPResult:
         """Solve the NLP in which the given members are zero, from ``z``."""
-        lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
-        fixed = self.lifted.pairs[zero]
-        lower[fixed] = upper[fixed] = 0.0
+        lower, upper = self._bounds(zero)
         solver = self.nlps.solver(self.lifted.nlp, self.options.exact(warm is not None))
         start = np.clip(z, lower, upper)
         return self.solve("branch", 0.0, solver, start, warm, p=self.p, lbx=lower, ubx=upper)
+
+    def least_violation(self, z: Array, zero: Mask) -> NLPResult:
+        """Minimise the sum of the violations of all rows in which the given members are zero, from ``z``.
+
+        ``f`` is that sum.
+        """
+        nlp, (lower, upper) = self.nlps.elastic, self._bounds(zero)
+        z = np.clip(z, lower, upper)
+        rows, _ = self.lifted.jacobian(z, self.p)
+        apart = np.clip(rows, nlp.lbg, nlp.ubg) - rows
+        start = np.concatenate([z, np.maximum(apart, 0.0), np.maximum(-apart, 0.0)])
+        lower, upper = np.append(lower, nlp.lbx[z.size :]), np.append(upper, nlp.ubx[z.size :])
+        solver = self.nlps.solver(nlp, self.options.exact())
+        return self.solve("feasible", 0.0, solver, start, p=self.p, lbx=lower, ubx=upper)
+
+    def _bounds(self, zero: Mask) -> tuple[Array, Array]:
+        """Bounds of the lifted unknowns with the given members at zero."""
+        lower, upper = self.lifted.nlp.lbx.copy(), self.lifted.nlp.ubx.copy()
+        fixed = self.lifted.pairs[zero]
+        lower[fixed] = upper[fixed] = 0.0
+        return lower, upper
 
     def solve(
         self, phase: str, t: float, solver: Solver, z: Array, warm: Warm = None, **arguments: Array

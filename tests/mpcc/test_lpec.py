@@ -156,12 +156,7 @@ def test_violation_too_small_for_linear_programs_is_no_certificate():
         (x**2 + y**2, {"ubg": -1}, (0.3, 0.2), True),
         (x * y, {"lbg": 1}, (0.3, 0.2), True),
         (x + y, {"lbg": 1}, (0.3, 0.2), False),
-        (
-            (x - 3) ** 2 * x,
-            {"lbg": 5},
-            (0.3, 0.2),
-            False,
-        ),  # a minimum at 1, where the row is 4; it holds from 4.5 on
+        ((x - 3) ** 2 * x, {"lbg": 5}, (0.3, 0.2), True),  # at 1, where the row is 4; it holds from 4.5 on
         (x**2, {"lbg": 5}, (0.3, 0.2), False),
         # a point outside its bounds is put into them
         *((ca.exp(x) + y, {"ubg": bound}, (-0.1, -0.2), bound < 1) for bound in (0.5, 1.5)),
