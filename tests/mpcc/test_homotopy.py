@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import MPCC, solve
+from rmesh_nlp.mpcc import homotopy as module
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.optimize.status import Status
 from support.scripted_run import START, XYW, Answer, ScriptedRun, two_minima, w, x, y
@@ -77,6 +78,26 @@ def test_path_goes_down_and_ends(answers, options, ts, failure):
 def test_newton_steps_follow_at_once_where_pairs_cost_nothing(cost, ts):
     run, path = followed(settled(z=(2.0, 0.5), cost=cost))
     assert run.ts == pytest.approx(ts)
+    assert path.finish.f == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("at_the_end", "ts"),
+    [
+        ({"objective": 1.0}, [1.0, TENTHS[-1]]),
+        ({"status": S.ITERATION_LIMIT}, [1.0, TENTHS[-1], TENTHS[1]]),
+        ({"x": (0.0, 1.0)}, [1.0, TENTHS[-1], TENTHS[1]]),  # f = 4: another minimum
+    ],
+)
+def test_last_t_is_the_next_where_newton_steps_fail_and_pairs_cost_nothing(at_the_end, ts, monkeypatch):
+    monkeypatch.setattr(module, "resolved", lambda *_: None)
+
+    def answer(call):
+        return Answer(**{"x": (2.0, 0.0)} | at_the_end) if call.is_leap else settled(cost=0.0)(call)
+
+    run, path = followed(answer)
+    assert run.ts[: len(ts)] == pytest.approx(ts)
+    assert len(run.ts) > 2 or ts == pytest.approx(run.ts)
     assert path.finish.f == pytest.approx(1.0)
 
 
