@@ -230,8 +230,11 @@ def test_what_is_guaranteed_and_why_not(changes: dict[str, Any], guaranteed: tup
         block(law=PlaneStrain(10.0, 8.0, (0.0, lambda x, y: 6 * root(x, y)))),
         block(obstacle=bottom(lambda x, y: 0.1 * root(x, y) + 0.05)),
         block(tractions=(Traction("top", (0.0, lambda x, y: 6 * root(x, y))),)),
+        ContactProblem(
+            rectangle(3, 3), Laplace(-5.0), SIDES, Obstacle.interior(lambda x, y: 0.3 * ca.sqrt(x) - 0.4)
+        ),
     ],
-    ids=["load", "gap", "traction"],
+    ids=["load", "gap", "traction", "inside"],
 )
 def test_what_two_rules_disagree_by_is_between_the_bounds(
     problem: ContactProblem, monkeypatch: pytest.MonkeyPatch

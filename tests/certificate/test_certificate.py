@@ -14,6 +14,7 @@ import pytest
 
 from rmesh_nlp.certificate import bracket as bracketing
 from rmesh_nlp.certificate.bracket import Bracket
+from rmesh_nlp.certificate.equilibration import EquilibratedField, Guess
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.io.results import read_results
@@ -21,7 +22,7 @@ from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import plate_with_hole, rectangle
 from rmesh_nlp.optimize.status import Status
-from rmesh_nlp.problem import ContactProblem, Laplace, Motion
+from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion
 from rmesh_nlp.report.blocks import blocks
 from rmesh_nlp.report.figures import block_figures
 from rmesh_nlp.report.style import Page
@@ -132,6 +133,29 @@ def test_a_field_out_of_equilibrium_proves_nothing(residual: float, monkeypatch:
     assert not found.bounds["resultant(contact)"].guaranteed
     assert "out of equilibrium" in found.why
     assert "estimated" in found.sentence
+
+
+@pytest.mark.parametrize("wrong", ["residual", "forces", "given"])
+def test_the_bound_falls_by_what_forces_and_given_displacements_may_be_wrong_by(wrong, monkeypatch) -> None:
+    """Of u = x, whose energy is 1/2: reactions work 1 on the given displacements."""
+    ends = Dirichlet("left", (0.0,)), Dirichlet("right", (1.0,))
+    problem, build = ContactProblem(rectangle(2, 2), Laplace(0.0), ends), bracketing.equilibrated
+
+    def spoilt(*given: Any) -> EquilibratedField:
+        field = build(*given)
+        assembled = field.balance.assembled
+        doubtful = replace(assembled, conditions=replace(assembled.conditions, given_doubt=1e-3))
+        changes = {
+            "residual": {"residual": 1e-3},
+            "forces": {"forces": field.forces + 1e-3},  # those of both sides of an edge have opposite signs
+            "given": {"balance": replace(field.balance, assembled=doubtful)},
+        }
+        return replace(field, **changes[wrong])
+
+    guess = Guess(problem.mesh.p[:1], *np.zeros((2, problem.mesh.p.shape[1])))
+    assert bracketing.bracket(problem, problem.mesh.p, guess).lower == pytest.approx(0.5)
+    monkeypatch.setattr(bracketing, "equilibrated", spoilt)
+    assert bracketing.bracket(problem, problem.mesh.p, guess).lower < 0.5 - 0.9e-3
 
 
 def test_bounds_of_two_designs_are_those_of_two_problems() -> None:
