@@ -103,7 +103,7 @@ def test_data_on_edges_by_hand() -> None:
     np.testing.assert_allclose(found.traction.remainder, wanted, atol=1e-7)
     a, b = x[0][:, found.contact]
     np.testing.assert_allclose(found.friction, 1 + np.stack([a, b]))
-    s = np.linspace(0, 1, 33)
+    s = np.linspace(0, 1, 257)  # between the samples too
     along = np.stack([1 - s, s]).T
     # a bound that bends is not exceeded, nor by far
     for shape in (lambda x: x * x, lambda x: x * (1 - x), lambda x: 300 * (x / 2) ** 20):

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rmesh_nlp.assessment.admissible import Continuous, admissible
+from rmesh_nlp.certificate.forces import force_bounds
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
@@ -85,6 +87,15 @@ def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: in
             assert bounds.lower < min(value, bounds.value)
             assert bounds.upper > max(value, bounds.value)
         assert better.upper - better.lower < 0.8 * (rough.upper - rough.lower)
+
+
+def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    exact, found = admissible(body(2, 1, 0.0)), Continuous.solve
+    lower = exact.energy - 1e-3 * exact.strain
+    (plain,) = force_bounds(exact, lower).values()
+    monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), doubt=1e-3 * exact.strain))
+    (wide,) = force_bounds(exact, lower).values()
+    assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
 
 
 def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
