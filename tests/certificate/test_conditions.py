@@ -18,6 +18,7 @@ from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Motion, Obstacle, PlaneStrain, Traction
 from support.certificates import distorted
+from support.rules import coarsen
 
 JUMP = lambda x, y: ca.if_else(x > 0.37, 1.0, 0.0)  # noqa: E731
 ROOT = lambda x, y: ca.sqrt(x)  # noqa: E731
@@ -88,6 +89,16 @@ def test_where_one_coefficient_may_jump_at_an_unknown_place_nothing_is_certain(c
     assert conditions_of(plate(), on(plate())).is_certain
     problem = plate(**changes)
     assert not conditions_of(problem, on(problem)).is_certain
+
+
+def test_a_given_component_is_as_doubtful_whatever_is_given_beside_it(monkeypatch) -> None:
+    coarsen(monkeypatch)
+    rough = lambda x, y: ca.sqrt(y)  # noqa: E731
+    ways = [(Dirichlet("left", values),) for values in ((rough, None), (rough, 0.0), (0.0, rough))]
+    problems = [plate(dirichlet=way) for way in ways]
+    doubts = [conditions_of(problem, on(problem)).given_doubt for problem in problems]
+    assert doubts[0] > 1e-4
+    assert doubts == pytest.approx([doubts[0]] * 3)
 
 
 def test_data_on_edges_by_hand() -> None:
