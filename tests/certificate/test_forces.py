@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 
 from rmesh_nlp.assessment.admissible import Continuous, admissible
+from rmesh_nlp.certificate.bracket import Bracket
 from rmesh_nlp.certificate.forces import force_bounds
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Laplace, Obstacle, PlaneStrain, Traction
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving import certify as certifying
 from rmesh_nlp.solving.certify import certify
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.solution import Solution
@@ -96,6 +98,19 @@ def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch:
     monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), doubt=1e-3 * exact.strain))
     (wide,) = force_bounds(exact, lower).values()
     assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
+
+
+def test_what_is_not_proved_under_the_load_of_a_quantity_does_not_bound_it(monkeypatch) -> None:
+    build, given = certifying.refined_bracket, solved_body(2, 1, 0.0).problem.tractions
+
+    def crude(problem: ContactProblem, *others: Any) -> Bracket:
+        faults = () if problem.tractions == given else ("crude",)
+        return replace(build(problem, *others), lower_faults=faults)
+
+    monkeypatch.setattr(certifying, "refined_bracket", crude)
+    found = certify(solved_body(2, 1, 0.0), quantities=["mean(right, ux)"], refinements=0)
+    bounds = found.bounds["mean(right, ux)"]
+    assert (bounds.lower, bounds.upper) == (-np.inf, np.inf)
 
 
 def test_a_foundation_that_touches_a_support_has_a_lower_bound_alone() -> None:
