@@ -362,9 +362,14 @@ def test_what_is_returned_is_admissible_and_its_energy_that_of_itself(order: int
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_friction_is_the_least_along_edges_and_not_at_nodes(order: int) -> None:
-    """On the way to the solution for friction at nodes the energy rises."""
-    problem = replace(block(replace(FLAT, friction=8.0), n=1), tractions=(Traction("top", (2.0, -20.0)),))
+@pytest.mark.parametrize("gap", [0.02, 1 / 8])
+def test_friction_is_the_least_along_edges_and_not_at_nodes(gap: float, order: int) -> None:
+    """On the way to the solution for friction at nodes the energy rises.
+
+    Over the gap of 1/8, where nothing is rounded, one node sticks beside others that slide.
+    """
+    foundation = Obstacle("bottom", (0.0, 1.0), gap, friction=8.0)
+    problem = replace(block(foundation, n=1), tractions=(Traction("top", (2.0, -20.0)),))
     own = Continuous(replace(problem, order=order))
     found, nodal = own.solve(), solve(own.system(np.zeros(own.space.contact_nodes.size)))
     change = own.field.values(nodal.u) - found.displacement
