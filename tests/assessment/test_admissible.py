@@ -336,6 +336,22 @@ def test_in_triangles_a_paraboloid_is_looked_at_between_samples_too() -> None:
     assert np.min(gaps) > 1 - 1e-3
 
 
+@pytest.mark.parametrize("bent", ["foundation", "displacement"])
+def test_in_triangles_nothing_below_the_gaps_about_their_points_is_overlooked(bent: str) -> None:
+    """A saddle, straight along two sides, is least on the third one halfway between two samples."""
+    saddle = lambda x, y: 2 - (x + 1 / 48) * y  # noqa: E731
+    height = (lambda x, y: -saddle(x, y)) if bent == "foundation" else -1.0
+    problem = ContactProblem(
+        rectangle(1, 1, diagonal="falling"), Laplace(0.0), ("right",), Obstacle.interior(height), order=2
+    )
+    space, (cells,) = DisplacementSpace(problem), cells_on(problem)
+    u = np.zeros((1, space.n_nodes))
+    if bent == "displacement":
+        u = space.coefficients(saddle(*space.points(problem.mesh.p))[None] - 1)
+    corner = 0 if np.all(np.min(cells.points[:, 0], axis=1) < 0.01) else 1
+    assert np.min(cells.gaps(u)[corner]) <= 2 - (49 / 96) ** 2
+
+
 def test_a_body_that_only_contact_holds_comes_down_where_no_point_presses_at_first() -> None:
     """Of a coarse quarter of a disc nodes keep off so far that the springs begin without any force."""
     problem = replace(aimed()[17].problem(), order=2)

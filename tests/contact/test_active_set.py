@@ -167,6 +167,14 @@ def test_units_of_single_unknowns_do_not_matter() -> None:
     assert abs(solve(scaled).iterations - solve(system).iterations) <= 2
 
 
+@pytest.mark.parametrize("factor", [1e-9, 1e9])
+def test_units_of_forces_do_not_matter(factor: float) -> None:
+    """Whether a node touches is read off forces and gaps, which have no common unit."""
+    system = beam(50)
+    scaled = replace(system, stiffness=factor * system.stiffness, load=factor * system.load)
+    assert abs(solve(scaled).iterations - solve(system).iterations) <= 2
+
+
 def test_a_node_that_pulls_is_let_go_where_another_one_holds_the_body() -> None:
     """Newton's method stops with nodes in touch that pull, without which the first guess is a mechanism."""
     problem = replace(

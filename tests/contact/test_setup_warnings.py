@@ -199,6 +199,15 @@ def test_each_curve_that_is_advised_is_accepted(ratio: float, height: Any, expec
         assert not list(curve_warnings(there))
 
 
+def test_overlaps_are_those_of_the_nodes_as_they_are() -> None:
+    model = ContactSolver(sound())
+    lower = np.array(model.problem.mesh.p)
+    lower[1, (lower[1] == 0) & (lower[0] > 0)] -= 0.06  # the foundation is 0.05 below
+    found = [sign.message for sign in setup_warnings(model, nodes=lower) if sign.kind == "overlap"]
+    assert len(found) == 1
+    assert "by up to 0.01" in found[0]
+
+
 def test_the_final_design_is_warned_of_as_well() -> None:
     problem = sound(
         obstacle=Obstacle.graph("bottom", HEIGHT.symbol),

@@ -13,7 +13,7 @@ from rmesh_nlp.assessment.admissible import Continuous
 from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
+from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.solving.verification import verify_gradient
 from support.orders import ORDERS
@@ -73,6 +73,16 @@ def test_linear_pressure_is_recovered_on_edges_of_different_lengths(order: int) 
     pressure, _ = contact_stresses(space, nodes, force[part.nodes], np.zeros(0))
     along = np.flatnonzero((space.points(nodes)[1] == 0) & (space.points(nodes)[0] >= 5))
     np.testing.assert_allclose(pressure[along], 1 + space.points(nodes)[0, along], rtol=1e-12)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("stress", [(3, 2, 2), (3, 2.9, 0), (2, 3, 3), (2, 2.1, 5)])
+def test_pressure_does_not_overshoot_beside_a_support(stress: tuple[float, ...], order: int) -> None:
+    """On edges of length 1 it continues at most as steeply as between the two nodes that are next."""
+    size, reach = {1: (1, 2 / 3), 2: (1 / 3, 1 / 4)}[order]
+    found = float(force_at_end(order, [1] * 4, [size * each for each in stress])) * (1 + order)
+    flat, steep = stress[0], stress[0] + reach * (stress[0] - stress[1])
+    assert min(flat, steep) - 1e-12 <= found <= max(flat, steep) + 1e-12
 
 
 @pytest.mark.parametrize("order", ORDERS)
