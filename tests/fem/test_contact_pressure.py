@@ -139,6 +139,8 @@ def test_force_of_a_pin_is_the_load_and_its_pressure_more() -> None:
     (found,) = results(problem).values()
     assert found.force_x == pytest.approx(4, rel=1e-9)
     assert found.normal_force > 1.02 * 4
+    # every force passes through the centre
+    assert found.moment == pytest.approx(2.01 * found.force_y - 2 * found.force_x)
 
 
 def test_values_on_the_refined_mesh_are_in_equilibrium() -> None:
@@ -175,6 +177,15 @@ def test_length_of_contact_ends_within_an_edge(order: int) -> None:
         (found,) = results(replace(hertz(n), order=order)).values()
         errors += [found.contact_length / 0.2044 - 1, (found.peak_pressure / 11.644 - 1)]
     assert np.max(np.abs(errors)) < 0.05
+
+
+@pytest.mark.parametrize("n", [12, 16])
+def test_length_of_contact_is_in_units_of_the_edge_before_its_end(n: int) -> None:
+    """Edges are the shorter the farther they are from the middle of contact."""
+    mesh = rm.shapes.rectangle(n, n)
+    graded = replace(mesh, doflocs=np.stack([mesh.p[0] ** 0.7, mesh.p[1]]))
+    (found,) = results(replace(hertz(n), mesh=graded)).values()
+    assert found.contact_length == pytest.approx(0.2044, rel=0.1)
 
 
 def test_near_incompressible_peak_at_order_2() -> None:

@@ -25,7 +25,7 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.coefficients import is_nonzero, on_points
 from rmesh_nlp.problem.quadrature import exact_rule
-from rmesh_nlp.problem.switches import polynomial_degree
+from rmesh_nlp.problem.switches import polynomial_degree, switches
 from support.formulations import fixed
 
 
@@ -139,6 +139,14 @@ class Slope:
 
     def __call__(self, x: Any, y: Any) -> Any:
         return self.rate * x
+
+
+def test_degree_of_a_switch_is_known_between_known_switches_alone() -> None:
+    for inner, degree in ((lambda x: x - 0.3, 1), (lambda x: np.sin(9 * x), None)):
+        kink = switches(lambda x, y, inner=inner: ca.fmax(where(inner(x) > 0, x, 2 * x) - y, 0))
+        assert degree in kink.degrees
+        assert (None in kink.degrees) is (degree is None)
+        assert kink.degrees[-1] == degree
 
 
 def test_what_is_kept_of_a_coefficient_is_its_own() -> None:
