@@ -18,6 +18,7 @@ from skfem import MeshQuad
 
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.meshes import MeshRepairWarning, named
+from rmesh_nlp.meshes.groups import check_groups
 from rmesh_nlp.meshes.reading import read_file, read_mesh
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, PlaneStrain
@@ -243,6 +244,18 @@ def test_entities_in_two_groups_of_gmsh_are_in_both(tmp_path: Path) -> None:
     path.write_text(MSH.format(names=NAMES.format(curve="whole")))
     with pytest.warns(MeshRepairWarning, match="physical groups have one name, whole"):
         read_mesh(path)
+
+
+def test_entities_are_read_in_both_formats_and_turned_curves_are_in_their_groups(tmp_path: Path) -> None:
+    """A point is a place in 4.1 and a box in 4.0; the group of a curve that runs against it is negative."""
+    names = '$PhysicalNames\n2\n1 1 "a"\n1 2 "b"\n$EndPhysicalNames\n'
+    point_and_curve = "$Entities\n1 1 0 0\n7 {} 0\n1 0 0 0 1 0 0 2 -1 2 0\n$EndEntities\n"
+    path = tmp_path / "a.msh"
+    for version, place, is_complete in (("4.1", "0 0 0", True), ("4.0", "0 0 0 0 0 0", False)):
+        path.write_text(f"$MeshFormat\n{version} 0 8\n$EndMeshFormat\n{names}{point_and_curve.format(place)}")
+        refused = pytest.raises(ValueError, match=r"groups \[-1, 2\]")
+        with contextlib.nullcontext() if is_complete else refused:
+            check_groups("gmsh", path)
 
 
 CORNERS = "*NODE\n1, 0, 0\n2, 1, 0\n3, 1, 1\n4, 0, 1\n"

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.optimize.budget import Budget
+from rmesh_nlp.optimize.budget import Budget, Limits
 from support.formulations import auto, fixed, joint, nested
 from support.problems import no_move_limits
 from support.solved import example
@@ -31,6 +31,19 @@ def test_phases_add_up_to_what_has_passed(monkeypatch: pytest.MonkeyPatch) -> No
     time.now = 15.0
     assert [clock.seconds(phase) for phase in ("build", "solve", "audit")] == [1.0, 10.0, 4.0]
     assert clock.elapsed == 11.0
+
+
+def test_what_remains_is_without_audits_and_no_more_than_is_left_of_the_whole(
+    monkeypatch,
+) -> None:
+    time = Time(monkeypatch)
+    whole = Budget(Limits(seconds=10.0))
+    part = Budget(Limits(seconds=100.0), whole)
+    with whole.during("audit"):
+        time.now = 4.0
+    whole.kept = 1.0
+    assert whole.remaining == part.remaining == 5.0
+    assert Budget(Limits(seconds=2.0), whole).remaining == 2.0
 
 
 def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPatch) -> None:
