@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.optimize.budget import Budget, Limits
+from rmesh_nlp.optimize.budget import Budget, Limits, StoppedError
+from rmesh_nlp.optimize.process import Process
+from rmesh_nlp.optimize.status import Status
 from support.formulations import auto, fixed, joint, nested
 from support.problems import no_move_limits
 from support.solved import example
@@ -44,6 +46,14 @@ def test_what_remains_is_without_audits_and_no_more_than_is_left_of_the_whole(
     whole.kept = 1.0
     assert whole.remaining == part.remaining == 5.0
     assert Budget(Limits(seconds=2.0), whole).remaining == 2.0
+
+
+def test_a_process_of_an_interrupted_budget_is_ended_and_nothing_else_is_said() -> None:
+    whole, process = Budget(), Process("rmesh_nlp.meshes.mmg")
+    whole.stopped = Status.INTERRUPTED
+    with pytest.raises(StoppedError):
+        process.ask(b"", whole)
+    assert process.megabytes == 0
 
 
 def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPatch) -> None:
