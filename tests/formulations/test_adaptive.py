@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from formulations.adaptive import Proof, check_progress
+from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
 
@@ -94,3 +97,49 @@ def test_order_of_the_file_is_kept(tmp_path: Path, body: rm.ContactProblem) -> N
     asked = ["--accuracy", "5%", "--no-figures", "--quiet", "--out", str(tmp_path / "out")]
     assert run(["solve", str(tmp_path / "first.toml"), *asked]) == 0
     assert json.loads((tmp_path / "out" / "record.json").read_text())["order"] == 1
+
+
+def test_only_meshes_whose_bounds_may_suffice_are_certified(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=0.025, guaranteed=True)
+    lower = [mesh["quantities"]["resultant(bottom)"]["lower"] for mesh in solution.details["meshes"]]
+    assert solution.status is rm.Status.CONVERGED
+    assert len(set(lower)) < len(lower)
+    assert lower[-1] > lower[0]
+
+
+def test_bounds_that_are_not_guaranteed_do_not_count() -> None:
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(3, 3),
+        law=rm.Laplace(lambda x, y: -1 - np.abs(np.sin(3 * x + 2 * y) - 0.3)),
+        dirichlet=("left", "right"),
+    )
+    limits = {"iterations": 1}
+    assert rm.solve(problem, accuracy=0.9, limits=limits).status is rm.Status.CONVERGED
+    solution = rm.solve(problem, accuracy=0.9, guaranteed=True, limits=limits)
+    assert not solution.details["estimates"]["energy"]["guaranteed"]
+    assert solution.status is not rm.Status.CONVERGED
+
+
+def proofs(*excesses: float) -> list[Proof]:
+    """Bounds on meshes each of which has twice the nodes of the one before."""
+    return [Proof(50 * 2**n, 1.0, excess, {}, "the load kinks") for n, excess in enumerate(excesses)]
+
+
+@pytest.mark.parametrize(
+    ("excesses", "said"),
+    [((9.0, 8.0, 8.0), "at this rate"), ((9e9, 5e9, 3e9), "at this rate"), ((np.inf,) * 3, "the load kinks")],
+)
+def test_bounds_that_stay_wide_end_the_refinement(excesses: tuple[float, ...], said: str) -> None:
+    check_progress(proofs(9.0, 5.0, 3.0))
+    with pytest.raises(NotCertifiableError, match=said):
+        check_progress(proofs(*excesses))
+
+
+def test_energy_is_bounded_without_contact() -> None:
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(4, 4), law=rm.Laplace(lambda x, y: x), dirichlet=("left", "right")
+    )
+    solution = rm.solve(problem, accuracy=0.02, guaranteed=True)
+    energy = solution.details["estimates"]["energy"]
+    assert energy["guaranteed"]
+    assert energy["lower"] <= energy["value"] <= energy["upper"]
