@@ -11,9 +11,8 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,8 @@ from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.settings import Part
-from rmesh_nlp.solving.certify import bounds_on
+from rmesh_nlp.solving.assess import assess
+from rmesh_nlp.solving.certify import bounded
 from rmesh_nlp.solving.formulation import Choice, Wrapper
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -42,7 +42,7 @@ FIRST = 0.2
 """Part of the accuracy that the estimate on the first mesh must meet, which no other mesh confirms. Of 30
 random problems one stopped on its first mesh with an error of 1.3 times the accuracy."""
 
-GROWTH = 2
+GROWTH = 1.5
 """Times as many nodes as of the last mesh that was certified, from which on another one is."""
 
 LARGEST = 20_000
@@ -110,43 +110,49 @@ class Adaptive(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
         told = _of_contact(outer.problem, "resultant", "peak", "contact_length")
-        every = tuple(dict.fromkeys(wanted + told + (ENERGY,) * self.guaranteed))
-        reached, proofs = Outcome(outer, np.zeros(outer.n), Status.STALLED), list[Proof]()
+        deciding = wanted + (ENERGY,) * self.guaranteed
+        every = tuple(dict.fromkeys(deciding + told))
+        certified, proved = 0, dict[str, Bounds]()
+        reached = Outcome(outer, np.zeros(outer.n), Status.STALLED)
 
         def refine() -> None:
-            nonlocal reached
+            nonlocal reached, certified, proved
             outer = reached.outer
             while reached.status is Status.STALLED:
                 on, number, nodes = OnMesh(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
-                vars(outer.contact)["given"] = state = on.state  # solved already
-                monitor.work += Work(1, 1, state.iterations)
+                monitor.work += Work(1, 1, (state := on.state).iterations)
                 if state.status is not Status.CONVERGED or nodes > LARGEST:
                     raise NotCertifiableError(f"on {nodes} nodes: {state.status.message}")
-                sequence.append(estimates(on, every))
+                sequence.append(estimates(on, deciding, told))
                 seconds = monitor.budget.elapsed
                 monitor.note(Step(number, state.energy, 0.0, 0.0, np.nan, number + 1, seconds))
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
-                if self.guaranteed:
-                    gap = sequence[-1][every.index(ENERGY)].error
-                    if not proofs or nodes > GROWTH * proofs[-1].nodes or proofs[-1].expected(gap) <= 1:
-                        proofs.append(self._proof(outer, ends, gap))
-                figures = {text: end._asdict() for text, end in ends.items()}
-                for text, bounds in (proofs[-1].bounds if proofs else {}).items():
-                    figures[text] = {**bounds._asdict(), **figures.get(text, {})}
-                for figure in figures.values():
-                    del figure["local"]
+                solved = Outcome(outer, np.zeros(outer.n), Status.STALLED, label="")
+                if self.guaranteed and nodes > GROWTH * certified:
+                    certified = nodes
+                    proved = dict(bounded(assess(outer, solved, relocates=False), wanted).bounds)
+                figures = {text: of._asdict() for text, of in proved.items()}
+                for text, end in ends.items():
+                    figures[text] = {**figures.get(text, {}), **end._asdict()}
+                    del figures[text]["local"]
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
-                part = 1.0 if number else FIRST
-                lacking = (self._lacking(text, ends[text], part) for text in wanted)
-                local = sum(lacking, np.zeros(1))
-                if proofs:
-                    local = ends[ENERGY].local * (proofs[-1].excess > 1)
-                done = Status.STALLED if np.any(local) else Status.CONVERGED
-                reached = Outcome(outer, np.zeros(outer.n), done, label="")
-                reached = reached.having({"estimates": figures, "meshes": meshes})
+                reached = solved.having({"estimates": figures, "meshes": meshes})
+                lacking = [
+                    self._lacking(text, ends[text], proved.get(text), 1.0 if number else FIRST)
+                    for text in wanted
+                ]
+                local, excess = sum(lacking, np.zeros(1)), max(map(np.sum, lacking))
+                if proved and excess:
+                    local = ends[ENERGY].local  # bounds narrow with the gap
+                    if number and excess * certified > LARGEST:
+                        raise NotCertifiableError(
+                            f"guaranteed bounds are {excess:.3g} times too wide on {certified} nodes (1e+09: "
+                            f"not guaranteed), and narrow about like 1 / nodes: {LARGEST} would not suffice"
+                        )
+                if not excess:
+                    reached = replace(reached, status=Status.CONVERGED)
                 monitor.budget.check()
-                if np.any(local):
-                    check_progress(proofs)
+                if excess:
                     with monitor.budget.during("build"):
                         order = np.argsort(-local, kind="stable")
                         share = np.cumsum(local[order])
@@ -162,58 +168,19 @@ class Adaptive(Wrapper):
             return monitor.run(self.inner, reached.outer, reached.q).having(reached.details)
         return replace(reached, status=monitor.budget.stopped or reached.status)
 
-    def _limit(self, text: str, end: Estimate) -> float:
-        """The largest error of a quantity; twice an energy is the square of the energy norm."""
-        return max(abs(end.value) * self.accuracy ** (2 if text == ENERGY else 1), 1e-300)
+    def _lacking(self, text: str, end: Estimate, bounds: Bounds | None, part: float) -> Array:
+        """(elements,) indicators of a quantity whose error is above a part of the accuracy; else zero.
 
-    def _lacking(self, text: str, end: Estimate, part: float) -> Array:
-        """(elements,) indicators of a quantity whose error is above a part of the accuracy; else zero."""
-        limit = part * self._limit(text, end)
-        if end.error <= limit or not end.converges:
+        Their sum is the error over that part.
+        """
+        # the square of the energy norm is twice an energy
+        limit, error = abs(end.value) * self.accuracy ** (2 if text == ENERGY else 1), end.error / part
+        if bounds is not None:
+            error = (bounds.upper - bounds.lower) / 2 if bounds.guaranteed else np.inf
+        if error <= limit or not end.converges:
             return np.zeros(end.local.size)
         share = end.local / max(np.sum(end.local), 1e-300)
-        return share * np.clip(np.nan_to_num(end.error / limit), 1.0, 1e9)
-
-    def _proof(self, outer: Outer, ends: Mapping[str, Estimate], gap: float) -> Proof:
-        """Bounds on a mesh."""
-        wanted = self.asked(outer.problem)
-        bounds, why = bounds_on(outer, wanted)
-        excess = 0.0
-        for text in wanted:
-            of, whole = bounds[text], 1.0 if text == ENERGY else 0.5
-            width = whole * (of.upper - of.lower) if of.guaranteed else np.inf
-            excess = max(excess, width / self._limit(text, ends[text]))
-        return Proof(outer.problem.mesh.p.shape[1], gap, excess, bounds, why)
-
-
-class Proof(NamedTuple):
-    """Guaranteed bounds on a mesh."""
-
-    nodes: int
-    gap: float  # estimated error of the energy
-    excess: float  # the largest half-width over what the accuracy allows; infinite without a guarantee
-    bounds: Mapping[str, Bounds]
-    why: str  # not guaranteed
-
-    def expected(self, gap: float) -> float:
-        """``excess`` on a mesh with another gap, since widths go like its root."""
-        return self.excess * float(np.sqrt(gap / max(self.gap, 1e-300)))
-
-
-def check_progress(proofs: Sequence[Proof]) -> None:
-    """Raise a NotCertifiableError unless the last bounds are so much narrower that others may suffice."""
-    if len(proofs) < 3:
-        return
-    before, last = proofs[-2:]
-    if not np.isfinite(last.excess):
-        raise NotCertifiableError(f"the accuracy is not proved: {last.why or 'there are no bounds'}")
-    rate = np.log(before.excess / last.excess) / np.log(last.nodes / before.nodes)
-    if rate <= 0 or np.log(last.excess) > rate * np.log(LARGEST / last.nodes):
-        raise NotCertifiableError(
-            f"half the width of the guaranteed bounds is {before.excess:.3g} times the accuracy on "
-            f"{before.nodes} nodes and {last.excess:.3g} times on {last.nodes}: at this rate {LARGEST} nodes "
-            "do not suffice"
-        )
+        return share * np.clip(np.nan_to_num(error / max(limit, 1e-300)), 1.0, 1e9)
 
 
 def _of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:

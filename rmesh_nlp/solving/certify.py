@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from skfem import MeshTri
 
 from rmesh_nlp.assessment.admissible import Admissible, admissible
-from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.estimates import ENERGY
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
@@ -28,7 +25,6 @@ from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion, Traction
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.solving.assessment import Assessment
-from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Certificate
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import State
@@ -88,14 +84,15 @@ def bounded(
     problem, first = final.problem, given.problem
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
-    nodes, exact = final.mesh.p, _on_polygon(problem, final.mesh, final.continuous)
-    loads = _loads(problem, final.contact, quantities)
-    after = _bracket(problem, nodes, _guess(final), exact, refinements)
+    resultants = {name: f"resultant({name})" for name in final.contact}
+    others = (text for text in quantities if text not in resultants.values())
+    nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
+    exact = _on_polygon(final, final.continuous)
+    after = _bracket(final, exact, refinements)
     before, is_one = after, True
     is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
     if is_new or not np.array_equal(nodes, given.mesh.p):
-        polygon = _on_polygon(first, given.mesh, given.continuous)
-        before, is_one = _bracket(first, given.mesh.p, _guess(given), polygon, refinements), False
+        before, is_one = _bracket(given, _on_polygon(given, given.continuous), refinements), False
         is_same = not final.design  # else the bounds are those of two problems
         if is_same and same_domain(problem, nodes) and not (is_new and problem.motion.curves):
             best = max((before, after), key=lambda bracket: (not bracket.lower_faults, bracket.lower))
@@ -107,72 +104,27 @@ def bounded(
             before = replace(before, local=np.full(problem.mesh.nelements, np.nan))
     before, after = _consistent(before), _consistent(after)
     why = after.why if is_one else (*after.why, *(f"given mesh: {reason}" for reason in before.why))
-    forces = {name: result.normal_force for name, result in final.contact.items()}
-    bounds = _bounds(exact, after, forces, loads, refinements)
+    bounds = {
+        resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
+        for name, (low, high) in force_bounds(exact, after.lower).items()
+    }
+    bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
     return _certificate(before, after, why, bounds)
 
 
-def bounds_on(outer: Outer, quantities: Sequence[str]) -> tuple[dict[str, Bounds], str]:
-    """Bounds of the energy, the resultants and other quantities on the mesh as given.
-
-    And what stands in the way of a guarantee. Raises a NotCertifiableError like :func:`certify`.
-    """
-    solver, problem, state = outer.contact, outer.problem, outer.contact.given
-    if problem.order == 2 and problem.motion.curves:
-        raise NotCertifiableError(POLYGON)
-    nodes, space = problem.mesh.p, solver.discretisation.space
-    stresses = contact_stresses(space, nodes, state.normal_force, state.tangential_force)
-    guess = Guess(solver.displacement.values(state.u), *stresses)
-    exact = _on_polygon(problem, problem.mesh, outer.initial)
-    known = _consistent(_bracket(problem, nodes, guess, exact, None))
-    results = contact_results(space, nodes, solver.system(nodes), state)
-    forces = {name: result.normal_force for name, result in results.items()}
-    others = [text for text in quantities if text != ENERGY]
-    bounds = _bounds(exact, known, forces, _loads(problem, forces, others), None)
-    bounds[ENERGY] = Bounds(known.lower, state.energy, known.upper, not known.why)
-    return bounds, "; ".join(known.why)
-
-
-def _loads(problem: ContactProblem, names: Iterable[str], quantities: Sequence[str]) -> dict[str, Traction]:
-    """The quantities that are works of loads, not resultants."""
-    resultants = {f"resultant({name})" for name in names}
-    return {text: load_of(text, problem) for text in quantities if text not in resultants}
-
-
-def _bounds(
-    exact: Admissible,
-    known: Bracket,
-    forces: Mapping[str, float],
-    loads: Mapping[str, Traction],
-    refinements: int | None,
-) -> dict[str, Bounds]:
-    """Bounds of the resultants, whose computed values are ``forces``, and of the works of loads."""
-    bounds = {
-        f"resultant({name})": Bounds(low, forces[name], high, not known.why)
-        for name, (low, high) in force_bounds(exact, known.lower).items()
-    }
-    return bounds | {text: _load_bounds(exact, known, load, refinements) for text, load in loads.items()}
-
-
-def _on_polygon(problem: ContactProblem, mesh: MeshTri, continuous: Admissible) -> Admissible:
+def _on_polygon(state: State, continuous: Admissible) -> Admissible:
     """The admissible displacement; a body with curves is certified as the polygon of its mesh."""
-    if not problem.motion.curves:
+    if not state.problem.motion.curves:
         return continuous
-    return admissible(replace(problem, mesh=mesh, motion=Motion(None)))
+    return admissible(replace(state.problem, mesh=state.mesh, motion=Motion(None)))
 
 
-def _guess(state: State) -> Guess:
-    u = DisplacementSpace(state.problem).coefficients(state.displacement)
-    return Guess(u, state.pressure, state.tangential_stress)
-
-
-def _bracket(
-    problem: ContactProblem, nodes: Array, guess: Guess, continuous: Admissible, refinements: int | None
-) -> Bracket:
+def _bracket(state: State, continuous: Admissible, refinements: int | None) -> Bracket:
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
-    bracket = refined_bracket(problem, nodes, guess, refinements)
-    apart = _distance(guess.displacement, bracket.norm, continuous)
-    return replace(with_upper(bracket, continuous), distance=apart)
+    u = DisplacementSpace(state.problem).coefficients(state.displacement)
+    guess = Guess(u, state.pressure, state.tangential_stress)
+    bracket = refined_bracket(state.problem, state.mesh.p, guess, refinements)
+    return replace(with_upper(bracket, continuous), distance=_distance(u, bracket.norm, continuous))
 
 
 def _distance(u: Array, norm: float, continuous: Admissible) -> float:
