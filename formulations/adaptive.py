@@ -144,7 +144,7 @@ class Adaptive(Wrapper):
                 local, excess = sum(lacking, np.zeros(1)), max(map(np.sum, lacking))
                 if proved and excess:
                     local = ends[ENERGY].local  # bounds narrow with the gap
-                    if number and excess * certified > LARGEST:
+                    if number and nodes == certified > LARGEST / excess:
                         raise NotCertifiableError(
                             f"guaranteed bounds are {excess:.3g} times too wide on {certified} nodes (1e+09: "
                             f"not guaranteed), and narrow about like 1 / nodes: {LARGEST} would not suffice"
