@@ -5,11 +5,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rmesh_nlp as rm
+from formulations.adaptive import Adaptive
+from rmesh_nlp.certificate.estimates import Estimate
 from rmesh_nlp.cli.app import run
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.solving.parts import Bounds
 
 FILE = """
 mesh = { shape = "rectangle", nx = 16, ny = 4, x = [0, 4] }
@@ -94,3 +98,34 @@ def test_order_of_the_file_is_kept(tmp_path: Path, body: rm.ContactProblem) -> N
     asked = ["--accuracy", "5%", "--no-figures", "--quiet", "--out", str(tmp_path / "out")]
     assert run(["solve", str(tmp_path / "first.toml"), *asked]) == 0
     assert json.loads((tmp_path / "out" / "record.json").read_text())["order"] == 1
+
+
+def test_only_meshes_whose_bounds_may_suffice_are_certified(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=0.02, guaranteed=True)
+    lower = [mesh["quantities"]["resultant(bottom)"]["lower"] for mesh in solution.details["meshes"]]
+    assert solution.status is rm.Status.CONVERGED
+    assert len(set(lower)) < len(lower)
+    assert lower[-1] > lower[0]
+
+
+@pytest.mark.slow
+def test_bounds_that_stay_wide_end_the_refinement(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=1e-5, guaranteed=True)
+    assert solution.status is rm.Status.STALLED
+    assert "would not suffice" in solution.details["estimates_remark"]
+
+
+def test_bounds_that_are_not_guaranteed_do_not_count() -> None:
+    one, force = Adaptive(accuracy=0.1), Estimate(1.0, 0.0, 1.0, np.ones(3))
+    assert not one._lacking("resultant(a)", force, Bounds(0.99, 1.0, 1.01, True), 1.0).any()
+    assert one._lacking("resultant(a)", force, Bounds(0.99, 1.0, 1.01, False), 1.0).any()
+
+
+def test_force_that_follows_from_the_load_takes_one_mesh(tmp_path: Path) -> None:
+    text = FILE.replace("left = [0, 0]", 'left = [0, "free"]').replace("-0.02 - 0.03*x", "0")
+    (tmp_path / "rests.toml").write_text(text.replace(", friction = 10", ""))
+    solution = rm.solve(rm.read_problem(tmp_path / "rests.toml"), accuracy=1e-6)
+    force = solution.details["estimates"]["resultant(bottom)"]
+    assert force["value"] == pytest.approx(160)
+    assert force["error"] == 0
+    assert len(solution.details["meshes"]) == 1
