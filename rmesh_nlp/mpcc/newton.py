@@ -11,9 +11,11 @@ obstacle problem, it moves the contact boundary.
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import SuperLU, splu
 
 from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.mpcc.lifting import Lifted
@@ -31,7 +33,10 @@ _BEYOND = 1e-10  # violation of a bound that is rounding
 
 
 class System:
-    """The factorised KKT system at a point, with some unknowns and rows active."""
+    """The factorised KKT system at a point, with some unknowns and rows active.
+
+    Whether the point ``is_minimum`` is None where that is not known. Solutions of a singular one are NaN.
+    """
 
     def __init__(self, lifted: Lifted, z: Array, p: Array, lam_rows: Array, active: Mask) -> None:
         self.gradient, self.rows, jacobian = lifted.linearise(z, p)
@@ -40,15 +45,19 @@ class System:
         self.free = np.flatnonzero(active == is_row)
         shifts = sp.diags(np.where(is_row, _SHIFTS[1], _SHIFTS[0]))
         matrix = (self.whole + shifts).tocsc()[self.free][:, self.free].tocsc()
-        # permutations of rows and columns alike, so that pivots have the signs of eigenvalues
-        factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        self.factors, n_negative = factors, np.sum(factors.U.diagonal() < 0)
-        self.is_minimum = np.array_equal(factors.perm_r, factors.perm_c) and n_negative == np.sum(
-            is_row & active
-        )
+        self.factors: SuperLU | None = None
+        self.is_minimum: bool | None = None
+        with suppress(RuntimeError):  # singular, or not finite
+            factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+            self.factors = factors
+            # permutations of rows and columns alike, so that pivots have the signs of eigenvalues
+            if np.array_equal(factors.perm_r, factors.perm_c):
+                self.is_minimum = bool(np.sum(factors.U.diagonal() < 0) == np.sum(is_row & active))
 
     def solve(self, right: Array, given: Array) -> Array:
         """Changes of the unknowns, those ``given`` where they are active, and multipliers of the rows."""
+        if self.factors is None:
+            return np.full(given.shape, np.nan)
         answer = given.copy()
         answer[self.free] = 0.0
         for _ in range(_PASSES):
@@ -76,10 +85,7 @@ def newton(run: Run, z: Array, warm: Warm) -> NLPResult | None:
         side[pairs[zero]] = 0
         active = equal | (side != 0)
         active[pairs[zero]] = True
-        try:
-            system = System(lifted, z, run.p, lam[n:], active)
-        except RuntimeError:  # singular, or not finite
-            return None
+        system = System(lifted, z, run.p, lam[n:], active)
         at = np.append(z, system.rows)
         change = np.where(active, np.choose(side + 1, [lower, value, upper]) - at, 0.0)
         right = np.append(-system.gradient, change[n:])
@@ -129,8 +135,9 @@ def curvature(run: Run, z: Array, lin: Linearisation, lam_z: Array, lam_rows: Ar
     system, is_strict = along_active(run, z, lin, lam_z, lam_rows, strong=True)
     if system.is_minimum:
         return "not negative"
-    is_positive = not is_strict and along_active(run, z, lin, lam_z, lam_rows)[0].is_minimum
-    return "not tested" if is_positive else "negative"
+    if system.is_minimum is not None and not is_strict:
+        system, _ = along_active(run, z, lin, lam_z, lam_rows)
+    return "negative" if system.is_minimum is False else "not tested"
 
 
 def sensitivity(run: Run, z: Array, lam_z: Array, lam_rows: Array) -> Array:

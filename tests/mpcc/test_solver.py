@@ -244,7 +244,7 @@ def test_large_obstacle_control_is_exact_and_labelled():
     assert result.complementarity == 0.0
     assert result.n_biactive > 0
     assert result.f == pytest.approx(0.0584295510, rel=1e-8)  # of an end that linear programs proved
-    assert {step.phase for step in result.history} == {"relaxed", "branch"}
+    assert {step.phase for step in result.history} <= {"relaxed", "newton", "branch"}
 
 
 @pytest.mark.parametrize(

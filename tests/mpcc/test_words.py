@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from rmesh_nlp.mpcc import MPCC, solve
+from rmesh_nlp.mpcc import MPCC, newton, solve
 from rmesh_nlp.mpcc.diagnosis import largest_residual, where_not_finite
 from rmesh_nlp.mpcc.finish import labelled
 from rmesh_nlp.mpcc.lifting import lift
@@ -131,3 +131,16 @@ def test_long_expressions_are_shown_by_their_symbols():
     mpcc = MPCC(many, many[0], ca.sumsqr(many) + 1, many[0], many[1], ubg=0)
     values = np.array([1.0]), np.zeros(1), np.zeros(1)
     assert "g[0], a function of v_0, v_1, v_2, v_3, ..." in largest_residual(mpcc, np.zeros(9), *values)
+
+
+def test_of_a_singular_system_no_curvature_is_known(monkeypatch):
+    def singular(*_: object, **__: object) -> None:
+        raise RuntimeError("Factor is exactly singular")
+
+    run = run_of(MPCC(z[:2], z[0] ** 2 + z[1] ** 2, None, z[0], z[1]))
+    end = labelled(run, np.zeros(2), 0.0, Status.CONVERGED)
+    for known, said in ((True, "not negative"), (False, "not tested")):
+        if not known:
+            monkeypatch.setattr(newton, "splu", singular)
+        assert curvature(run, np.zeros(2), end.lin, np.zeros(2), np.zeros(0)) == said
+    assert newton.newton(run, np.zeros(2), None) is None
