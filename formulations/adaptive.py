@@ -19,7 +19,7 @@ import numpy as np
 from formulations.fixed import Fixed
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates
-from rmesh_nlp.errors import ProblemError, located, one_line
+from rmesh_nlp.errors import BadInputError, ProblemError, one_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.optimize.status import Status
@@ -77,8 +77,11 @@ class Adaptive(Wrapper):
 
     def __post_init__(self) -> None:
         text = str(self.accuracy)
-        with located("accuracy"):
+        try:
             share = float(text.rstrip("%")) / (100 if "%" in text else 1)
+        except ValueError:
+            said = f"accuracy must be a number such as 0.01 or 1%, got {self.accuracy!r}"
+            raise BadInputError(said, "accuracy") from None
         object.__setattr__(self, "accuracy", share)
         object.__setattr__(self, "quantities", as_tuple(self.quantities))
         super().__post_init__()
