@@ -86,6 +86,8 @@ def newton(run: Run, z: Array, warm: Warm) -> NLPResult | None:
         active = equal | (side != 0)
         active[pairs[zero]] = True
         system = System(lifted, z, run.p, lam[n:], active)
+        if system.factors is None:
+            return None
         at = np.append(z, system.rows)
         change = np.where(active, np.choose(side + 1, [lower, value, upper]) - at, 0.0)
         right = np.append(-system.gradient, change[n:])
