@@ -70,7 +70,7 @@ class Lifted(Hessian):
         partial: sp.csr_array,
         n_positions: int,
         outer: sp.csr_array,
-        mixed: sp.csc_array,
+        mixed: sp.csr_array,
         point: ContactPoint,
     ) -> None:
         super().__init__(partial, n_positions, self.products)
@@ -87,25 +87,29 @@ class Curvature:
     """Evaluates L'' at contact solutions of one problem; where blocks are in the whole is found once."""
 
     def __init__(self, relocation: Relocation) -> None:
-        self._relocation, first, q = relocation, relocation.assembled.first.pattern, relocation.unknowns["q"]
-        self._hessian = Symmetric(relocation.assembled.second.pattern)
-        self._gaps, self._slips = (Block(first, relocation.rows[name], q) for name in ("gaps", "plus"))
+        self._relocation, first = relocation, relocation.assembled.first.pattern
+        upper, (q, u, s) = relocation.assembled.second.pattern, relocation.unknowns.places.values()
+        self._second = Symmetric(upper, relocation.parts.n_q), Block(upper, q, u), Block(upper, q, s)
+        self._first = tuple(Block(first, relocation.rows[name], q) for name in ("gaps", "plus"))
 
     def at(self, x: Array, point: ContactPoint) -> Lifted:
-        """L'' at a contact solution, whose unknowns are ``x``."""
+        """L'' at a contact solution, whose unknowns are ``x``.
+
+        Of Lambda_xx the stiffness is known, and s has no second derivatives but with q.
+        """
         rel, system, solved = self._relocation, point.system, point.equilibrium
-        n_q, rows, rotated, active = rel.parts.n_q, rel.parts.friction_rows, system.rotated, solved.active
+        rows, rotated, active = rel.parts.friction_rows, system.rotated, solved.active
         forces = rel.multipliers(solved.normal_force, solved.tangential_force[rows])
         (second,) = rel.assembled.second(x, None, np.ones(1), -forces)
         *_, first = rel.assembled.first(x, None)
-        hessian, gaps, slips = self._hessian(second).T, self._gaps(first), self._slips(first)
+        qq, uq, sq = (block(second).T for block in self._second)  # by rows
+        gaps, slips = (sp.csr_array(block(first)) for block in self._first)
         sticks, tangents = rotated.sticking(active)[rows], system.tangents[rows]
         held = np.append(rotated.normal[active.touching], rotated.tangent[rows[sticks]])
-        follows = sp.vstack([sp.csr_array(gaps)[active.touching], sp.csr_array(slips)[sticks]])
+        follows = sp.vstack([gaps[active.touching], slips[sticks]])
         u, free = -(rotated.basis[:, held] @ follows), rotated.basis[:, rotated.factor(active).inside]
         sliding = sp.diags_array(active.sliding[rows] * 1.0 if rows.size else np.zeros(0))
-        by_q = sp.vstack([u, sliding @ (tangents @ u + slips)], format="csc")
-        by_free = sp.vstack([free, sliding @ tangents @ free], format="csr")
-        along = hessian[:n_q] + by_q.T @ hessian[n_q:]
-        outer, mixed = along[:, :n_q] + along[:, n_q:] @ by_q, (along[:, n_q:] @ by_free).T
-        return Lifted(hessian[:n_q, :n_q], rel.parts.mesh_map.n_positions, outer, mixed, point)
+        force, half = system.stiffness @ u, u.T @ uq + (sliding @ (tangents @ u + slips)).T @ sq
+        outer = qq + half + half.T + u.T @ force
+        mixed = free.T @ (uq + force + tangents.T @ (sliding @ sq))
+        return Lifted(qq, rel.parts.mesh_map.n_positions, outer, mixed, point)
