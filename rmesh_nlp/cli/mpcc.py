@@ -58,7 +58,7 @@ def _former(path: Path) -> tuple[Any, Duals]:
 def _solved(path: Path, options: Options, log: bool, as_json: bool, former: tuple[Any, Duals] | None) -> int:
     """Solve one file and print status, label, residuals."""
     problem = read(path)
-    x0, start = (problem.x0, None) if former is None else former
+    x0, start = (problem.x0, problem.start) if former is None else former
     result = solve(problem.mpcc, x0, p=problem.p0, start=start, options=options, progress=log)
     mpcc, f, seconds = problem.mpcc, problem.sign * result.f, result.seconds["total"]
     reached = [replace(end, f=problem.sign * end.f) for end in result.reached]

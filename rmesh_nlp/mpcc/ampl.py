@@ -60,7 +60,7 @@ def run(words: Sequence[str]) -> int:
     options = Options().having(given)
     stub = stub.removesuffix(".nl")
     problem = read_nl(Path(f"{stub}.nl"))
-    result = solve(problem.mpcc, problem.x0, options=options, progress=show)
+    result = solve(problem.mpcc, problem.x0, start=problem.start, options=options, progress=show)
     write_sol(Path(f"{stub}.sol"), problem, result)
     if "-AMPL" not in words:  # AMPL shows the message of the file
         print(message(problem, result))

@@ -44,6 +44,7 @@ _UNSUPPORTED: dict[int | str, str] = {
 }  # fmt: skip
 """Names of operations, by their number, of segments and of expressions."""
 _MOST = 10_000_000  # unknowns or rows: more stand in damaged headers alone
+_REDUCED = ("ipopt_zL_in", "ipopt_zU_in")  # suffixes with multipliers of bounds
 _SETS = ("sosno", "ref")  # suffixes that make special ordered sets of unknowns
 
 
@@ -61,7 +62,8 @@ class Rows:
 
     ``complements`` maps a row to the bits k and the unknown of its condition. Unknowns have the names of the
     ``.col`` file, ``row_names`` those of the ``.row`` file (or ``g[3]``). ``sign`` is -1 for a maximum.
-    ``options`` are the numbers of the first line, which a ``.sol`` file repeats.
+    ``duals`` (rows) and ``reduced`` (unknowns) are those to start from, as in a ``.sol`` file. ``options``
+    are the numbers of the first line, which a ``.sol`` file repeats.
     """
 
     x: ca.SX
@@ -72,6 +74,8 @@ class Rows:
     ubx: Array
     x0: Array
     f: ca.SX
+    duals: Array
+    reduced: Array
     sign: float = 1.0
     complements: dict[int, tuple[int, int]] = field(default_factory=dict)
     row_names: list[str] = field(default_factory=list)
@@ -143,6 +147,7 @@ class _Reader:
         self.values: list[ca.SX] = ca.vertsplit(x) if n else []  # of unknowns, then of defined variables
         self.rows = Rows(
             x, [ca.SX(0)] * m, np.full(m, -np.inf), np.full(m, np.inf), -free, free, np.zeros(n), ca.SX(0),
+            duals=np.zeros(m), reduced=np.zeros(n),
             row_names=_names(self.path, ".row", m) or [f"g[{i}]" for i in range(m)],
             options=(header[0][0][1:], *header[0][1:]),
         )  # fmt: skip
@@ -205,10 +210,14 @@ class _Reader:
             case "k" | "K":
                 self.table("i", read("i")[0])
             case "d":
-                self.table("if", read("i")[0])
+                for i, dual in self.table("if", read("i")[0]):
+                    rows.duals[_place(i, m)] = dual
             case "S":
                 kind, n_values, name = read("iis")
-                self.table("if" if kind & 4 else "ii", n_values)
+                values = self.table("if" if kind & 4 else "ii", n_values)
+                if name in _REDUCED and kind & 3 == 0:
+                    for i, dual in values:
+                        rows.reduced[_place(i, n)] += dual
                 if name in _SETS and kind & 3 == 0:
                     raise ValueError(f"special ordered sets (suffix {name}) are not supported")
             case _:

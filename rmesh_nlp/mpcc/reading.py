@@ -22,6 +22,7 @@ from rmesh_nlp.evaluation import Array, kind_of
 from rmesh_nlp.mpcc.names import named
 from rmesh_nlp.mpcc.nl import Rows, read_rows
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.result import Duals
 
 _OBJECTIVES = ("augmented_objective_fun", "objective_fun")
 _BOUNDS = {"lbx": ("lbw", -np.inf), "ubx": ("ubw", np.inf), "lbg": ("lbg", 0.0), "ubg": ("ubg", 0.0)}
@@ -44,6 +45,8 @@ class Problem:
         -1 if the file maximises: ``mpcc.f`` is then minus its objective.
     target : float
         The best known value, where there is one; else NaN.
+    start : Duals, optional
+        Multipliers of a former solve, of a ``.nl`` file that has some.
     rows : Rows, optional
         The ``.nl`` file as read, see :func:`rmesh_nlp.mpcc.sol.write_sol`.
     """
@@ -54,6 +57,7 @@ class Problem:
     p0: Array = field(default_factory=lambda: np.zeros(0))
     sign: float = 1.0
     target: float = float("nan")
+    start: Duals | None = None
     rows: Rows | None = None
 
 
@@ -87,7 +91,7 @@ def read_nl(path: Path) -> Problem:
     """Read an AMPL ``.nl`` file as an MPCC; a maximised objective changes its sign."""
     rows = read_rows(path)
     try:
-        return Problem(path.stem, mpcc_of(rows), rows.x0, sign=rows.sign, rows=rows)
+        return Problem(path.stem, mpcc_of(rows), rows.x0, sign=rows.sign, start=_start(rows), rows=rows)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
@@ -114,6 +118,26 @@ def mpcc_of(rows: Rows, p: ca.SX | None = None) -> MPCC:
         ubG=np.where(is_upper & ~is_lower, 0.0, np.inf), H=rows.x[j.tolist()], lbH=lower, ubH=upper,
         lbx=rows.lbx, ubx=rows.ubx, lbg=rows.lower[kept], ubg=rows.upper[kept], p=p,
     )  # fmt: skip
+
+
+def rows_of(rows: Rows) -> tuple[MPCC, Array]:
+    """The MPCC with symbols p for the rows of a file, and how (g, G, H) depend on (p, x): they are linear."""
+    m = len(rows.bodies)
+    bodies = ca.SX.sym("row", m)
+    linear = mpcc_of(replace(rows, bodies=ca.vertsplit(bodies) if m else [], f=ca.SX(0)), bodies)
+    columns, both = ca.vertcat(linear.g, linear.G, linear.H), ca.vertcat(linear.p, linear.x)
+    jacobian = ca.Function("jacobian", [linear.x, linear.p], [ca.jacobian(columns, both)])
+    return linear, np.asarray(jacobian(0, 0).full())
+
+
+def _start(rows: Rows) -> Duals | None:
+    """The duals of a file as multipliers: that of a bound in a pair counts as the bound's, which adds up."""
+    if not (np.any(rows.duals) or np.any(rows.reduced)):
+        return None
+    linear, jacobian = rows_of(rows)
+    column = -rows.sign * jacobian[:, : rows.duals.size] @ rows.duals
+    lam_x = np.append(-rows.sign * rows.reduced, np.zeros(linear.n_x - rows.reduced.size))
+    return Duals(lam_x, *np.split(column, [linear.n_g, linear.n_g + linear.n_pairs]))
 
 
 def read_pyomo(model: Any) -> Problem:

@@ -15,16 +15,14 @@ from Ipopt. A complementarity row and the bound of its unknown have the multipli
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import casadi as ca
 import numpy as np
 
 from rmesh_nlp import __version__
 from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.mpcc.nl import Rows
-from rmesh_nlp.mpcc.reading import Problem, mpcc_of
+from rmesh_nlp.mpcc.reading import Problem, rows_of
 from rmesh_nlp.mpcc.result import MPCCResult
 from rmesh_nlp.optimize.status import Status
 
@@ -70,22 +68,12 @@ def write_sol(path: Path, problem: Problem, result: MPCCResult) -> None:
 
 
 def _duals(rows: Rows, result: MPCCResult) -> tuple[Array, Array]:
-    """The dual of each row and the reduced cost of each unknown; none where there are no multipliers.
-
-    The rows become symbols p: g, G and H of the MPCC are then linear in x and p, and their Jacobian takes the
-    multipliers back to the rows and unknowns of the file.
-    """
+    """The dual of each row and the reduced cost of each unknown; none where there are no multipliers."""
     multipliers = np.concatenate([result.lam_g, result.lam_G, result.lam_H])
     n, m = rows.x.shape[0], len(rows.bodies)
     if not (is_finite(multipliers) and is_finite(result.lam_x)):
         return np.zeros(0), np.zeros(n)
-    bodies = ca.SX.sym("row", m)
-    linear = mpcc_of(replace(rows, bodies=ca.vertsplit(bodies) if m else [], f=ca.SX(0)), bodies)
-    both = ca.vertcat(linear.p, linear.x)
-    jacobian = ca.Function("jacobian", [linear.x, linear.p], [
-        ca.jacobian(ca.vertcat(linear.g, linear.G, linear.H), both)
-    ])(0, 0)  # fmt: skip
-    duals = np.asarray(ca.mtimes(jacobian.T, multipliers)).ravel()
+    duals = rows_of(rows)[1].T @ multipliers
     return -rows.sign * duals[:m], -rows.sign * (duals[m : m + n] + result.lam_x[:n])
 
 

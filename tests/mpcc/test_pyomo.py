@@ -1,5 +1,6 @@
 """Pyomo models with ``pyomo.mpec``, read as they are and solved by the registered solver."""
 
+import numpy as np
 import pytest
 
 from rmesh_nlp.mpcc import read, solve
@@ -44,6 +45,25 @@ def test_values_and_duals_of_a_model(registered, capfd):
     assert problem.name == "pair"
     assert solve(problem.mpcc, problem.x0).f == pytest.approx(m.cost(), abs=1e-7)
     assert (m.pair.ctype, m.pair.active) == (mpec.Complementarity, True)  # as it was
+
+
+def test_a_model_is_solved_again_from_its_duals(registered):
+    """Suffixes of a former solve take the place of the relaxations."""
+    m = model()
+    m.dual.direction = pe.Suffix.IMPORT_EXPORT
+    m.ipopt_zL_in = pe.Suffix(direction=pe.Suffix.EXPORT)
+    registered.solve(m)
+    m.ipopt_zL_in.update(m.ipopt_zL_out)
+    problem = read(m)
+    again = solve(problem.mpcc, problem.x0, start=problem.start)
+    assert again.success
+    assert [stage.phase for stage in again.history] == ["newton"]
+    assert np.any(problem.start.lam_g)
+    assert solve(problem.mpcc, problem.x0).counts["nlp_solves"] > 1
+    m.z.setlb(0.8)
+    found = registered.solve(m)
+    assert "in 1 NLPs" in found.solver.message
+    assert [m.x(), m.z()] == pytest.approx([2.2, 0.8], abs=1e-6)
 
 
 def mixed():

@@ -240,6 +240,15 @@ def test_command_solves_files(nl, capsys):
     assert row["success"]
     assert row["x"] == pytest.approx(SOLUTION[0], abs=1e-6)
     assert row["starts"] == []
+    former = path.with_suffix(".former.json")
+    former.write_text(json.dumps(row))
+    assert app.run(["mpcc", str(path), "--json", "--start", str(former)]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["iterations"] < row["iterations"]
+    assert again["x"] == pytest.approx(row["x"], abs=1e-9)
+    former.write_text("[]")
+    assert app.run(["mpcc", str(path), "--start", str(former)]) == 2
+    assert "is not what rmesh mpcc --json prints" in capsys.readouterr().err
     assert app.run(["mpcc", str(path), "--json", "--starts", "3"]) == 0
     ends = json.loads(capsys.readouterr().out)["starts"]
     assert sum(end["number"] for end in ends) == 3
