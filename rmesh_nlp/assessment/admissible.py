@@ -92,7 +92,7 @@ class Continuous:
         self.parts = parts = discretise(problem)
         self.problem, self.space, self.field = parts.problem, parts.space, parts.displacement
         self.body = body = Body(self.problem, self.problem.mesh.p if nodes is None else nodes)
-        self.stiffness = stiffness(body, self.space)
+        self.stiffness, self._stiffness_doubt = stiffness(body, self.space)
         self.load, self._load_doubt = load_vector(body, self.space)
         self.given = self.field.values(np.zeros(parts.n_u))  # (components, nodes)
         sets = self.space.contact_sets
@@ -220,7 +220,10 @@ class Continuous:
         acts = (np.diff(N.indptr) > 0) & np.concatenate(near)
         rubbing = [cells for cells in self.cells if cells.contact.obstacle.has_bound]
         T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
-        bounds = (on_points(each.contact.obstacle.friction, each.points) * each.lengths for each in rubbing)
+        bounds = (
+            on_points(each.contact.obstacle.friction, each.points) * each.measures(self.problem)
+            for each in rubbing
+        )
         bound = np.concatenate([np.zeros(0), *(each.ravel() for each in bounds)])
         rubs = (np.diff(T.indptr) > 0) & (bound > 0)
 
@@ -266,6 +269,7 @@ class Continuous:
         strain, work = 0.5 * float(full @ (self.stiffness @ full)), float(self.load @ full)
         friction, doubt = self.friction(displacement)
         rounding = np.finfo(float).eps * (abs(self.stiffness) @ np.abs(full) + np.abs(self.load))
+        rounding += self._stiffness_doubt @ np.abs(full) / 2
         doubt += float((self._load_doubt + rounding) @ np.abs(full))
         energies = strain - work + friction, strain, friction, doubt
         return Admissible(self, system, state, displacement, *energies, penetration)

@@ -19,35 +19,47 @@ from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.switches import polynomial_degree
 
 
-def stiffness(body: Body, space: DisplacementSpace) -> sp.csc_array:
-    """The matrix K of ``1/2 u K u``, the strain energy."""
+def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.csc_array]:
+    """The matrix K of ``1/2 u K u``, the strain energy, and its doubt."""
     problem = body.problem
     n = problem.components * space.n_nodes
-    matrix = sp.csc_array((n, n))
+    matrix, doubt = sp.csc_array((n, n)), sp.csc_array((n, n))
     for law, region in problem.regions:
         curved = body.is_curved[region]
-        for elements, points in ((region[~curved], space.order), (region[curved], None)):
+        exact = None if law.varies else space.order
+        for elements, points in ((region[~curved], exact), (region[curved], None)):
 
-            def integrand(which: Index, barycentric: Array, _: Array, law: Law = law) -> Array:
+            def integrand(which: Index, barycentric: Array, where: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])[0]
                 gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
-                return _density(law, gradient).reshape(-1, *gradient.shape[2:])
+                values = functions(space.order, barycentric)
+                return _density(law, gradient, values, where).reshape(-1, *gradient.shape[2:])
 
             if elements.size:
-                local = over_triangles(body, elements, integrand, points).value
+                local = over_triangles(body, elements, integrand, points)
                 nodes = problem.components * space.elements[:, None, elements]
                 dofs = (nodes + np.arange(problem.components)[:, None]).reshape(-1, elements.size)
                 place = np.repeat(dofs, len(dofs), axis=0).ravel(), np.tile(dofs, (len(dofs), 1)).ravel()
-                matrix += sp.csc_array((local.ravel(), place), shape=(n, n))
-    return matrix
+                matrix += sp.csc_array((local.value.ravel(), place), shape=(n, n))
+                if points is None:
+                    doubt += sp.csc_array((local.doubt.ravel(), place), shape=(n, n))
+    return matrix, doubt
 
 
-def _density(law: Law, gradient: Array) -> Array:
-    """Integrand (n components, n components, m, k) of the stiffness for gradients (n, 2, m, k)."""
-    each = np.einsum("akmp,ikjl->aijlmp", gradient, law.moduli, optimize=True)
-    full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
-    n = len(gradient) * law.components
-    return full.reshape(n, n, *gradient.shape[2:])
+def _density(law: Law, gradient: Array, values: Array, where: Array) -> Array:
+    """Integrand (n components, n components, m, k) of the stiffness.
+
+    Shape functions have gradients (n, 2, m, k) and values (n, m, k) at points (2, m, k).
+    """
+    moduli, n = law.moduli, len(gradient) * law.components
+    if not law.varies:
+        each = np.einsum("akmp,ikjl->aijlmp", gradient, moduli, optimize=True)
+        full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
+        return full.reshape(n, n, *gradient.shape[2:])
+    unit = np.eye(law.components)
+    slope, u = np.einsum("ci,akmp->ckaimp", unit, gradient), np.einsum("ci,amp->caimp", unit, values)
+    fields = law.extended(slope, u, where).reshape(*moduli.shape[:2], n, *gradient.shape[2:])
+    return np.einsum("ikamp,ikjl,jlbmp->abmp", fields, moduli, fields, optimize=True)
 
 
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
@@ -77,7 +89,8 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
 def _body_load(body: Body, order: int, coefficient: Coefficient, elements: Index) -> Integral:
     degree = polynomial_degree(coefficient)
     straight = not np.any(body.is_curved[elements])
-    points = None if degree is None or not straight else (degree + order + 3) // 2
+    more = polynomial_degree(body.problem.measure)
+    points = None if degree is None or more is None or not straight else (degree + more + order + 3) // 2
 
     def integrand(_: Index, barycentric: Array, where: Array) -> Array:
         return functions(order, barycentric) * on_points(coefficient, where, "a load")

@@ -81,7 +81,8 @@ def over_triangles(
         weights = np.outer(width**2 * parts.share[part], np.repeat(w, order) * np.tile(w, order)) * r
         barycentric = np.einsum("ipm,pmk->imk", corners, np.stack([1 - r, r * (1 - s), r * s]))
         where, det = body.points(element, barycentric)
-        return np.einsum("amk,mk->am", integrand(element, barycentric, where), weights * det)
+        det = weights * det * body.problem.measured(where)
+        return np.einsum("amk,mk->am", integrand(element, barycentric, where), det)
 
     vertices = body.points(elements[parts.owner], parts.corners.transpose(0, 2, 1))[0]
     return _integral(on_cells, parts, elements.size, vertices, coefficients, points)
@@ -105,7 +106,8 @@ def over_edges(
         owner, width = parts.owner[part], width * length[part]
         s = begin[part, None] + low[0, :, None] * length[part, None] + np.outer(width, x)
         where, speed = edges.at(owner, s)
-        return np.einsum("amk,mk->am", integrand(owner, s, where), np.outer(width, w) * speed)
+        speed = np.outer(width, w) * speed * edges.body.problem.measured(where)
+        return np.einsum("amk,mk->am", integrand(owner, s, where), speed)
 
     vertices = edges.at(parts.owner, np.stack([begin, parts.end], axis=1))[0]
     return _integral(on_cells, parts, edges.size, vertices, coefficients)

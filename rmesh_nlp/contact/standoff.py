@@ -19,7 +19,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude
 from rmesh_nlp.fem.bernstein import functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem import Place
+from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
 from rmesh_nlp.problem.data import ContactSet
 
@@ -86,12 +86,12 @@ class Cells:
         """(components, m, k) unit tangents there, the normals turned by -90 degrees."""
         return np.stack([self.normals[1], -self.normals[0]])
 
-    @cached_property
-    def lengths(self) -> Array:
-        """(m, k) length of the edge that each point stands for, by Simpson's rule."""
+    def measures(self, problem: ContactProblem) -> Array:
+        """(m, k) measure of the part of an edge that each point stands for, by Simpson's rule."""
         half = np.linalg.norm(np.diff(self.points), axis=0) / 2
         beside = np.pad(half, ((0, 0), (1, 0))) + np.pad(half, ((0, 0), (0, 1)))
-        return beside * np.where(np.arange(beside.shape[1]) % 2, 4 / 3, 2 / 3)
+        beside = beside * np.where(np.arange(beside.shape[1]) % 2, 4 / 3, 2 / 3)
+        return beside * problem.measured(self.points)
 
     def displaced(self, displacement: Array) -> Array:
         """(components, m, k) the displacement (components, nodes) at the points."""

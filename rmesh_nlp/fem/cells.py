@@ -21,11 +21,12 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import Expression, Kind, cross, kind_of
+from rmesh_nlp.evaluation import Array, Expression, Kind, cross, kind_of
 from rmesh_nlp.fem.bernstein import SIDES, size, slopes
 from rmesh_nlp.meshes.curves import Curve
-from rmesh_nlp.problem.coefficients import OPEN
-from rmesh_nlp.problem.quadrature import line_rule, triangle_rule
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
+from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, triangle_rule
+from rmesh_nlp.problem.switches import polynomial_degree
 
 Density = Callable[[Expression, Expression, Expression, Expression], Expression]
 """``(x, y, u, more) -> value`` at a point: ``more`` is the gradient of u (components, 2) in triangles, and on
@@ -38,11 +39,15 @@ DEGREE = 7
 """Least degree of the Gauss rules along an arc and across the triangle beside it."""
 
 
+SMOOTH_DEGREE = 4
+"""What a measure that is no polynomial adds to the degree of a rule."""
+
+
 class Point(NamedTuple):
     """A point x (2,) of a cell; the measure is ``part * det``, and a density takes ``scaled / det`` last."""
 
     x: Expression
-    part: float
+    part: Expression
     det: Expression
     scaled: Expression
 
@@ -50,15 +55,21 @@ class Point(NamedTuple):
 class Cell(ABC):
     """A triangle or an edge by symbols for its place, and for u (components, nodes) there.
 
-    ``columns`` are the arguments of functions of it: u is the last one. Cells are equal if functions of them
-    are, whatever their symbols.
+    ``columns`` are the arguments of functions of it: u is the last one. ``measure`` is that of the law: all
+    integrals have it. Cells are equal if functions of them are, whatever their symbols.
     """
 
     def __init__(
-        self, columns: list[Expression], corners: int, components: int, order: int, curve: Curve | None = None
+        self,
+        columns: list[Expression],
+        corners: int,
+        components: int,
+        order: int,
+        measure: Coefficient,
+        curve: Curve | None = None,
     ) -> None:
-        self.kind, self.order = type(columns[0]), order
-        self._key = type(self), self.kind, corners, components, order, curve
+        self.kind, self.order, self.measure = type(columns[0]), order, measure
+        self._key = type(self), self.kind, corners, components, order, measure, curve
         u = self.kind.sym("u", components * size(order, corners))
         self.columns, self.u = [*columns, u], ca.reshape(u, components, -1)
 
@@ -76,16 +87,26 @@ class Cell(ABC):
         """
 
     @abstractmethod
+    def _at(self, shares: Expression) -> Point:
+        """What :meth:`at` gives, without the measure of the law."""
+
     def at(self, shares: Expression) -> Point:
         """What an integrand takes at barycentric coordinates."""
+        point = self._at(shares)
+        return point._replace(part=point.part * at(self.measure, *ca.vertsplit(point.x)))
+
+    def displacement(self, shares: Expression) -> Expression:
+        """Its value (components,) at barycentric coordinates."""
+        return self.u @ shape_functions(self.order, shares)
 
     def integral(self, density: Density, rule: Rule) -> Expression:
         """The integral of a density."""
         total = self.kind(0)
         for shares, weight in rule:
-            at, u = self.at(shares), self.u @ shape_functions(self.order, shares)
-            x, y = ca.vertsplit(at.x)
-            total += weight * at.part * at.det * density(x, y, u, at.scaled / at.det)
+            point = self.at(shares)
+            x, y = ca.vertsplit(point.x)
+            value = density(x, y, self.displacement(shares), point.scaled / point.det)
+            total += weight * point.part * point.det * value
         return total
 
     def function(self, name: str, value: Expression) -> ca.Function:
@@ -96,22 +117,24 @@ class Cell(ABC):
 class Straight(Cell):
     """A triangle with three corners or an edge with two, by the positions X (2, corners) of these."""
 
-    def __init__(self, corners: int, components: int, order: int, kind: Kind = ca.SX) -> None:
+    def __init__(
+        self, corners: int, components: int, order: int, measure: Coefficient = 1.0, kind: Kind = ca.SX
+    ) -> None:
         X = kind.sym("X", 2 * corners)
-        super().__init__([X], corners, components, order)
+        super().__init__([X], corners, components, order, measure)
         self.X = ca.reshape(X, 2, corners)
 
     def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
-        points, weights = line_rule(int(degree)) if self.X.shape[1] == 2 else triangle_rule(degree)
+        points, weights = measured_rule(self.X.shape[1], degree, self.measure)
         return zip(points.T, weights, strict=True)
 
     @property
     def energy_rule(self) -> Rule:
         """Exact for a quadratic function of the gradient of u in a triangle."""
-        return self.rule(1 if self.order == 1 else "midpoint")
+        return self.rule(1 if self.order == 1 else MIDPOINT)
 
-    def at(self, shares: Expression) -> Point:
+    def _at(self, shares: Expression) -> Point:
         """See :class:`Cell`."""
         if self.X.shape[1] == 2:
             x, y = ca.vertsplit(self.X[:, 1] - self.X[:, 0])
@@ -125,16 +148,16 @@ class Straight(Cell):
 class Arc(Cell):
     """An edge on a curve, by the parameters (2,) of its ends."""
 
-    def __init__(self, curve: Curve, components: int, order: int) -> None:
+    def __init__(self, curve: Curve, components: int, order: int, measure: Coefficient = 1.0) -> None:
         self._arc = ArcPoints(curve)
-        super().__init__([self._arc.t], 2, components, order, curve)
+        super().__init__([self._arc.t], 2, components, order, measure, curve)
 
     def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
         points, weights = line_rule(_along_curves(degree))
         return zip(points.T, weights, strict=True)
 
-    def at(self, shares: Expression) -> Point:
+    def _at(self, shares: Expression) -> Point:
         """See :class:`Cell`."""
         x, y = ca.vertsplit(self._arc.velocity(shares[1]))
         return Point(self._arc.point(shares[1]), 1.0, ca.norm_2(ca.vertcat(x, y)), ca.vertcat(y, -x))
@@ -143,10 +166,10 @@ class Arc(Cell):
 class Blended(Cell):
     """A triangle beside a curve, by the parameters (2,) of the ends of its arc and its apex X (2,)."""
 
-    def __init__(self, curve: Curve, components: int, order: int) -> None:
+    def __init__(self, curve: Curve, components: int, order: int, measure: Coefficient = 1.0) -> None:
         self._arc = ArcPoints(curve)
         self._apex = self._arc.kind.sym("X", 2)
-        super().__init__([self._arc.t, self._apex], 3, components, order, curve)
+        super().__init__([self._arc.t, self._apex], 3, components, order, measure, curve)
 
     def rule(self, degree: int | str) -> Rule:
         """See :class:`Cell`."""
@@ -162,7 +185,7 @@ class Blended(Cell):
             for (_, r), of_r in zip(line_rule(across)[0].T, line_rule(across)[1], strict=True):
                 yield np.array([r * (1 - s), r * s, 1 - r]), of_s * of_r
 
-    def at(self, shares: Expression) -> Point:
+    def _at(self, shares: Expression) -> Point:
         """See :class:`Cell`; a folded triangle has no measure, so that solvers shorten steps to it."""
         r, s = shares[0] + shares[1], shares[1] / (shares[0] + shares[1])
         arc, along = self._arc.point(s), self._arc.velocity(s)
@@ -199,6 +222,18 @@ class ArcPoints:
         along = self.kind.sym("s")
         slope = ca.jacobian(self.point(along), along)
         return ca.substitute([slope], [along], [self.kind(s)])[0]
+
+
+def measured_rule(corners: int, degree: int | str, measure: Coefficient) -> tuple[Array, Array]:
+    """The rule of an edge or a triangle for polynomials of a degree times a measure; else as that is.
+
+    Barycentric coordinates (corners, points) and weights (points,), summing to 1.
+    """
+    if degree == MIDPOINT:
+        return triangle_rule(degree)
+    more = polynomial_degree(measure)
+    degree = int(degree) + (SMOOTH_DEGREE if more is None else more)
+    return line_rule(degree) if corners == 2 else triangle_rule(degree)
 
 
 def _along_curves(degree: int | str) -> int:

@@ -103,9 +103,13 @@ def nodal_forces(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps:
         if force.size:
             forces[part.nodes] = force[part.rows]
             for end in ends(space, part.number):
+                first, second = end.vertices[:2]
                 along = lengths(X, np.stack([end.vertices[:-1], end.vertices[1:]])).tolist()
-                shared = force_at_end(space.order, along, forces[end.nodes].tolist())
-                forces[end.vertices[0]] += float(shared) if number else max(float(shared), 0.0)
+                per_measure = forces[end.nodes] / space.problem.measured(space.points(X)[:, end.nodes])
+                shared = float(force_at_end(space.order, along, per_measure.tolist()))
+                middle = X[:, first] + (X[:, second] - X[:, first]) / (2 + space.order)
+                shared *= float(space.problem.measured(middle))
+                forces[first] += shared if number else max(shared, 0.0)
         result.append(forces)
     return result
 
@@ -115,7 +119,7 @@ class ContactStress:
     """Forces at the nodes of a contact set, and the stress that is recovered from them.
 
     ``nodal`` (nodes,) has those at shared vertices. ``cells`` (corners, n) are the edges or triangles on
-    which a node is free, of ``size`` (n,).
+    which a node is free, of ``size`` (n,); ``shares`` (corners, n) are integrals of barycentric coordinates.
     """
 
     space: DisplacementSpace
@@ -123,12 +127,21 @@ class ContactStress:
     nodal: Array
     cells: Index
     size: Array
+    shares: Array
 
     @cached_property
     def weights(self) -> Array:
         """(vertices,) integrals of the barycentric coordinates."""
-        share = np.tile(self.size / len(self.cells), len(self.cells))
-        return np.asarray(np.bincount(self.cells.ravel(), share, self.space.n_vertices), dtype=float)
+        return self._sums(self.shares)
+
+    @cached_property
+    def around(self) -> Array:
+        """(vertices,) halves of the lengths of the edges beside each."""
+        return self._sums(np.tile(self.size / len(self.cells), (len(self.cells), 1)))
+
+    def _sums(self, shares: Array) -> Array:
+        sums = np.bincount(self.cells.ravel(), shares.ravel(), self.space.n_vertices)
+        return np.asarray(sums, dtype=float)
 
     @cached_property
     def forces(self) -> Array:
@@ -163,13 +176,13 @@ class ContactStress:
         taken together there, since errors of their forces cancel: on a quarter of a ring, 6 edges long, a
         pressure of 5.2 had 6.4 and 5.1 at them.
         """
-        means, weights, space = self.means, self.weights, self.space
+        means, weights, around, space = self.means, self.weights, self.around, self.space
         result = means.copy()
         if len(self.cells) == 2:
             own, other, size = self._both_ways
-            slope = (means[other] - means[own]) / (2 * (weights[own] + weights[other]) - size)
+            slope = (means[other] - means[own]) / (2 * (around[own] + around[other]) - size)
             is_even = self.even_ends[own]
-            step = np.where(is_even, 0.0, 2 / (2 - self.ends[own]) * (size - weights[own]) * slope)
+            step = np.where(is_even, 0.0, 2 / (2 - self.ends[own]) * (size - around[own]) * slope)
             result -= np.bincount(own, step, result.size)
             if space.order == 1:
                 own, other = own[is_even], other[is_even]
@@ -195,7 +208,7 @@ class ContactStress:
         inside = np.sum(size[pressing[last] & pressing[other]]) / 2
         ends = pressing[last] & ~pressing[other]
         last, size = last[ends], size[ends]
-        edge = 2 * self.weights[last] - size
+        edge = 2 * self.around[last] - size
         reach = np.interp(self.forces[last] / np.maximum(edge * beside[last], 1e-300), *BEYOND)
         reach = np.maximum(reach, 1 - self.space.order) * np.where(edge > 0, edge, size)
         return float(inside + np.sum(np.minimum(reach, size)))
@@ -211,7 +224,8 @@ def recovered(space: DisplacementSpace, X: Array, part: ContactSet, *of_gaps: Ar
     cells, size = space.contact_cells(part.obstacle, X)
     is_open = np.any(np.isin(space.nodes_of(cells), part.nodes), axis=0)
     cells, size = cells[:, is_open], size[is_open]
-    return [ContactStress(space, part, each, cells, size) for each in nodal_forces(space, X, part, *of_gaps)]
+    shares, forces = space.shares(cells, size, X, 1), nodal_forces(space, X, part, *of_gaps)
+    return [ContactStress(space, part, each, cells, size, shares) for each in forces]
 
 
 def contact_stresses(space: DisplacementSpace, X: Array, normal: Array, tangential: Array) -> Array:

@@ -19,7 +19,7 @@ from rmesh_nlp.fem.pieces import cuts, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
-from rmesh_nlp.problem.coefficients import OPEN, Coefficient, is_nonzero, once
+from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at, is_nonzero, once
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
 
@@ -28,9 +28,12 @@ from rmesh_nlp.problem.quadrature import traction_degree, triangle_rule
 def strain_energy(law: Law, cell: Straight | Blended) -> ca.Function:
     """``(*place, u_e) -> (energy, empty)`` of one triangle: 1/2 a(u, u) of (3.3), (3.15)."""
     energy = cell.kind(0)
-    for shares, weight in cell.energy_rule:
-        at = cell.at(shares)
-        energy += weight * at.part * law.energy_density(at.scaled) / at.det  # a quadratic one: one division
+    # on a side, at r = 0, a density of u / r would be 0 / 0: no rule with points there
+    for shares, weight in cell.rule(2 * cell.order) if law.varies else cell.energy_rule:
+        point = cell.at(shares)
+        gradient = law.extended(point.scaled, point.det * cell.displacement(shares), point.x)
+        # quadratic: one division
+        energy += weight * point.part * law.energy_density(gradient) / point.det
     return cell.function("strain_energy", energy)
 
 
@@ -44,12 +47,13 @@ def load_energy(law: Law, cell: Straight, quadrature: str | int) -> tuple[ca.Fun
     x, y, means = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("f", *cell.u.T.shape)
     work = cell.at(shares[:, 0]).det / 2 * ca.dot(means.T, cell.u)
     function = ca.Function("load_energy", [*cell.columns, ca.vec(means)], [-work, NO_ROWS])
-    load = ca.Function("load", [x, y], [ca.densify(ca.SX(vector(law.load, x, y)))], OPEN)
+    density = ca.SX(vector(law.load, x, y)) * at(cell.measure, x, y)
+    load = ca.Function("load", [x, y], [ca.densify(density)], OPEN)
     switches, cut = cuts(cell, law.load, quadrature), None
     if switches:
         sums = sum(
-            weight * shape_functions(cell.order, at) @ load(*ca.vertsplit(cell.X @ at)).T
-            for at, weight in piecewise(cell, law.load, quadrature)
+            weight * shape_functions(cell.order, share) @ load(*ca.vertsplit(cell.X @ share)).T
+            for share, weight in piecewise(cell, law.load, quadrature)
         )
         signs = [ca.vertcat(*(s(*ca.vertsplit(x)) for x in ca.horzsplit(cell.X))) for s in switches]
         cut = ca.Function("cut", cell.columns[:1], [ca.vec(sums), ca.horzcat(*signs)], OPEN)
@@ -116,10 +120,11 @@ def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field]]]:
             chosen = vertices[:, elements[owner[elements] == number]]
             u = on.displacement.at(on.space.nodes_of(chosen))
             if number == NONE:
-                yield law, Straight(3, law.components, order), [on.positions.at(chosen), u]
+                yield law, Straight(3, law.components, order, law.measure), [on.positions.at(chosen), u]
             else:
                 place = on.parameters(number, chosen[:2]), on.positions.at(chosen[2:])
-                yield law, Blended(problem.curves[number], law.components, order), [*place, u]
+                cell = Blended(problem.curves[number], law.components, order, law.measure)
+                yield law, cell, [*place, u]
 
 
 def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:

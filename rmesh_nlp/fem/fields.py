@@ -305,9 +305,11 @@ class Fields(NamedTuple):
         for number, edges in self.problem.edges_by_curve(boundary):
             nodes = self.space.nodes_of(edges)
             if number < 0:
-                yield Straight(2, components, self.space.order), self.positions.at(edges), nodes
+                edge = Straight(2, components, self.space.order, self.problem.measure)
+                yield edge, self.positions.at(edges), nodes
             else:
-                arc = Arc(self.problem.curves[number], components, self.space.order)
+                curve = self.problem.curves[number]
+                arc = Arc(curve, components, self.space.order, self.problem.measure)
                 yield arc, self.parameters(number, edges), nodes
 
     def parameters(self, curve: int, nodes: Index) -> Field:
@@ -326,7 +328,8 @@ class Fields(NamedTuple):
         factor: float = 1.0,
     ) -> ElementGroup:
         """``factor`` times the integral over triangles (3, n), or over outward edges (2, n)."""
-        cell = Straight(len(cells), self.problem.components, self.space.order, kind)
+        problem, order = self.problem, self.space.order
+        cell = Straight(len(cells), problem.components, order, problem.measure, kind)
         value = factor * cell.integral(density, cell.rule(degree))
         local = self.positions.at(cells), self.displacement.at(self.space.nodes_of(cells))
         return self.group(cell.function(name, value), local)

@@ -22,7 +22,7 @@ import casadi as ca
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression
-from rmesh_nlp.fem.cells import affine
+from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.contact_terms import friction
 from rmesh_nlp.fem.distortion import DISTORTIONS, distortion_group
 from rmesh_nlp.fem.element import NO_ROWS
@@ -61,8 +61,9 @@ def _compliance(on: Fields) -> list[ElementGroup]:
 
 
 def _area(on: Fields) -> list[ElementGroup]:
-    X = ca.SX.sym("X", 2, 3)
-    function = ca.Function("area", [ca.vec(X)], [affine(X, X)[0] / 2, NO_ROWS])
+    cell = Straight(3, 1, 1, on.problem.measure)
+    size = cell.integral(lambda x, y, u, slope: 1, cell.rule(0))
+    function = ca.Function("area", cell.columns[:1], [size, NO_ROWS])
     return [on.group(function, [on.positions.at(on.problem.triangles)])]
 
 
@@ -76,7 +77,7 @@ def _error(which: str, on: Fields) -> list[ElementGroup]:
         def density(x: Any, y: Any, u: Any, slope: Any, law: Any = law) -> Any:
             value, gradient = solution(x, y)
             if which == "error-energy":
-                return law.energy_density(slope - gradient)
+                return law.energy_density(law.extended(slope - gradient, u - value, ca.vertcat(x, y)))
             return ca.sumsqr(u - value if which == "error-l2" else slope - gradient)
 
         cells = on.problem.triangles[:, elements]
@@ -114,15 +115,17 @@ def _friction(on: Fields) -> list[ElementGroup]:
 
 def _work(on: Fields, exact: ExactSolution, obstacle: Obstacle, *, along: bool = False) -> ElementGroup:
     """Work of the exact stress on one contact boundary: normal on the gap, or ``along`` it on the slip."""
-    solution, gradient = _with_gradient(exact), ca.SX.sym("gradient", on.problem.components, 2)
+    n, law = on.problem.components, on.problem.laws[0]
+    solution, gradient = _with_gradient(exact), ca.SX.sym("gradient", n, 2)
     # the stress is the derivative of the energy density by the gradient
-    energy = on.problem.laws[0].energy_density(gradient)
-    stress = ca.Function("stress", [gradient], [ca.gradient(energy, gradient)], OPEN)
+    u, x = ca.SX.sym("u", n), ca.SX.sym("x", 2)
+    energy = law.energy_density(law.extended(gradient, u, x))
+    stress = ca.Function("stress", [u, gradient, x], [ca.gradient(energy, gradient)], OPEN)
 
     def density(x: Expression, y: Expression, u: Expression, n: Expression) -> Expression:
         direction = obstacle.tangential(x, y) if along else obstacle.direction(x, y)
         way = ca.dot(direction, u) + (0 if along else obstacle.distance(x, y))
-        return ca.dot(direction, stress(solution(x, y)[1]) @ n) * way
+        return ca.dot(direction, stress(*solution(x, y), ca.vertcat(x, y)) @ n) * way
 
     edges = outward_edges(on.problem, str(obstacle.boundary))
     return on.integral("contact_error", edges, ERROR_DEGREE, density, kind=exact.symbol)

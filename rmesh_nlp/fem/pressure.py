@@ -18,6 +18,7 @@ import numpy as np
 
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.evaluation import Expression, Index
+from rmesh_nlp.fem.cells import Straight
 from rmesh_nlp.fem.contact_pressure import ends, force_at_end, may_slip
 from rmesh_nlp.fem.edge_gaps import patches
 from rmesh_nlp.fem.element import NO_ROWS
@@ -25,8 +26,7 @@ from rmesh_nlp.fem.fields import ElementGroup, Field, Fields, Forces
 from rmesh_nlp.fem.functional import Functional
 from rmesh_nlp.fem.objective import Objective, Term
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
-from rmesh_nlp.meshes.geometry import lengths
-from rmesh_nlp.problem.coefficients import OPEN
+from rmesh_nlp.problem.coefficients import OPEN, at
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import symbol
 
@@ -150,11 +150,7 @@ def peak_pressure(
         raise BadInputError(f"{name}: the exponent must be at least 3, got {exponent}")
 
     def quantity(on: Fields) -> list[ElementGroup]:
-        length = float(
-            lengths(
-                on.problem.mesh.p, contact_edges(on.problem, contact_on(on.space, boundary).obstacle)
-            ).sum()
-        )
+        length = on.space.extent(contact_edges(on.problem, contact_on(on.space, boundary).obstacle))
 
         def value(share: Expression, force: Expression) -> Expression:
             return share / length * (force / (share * reference)) ** exponent
@@ -179,8 +175,15 @@ def _integral(
         X = ca.SX.sym("X", 2, len(end.vertices))
         columns = [ca.SX.sym("lambda", end.nodes.size) for _ in fields]
         along = [ca.norm_2(X[:, k + 1] - X[:, k]) for k in range(len(end.vertices) - 1)]
-        beside = [function(*values) for values in zip(*map(ca.vertsplit, columns), strict=True)]
+        middle = (X[:, 1:] + X[:, :-1]) / 2
+        places = ca.horzsplit(X[:, 1:] if on.space.order == 1 else middle)[: end.nodes.size]
+        beside = [
+            function(*values) / at(on.problem.measure, *ca.vertsplit(place))
+            for place, *values in zip(places, *map(ca.vertsplit, columns), strict=True)
+        ]
         shared = force_at_end(on.space.order, along, beside)
+        first = X[:, 0] + (X[:, 1] - X[:, 0]) / (2 + on.space.order)
+        shared *= at(on.problem.measure, *ca.vertsplit(first))
         shared = ca.fmax(shared, 0) if len(fields) == 1 else shared
         at_end = ca.Function("force_at_end", [ca.vec(X), *columns], [shared, NO_ROWS])
         local = [field.at(end.nodes[:, None]) for field in fields]
@@ -198,13 +201,15 @@ def vertex_groups(
     """The sum of ``value(omega_v, F_v)`` over the vertices of a contact boundary; rows from ``row`` on."""
     part, groups = contact_on(on.space, boundary), []
     normal = _forces_on(on, boundary).normal.component(part.number)
+    edge = Straight(2, 1, 1, on.problem.measure)
+    hat = edge.function("hat", edge.integral(lambda x, y, value, n: value, edge.rule(1)))
     for patch in patches(on.space, part):
         if patch.at_edge:
             continue
         first, *others = patch.vertices
         edges = [on.space.nodes_at(first, other) for other in others] if on.space.order == 2 else []
         X, force = ca.SX.sym("X", 2, 1 + len(others)), ca.SX.sym("lambda", 1 + len(edges))
-        share = sum(ca.norm_2(X[:, a] - X[:, b]) for a, b in patch.cells) / 2
+        share = sum(hat(ca.vec(X[:, [a, b]]), ca.DM([1, 0]))[0] for a, b in patch.cells)
         total = ca.dot(ca.DM([1, *([0.5] * len(edges))]), force)
         of_vertex, rows = ca.SX(value(share, total)), None
         if row is not None:

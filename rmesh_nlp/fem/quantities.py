@@ -34,8 +34,8 @@ from rmesh_nlp.fem.pressure import (
     resultant,
     shear,
 )
-from rmesh_nlp.fem.space import outward_edges
-from rmesh_nlp.meshes.geometry import lengths, members_of, node_at
+from rmesh_nlp.fem.space import DisplacementSpace, outward_edges
+from rmesh_nlp.meshes.geometry import members_of, node_at
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.design import names_in, substituted, symbol
 from rmesh_nlp.problem.switches import HIGH
@@ -246,11 +246,14 @@ def square(of: Objective, value: float = 0.0, *, name: str | None = None) -> Obj
 
 
 def boundary_length(problem: ContactProblem, name: str) -> float:
-    """Length of a named boundary on the initial mesh; a ValueError if it is none, or an interface."""
+    """Length of a named boundary on the initial mesh; a ValueError if it is none, or an interface.
+
+    With the measure of the law, which makes it an area.
+    """
     facets = members_of("boundary", name, problem.mesh.boundaries)
     if np.any(problem.mesh.f2t[1, facets] >= 0):
         raise BadInputError(f"{name!r} is an interface inside the body, not a boundary")
-    return float(lengths(problem.mesh.p, problem.mesh.facets[:, facets]).sum())
+    return DisplacementSpace(problem).extent(problem.mesh.facets[:, facets])
 
 
 def _scalar(value: Expression, name: str) -> Expression:

@@ -54,7 +54,8 @@ class Recovered:
     triangles : (3, m) int array
         The elements by places in ``nodes``.
     derivatives : (components, degree + 1, k) array
-        xx, xy and yy, or xxx, xxy, xyy and yyy, of each component of the displacement at the nodes.
+        xx, xy and yy, or xxx, xxy, xyy and yyy, of each component of the displacement at the nodes, times the
+        root of the law's measure: errors are quadratic in them, and so have the measure.
     """
 
     law: Law
@@ -86,7 +87,8 @@ def recovered(space: DisplacementSpace, nodes: Array, coefficients: Array) -> tu
         triangles, own = flat.reshape(3, -1), own.reshape(-1, elements.size)
         centres = own[:3].ravel()[np.unique(triangles, return_index=True)[1]]
         fits = _Fits(points[:, at_nodes], values[:, at_nodes], centres, space.order + 1)
-        regions.append(Recovered(law, elements, used, triangles, fits.over(triangles, own)))
+        derivatives = fits.over(triangles, own) * np.sqrt(space.problem.measured(nodes[:, used]))
+        regions.append(Recovered(law, elements, used, triangles, derivatives))
     return tuple(regions)
 
 

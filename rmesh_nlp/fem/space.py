@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, numbers_of
-from rmesh_nlp.fem.bernstein import SIDES
+from rmesh_nlp.fem.bernstein import SIDES, functions
+from rmesh_nlp.fem.cells import measured_rule
 from rmesh_nlp.meshes.geometry import lengths, members_of
 from rmesh_nlp.problem import ContactProblem, Obstacle, Place, signed_areas
 from rmesh_nlp.problem.body import Body
@@ -176,10 +177,21 @@ class DisplacementSpace:
         weights: list[Array] = [np.zeros(0)]
         for part in self.contact_sets:
             cells, size = self.contact_cells(part.obstacle, X)
-            nodes = self.nodes_of(cells)
-            whole = np.bincount(nodes.ravel(), np.tile(size / len(nodes), len(nodes)), self.n_nodes)
+            shares = self.shares(cells, size, X, self.order)
+            whole = np.bincount(self.nodes_of(cells).ravel(), shares.ravel(), self.n_nodes)
             weights.append(np.asarray(whole[part.nodes], dtype=float))
         return np.concatenate(weights)
+
+    def shares(self, cells: Index, size: Array, X: Array, order: int) -> Array:
+        """(functions, n) integrals of the shape functions of an order over straight cells of a size (n,)."""
+        points, weights = measured_rule(len(cells), order, self.problem.measure)
+        at = self.problem.measured(np.einsum("xcn,cp->xpn", X[:, cells], points))
+        return functions(order, points) * weights @ (at * size * np.ones((weights.size, 1)))
+
+    def extent(self, edges: Index) -> float:
+        """Of edges (2, n) of the mesh: their length, or that times the measure of the law."""
+        X = self.problem.mesh.p
+        return float(self.shares(edges, lengths(X, edges), X, 1).sum())
 
     def contact_cells(self, obstacle: Obstacle, X: Array) -> tuple[Index, Array]:
         """(2 or 3, n) vertices of contact edges, or of all triangles for an obstacle in the interior.

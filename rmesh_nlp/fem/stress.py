@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from rmesh_nlp.evaluation import Array
-from rmesh_nlp.fem.bernstein import slopes
+from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.sampling import pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
@@ -18,13 +20,15 @@ def gradients(problem: ContactProblem, X: Array, displacement: Array, shares: Ar
     """Displacement gradient (components, 2, elements, ...) at barycentric coordinates (3, ...)."""
     space = DisplacementSpace(problem)
     # the linear fields that have the slopes of positions and displacement there
-    turn = slopes(space.order, shares)
-    x, u = (
-        np.einsum("cne,nv...->cve...", space.coefficients(values)[:, space.elements], turn)
-        for values in (points_of(space, X), displacement)
-    )
+    x, u = _local(space, (points_of(space, X), displacement), slopes(space.order, shares))
     with np.errstate(divide="ignore", invalid="ignore"):  # an invalid mesh is written too
         return np.einsum("cv...,vj...->cj...", u, of_shares(x)[0])
+
+
+def _local(space: DisplacementSpace, fields: Sequence[Array], values: Array) -> list[Array]:
+    """(components, ..., elements, ...) of fields (components, nodes), by values (functions, ...)."""
+    of_elements = (space.coefficients(field)[:, space.elements] for field in fields)
+    return [np.einsum("cne,nv...->cve...", field, values) for field in of_elements]
 
 
 def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Array = CENTRE) -> Array:
@@ -39,10 +43,12 @@ def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Arr
     (4, elements, ...) array of sigma_xx, sigma_yy, sigma_xy, sigma_zz; for a scalar problem the
     (2, elements, ...) flux, conductivity times grad u.
     """
-    gradient = gradients(problem, X, displacement, shares)
+    gradient, space = gradients(problem, X, displacement, shares), DisplacementSpace(problem)
+    values = functions(space.order, shares)[:, None]
+    x, u = _local(space, (points_of(space, X), displacement), values)
     result = np.zeros((2 if problem.components == 1 else 4, *gradient.shape[2:]))
-    for law, elements in problem.regions:
-        result[:, elements] = law.written(gradient[:, :, elements])
+    for law, own in problem.regions:
+        result[:, own] = law.written(law.extended(gradient[:, :, own], u[:, 0, own], x[:, 0, own]))
     return result
 
 

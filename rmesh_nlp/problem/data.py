@@ -13,14 +13,14 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, numbers_of
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
 from rmesh_nlp.problem.quadrature import exact_rule
-from rmesh_nlp.problem.switches import HIGH
+from rmesh_nlp.problem.switches import HIGH, polynomial_degree
 from rmesh_nlp.problem.units import NO_UNITS, Units
 
 BY_VALIDITY = Motion()
@@ -113,7 +113,7 @@ class ProblemData:
         """The cheapest rule that is exact for the loads on straight triangles and edges; None if none is."""
         loads = [part for law in self.laws for part in law.load]
         tractions = [part for traction in self.tractions for part in traction.value]
-        return exact_rule(loads, tractions, self.order)
+        return exact_rule(loads, tractions, self.order + (polynomial_degree(self.measure) or 0))
 
     @property
     def locking(self) -> tuple[float, ...]:
@@ -124,6 +124,15 @@ class ProblemData:
     def components(self) -> int:
         """Number of displacement components, 1 or 2."""
         return self.laws[0].components
+
+    @property
+    def measure(self) -> Coefficient:
+        """Measure of the laws, one for all."""
+        return self.laws[0].measure
+
+    def measured(self, points: Array) -> Array | float:
+        """The measure (...) at points (2, ...); one number where it does not vary."""
+        return on_points(self.measure, points, "the measure") if callable(self.measure) else self.measure
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:

@@ -49,9 +49,27 @@ class Law(ABC):
     def in_words(self, stress: str) -> str:
         """The law's numbers, with ``stress`` as the unit of moduli, and its load."""
 
+    @property
+    def measure(self) -> Coefficient:
+        """What a unit of area counts in all integrals, and on boundaries a unit of length, by its place."""
+        return 1.0
+
+    def extended(self, gradient: Any, u: Any, x: Any) -> Any:
+        """What energy density and stress are functions of, the gradient (components, 2, ...) by default.
+
+        Columns that follow it are linear in gradient and displacement u (components, ...) at the place
+        x (2, ...); all are arrays or CasADi expressions. The stress has as many columns.
+        """
+        return gradient
+
+    @property
+    def varies(self) -> bool:
+        """Whether the energy depends on the place, or on more than the gradient of the displacement."""
+        return callable(self.measure) or type(self).extended is not Law.extended
+
     @abstractmethod
     def energy_density(self, gradient: Expression) -> Expression:
-        """Energy per area, of a gradient (components, 2) of CasADi."""
+        """Energy per measure, a quadratic function of what :meth:`extended` makes of a gradient of CasADi."""
 
     @abstractmethod
     def stress(self, gradient: Any) -> list[list[Any]]:
@@ -73,9 +91,10 @@ class Law(ABC):
 
     @property
     def moduli(self) -> Array:
-        """(components, 2, components, 2) stresses of unit gradients."""
-        shape = self.components, 2
-        units = np.eye(2 * self.components).reshape(-1, *shape)
+        """(components, columns, components, columns) stresses of unit gradients, as :meth:`extended`."""
+        one = np.zeros((self.components, 2)), np.zeros(self.components), np.ones(2)
+        shape = self.extended(*one).shape
+        units = np.eye(shape[0] * shape[1]).reshape(-1, *shape)
         return np.array([self.stress(unit) for unit in units], dtype=float).reshape(*shape, *shape)
 
     @property

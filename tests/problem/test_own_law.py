@@ -9,6 +9,7 @@ import pytest
 
 import rmesh_nlp as rm
 from rmesh_nlp.evaluation import Expression
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.fem.stress import gradients, stresses
 from rmesh_nlp.problem import Law
 from rmesh_nlp.problem.coefficients import Coefficient
@@ -37,6 +38,46 @@ class TwoConductivities(Law):
 
     def stress(self, gradient: Any) -> list[list[Any]]:
         return [[self.x * gradient[0][0], self.y * gradient[0][1]]]
+
+
+@dataclass(frozen=True)
+class RoundMode(TwoConductivities):
+    """The mode ``u cos(theta)`` of a body of revolution: its measure is x, its energy depends on u / x."""
+
+    measure = staticmethod(lambda x, y: x)  # type: ignore[assignment]
+
+    def extended(self, gradient: Any, u: Any, x: Any) -> Any:
+        around = u[0] / x[0]
+        if isinstance(gradient, np.ndarray):
+            return np.concatenate([gradient, around[None, None]], axis=1)
+        return ca.horzcat(gradient, around)
+
+    def energy_density(self, gradient: Expression) -> Expression:
+        return 0.5 * ca.sumsqr(gradient)
+
+    def stress(self, gradient: Any) -> list[list[Any]]:
+        return [list(gradient[0])]
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_measure_and_displacement_are_those_of_law(order: int) -> None:
+    problem = rm.ContactProblem(
+        mesh=rm.shapes.rectangle(3, 2, x=(1.0, 2.0)),
+        law=RoundMode(1.0, 1.0, 0.0),
+        dirichlet=(rm.Dirichlet("left", (1.0,)), rm.Dirichlet("right", (2.0,))),
+        obstacle=rm.Obstacle("bottom", normal=(1.0,), offset=0.5),
+        order=order,
+    )
+    record = rm.solve(problem, "fixed").record()  # the solution is u = x
+    assert record["energy"] == pytest.approx(1.5, rel=1e-13)
+    assert record["energy_audited"] == pytest.approx(1.5, rel=1e-13)
+    # of the nodes between the ends of the bottom: 3/2, the integral of x, without the shape functions at ends
+    weights = DisplacementSpace(problem).weights(problem.mesh.p)
+    assert weights.sum() == pytest.approx(1.0 if order == 1 else 7 / 6, rel=1e-13)
+    area = rm.solve(problem, "fixed", objective="area").record()["objective_value"]
+    assert area == pytest.approx(1.5, rel=1e-13)
+    loaded = replace(problem, law=RoundMode(1.0, 1.0, lambda x, y: 3 * y))
+    assert rm.verify_gradient(loaded).order == pytest.approx(2, abs=0.1)
 
 
 def test_it_is_solved_measured_and_certified_as_the_one_it_equals() -> None:
