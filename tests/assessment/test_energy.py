@@ -188,3 +188,16 @@ def test_what_is_certain_has_no_hidden_parts(hidden: PositionFunction) -> None:
         error = abs(total.value.sum() - exact)
         assert not total.is_certain or error <= total.doubt.sum() + 1e-8 * abs(exact)
     assert abs(along.value.sum() - exact) < 1e-3 * abs(exact)
+
+
+def test_friction_that_no_rule_integrates_has_a_doubt_that_holds() -> None:
+    """The integral of the root of x from 0 to 2 is 4 / 3 of the root of 2."""
+    problem = ContactProblem(
+        rectangle(1, 1, x=(0, 2)),
+        PlaneStrain(1.0, 1.0),
+        ("top",),
+        Obstacle.graph("bottom", 0.0, friction=lambda x, y: ca.sqrt(x)),
+    )
+    edges = Body(problem, problem.mesh.p).edges("bottom")
+    found, doubt = friction_energy(edges, problem.obstacles[0], np.ones((2, 2, 1)))
+    assert 0 < abs(found[0] - 4 / 3 * np.sqrt(2)) <= doubt[0]

@@ -14,6 +14,7 @@ import rmesh_nlp as rm
 from rmesh_nlp.contact import factorisation
 from rmesh_nlp.contact.active_set import at_rest, first_set, solve
 from rmesh_nlp.contact.factorisation import HAS_CHOLMOD, factorised
+from rmesh_nlp.contact.next_set import holding
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.evaluation import Array
@@ -183,6 +184,17 @@ def test_a_node_that_pulls_is_let_go_where_another_one_holds_the_body() -> None:
     state = ContactSolver(problem).given
     assert state.status is Status.CONVERGED
     assert np.all(state.normal_force >= 0)
+
+
+def test_of_nodes_that_leave_the_one_that_presses_most_holds_the_body() -> None:
+    """Three nodes over one foundation under a body that only contact holds: one of them is enough."""
+    string_of_three = replace(string(3), rigid=np.ones((3, 1)))
+    before = ActiveSet(np.ones(3, dtype=bool), np.zeros(0, dtype=np.int8))
+    none = replace(before, touching=np.zeros(3, dtype=bool))
+    for forces in ([1.0, 3.0, 2.0], [-1.0, -2.0, -0.5]):
+        state = replace(string_of_three.equilibrium(before), normal_force=np.array(forces))
+        kept = holding(string_of_three, before, state, none).touching
+        assert kept.tolist() == [force == max(forces) for force in forces]
 
 
 def test_a_contact_solve_that_fails_has_no_forces_to_show(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from rmesh_nlp.assessment.admissible import Continuous
 from rmesh_nlp.assessment.contact_results import ContactResult, contact_results
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces
+from rmesh_nlp.fem.contact_pressure import contact_stresses, force_at_end, nodal_forces, recovered
 from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.solving.verification import verify_gradient
 from support.orders import ORDERS
@@ -52,6 +52,24 @@ def test_uniform_pressure_beside_a_support_is_exact(order: int) -> None:
     assert rm.Outer.of(problem, "resultant(free)").at_start.value == pytest.approx(5, rel=1e-9)
     bounds = rm.certify(rm.solve(problem, "fixed")).bounds["resultant(free)"]
     assert bounds.lower <= bounds.value == pytest.approx(5, rel=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_contact_ends_at_a_vertex_without_force_or_before_it_at_order_2(order: int) -> None:
+    """A vertex with next to no force is the last one that touches; quadratic pressures may end before."""
+    problem = rm.ContactProblem(
+        rm.shapes.rectangle(8, 1, x=(0, 8)),
+        rm.PlaneStrain(1.0, 1.0),
+        ("left", "right"),
+        rm.Obstacle("bottom"),
+        order=order,
+    )
+    space, nodes = ContactSolver(problem).discretisation.space, problem.mesh.p
+    (part,) = space.contact_sets
+    x = space.points(nodes)[0, part.nodes]
+    force = np.where((x < 5) & (np.mod(x, 1) == 0), 1.0, np.where(x == 5, 1e-9, 0.0))
+    (found,) = recovered(space, nodes, part, force)
+    assert (found.length(1e-12) >= 5) == (order == 1)
 
 
 @pytest.mark.parametrize("order", ORDERS)

@@ -13,7 +13,7 @@ import pytest
 import rmesh_nlp as rm
 from formulations import nested as module
 from formulations import outer_solvers
-from formulations.finish import EXACT_FINISH, Finished
+from formulations.finish import EXACT_FINISH, Finished, is_stationary
 from formulations.nested import CREEPING, LONG_WINDOW, WINDOW, Creeping, Nested
 from formulations.outer_solvers import OuterResult
 from gallery.kinks import seal
@@ -65,6 +65,29 @@ def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() 
     assert nested.history[-1].objective == pytest.approx(rows[0]["objective_value"], rel=1e-12)
     iterations = [step.iteration for step in nested.history]
     assert iterations == sorted(iterations)
+
+
+def test_a_kink_is_stationary_only_over_all_its_branches() -> None:
+    """The gradient of one side may vanish where the other one descends."""
+
+    def said(*, is_energy: bool, weak: bool, b_stationary: bool | None) -> bool:
+        outer = SimpleNamespace(
+            tolerance=1.0,
+            residual=lambda _: 0.5,
+            branches=lambda _: SimpleNamespace(b_stationary=b_stationary),
+        )
+        return is_stationary(outer, SimpleNamespace(is_energy=is_energy, weak=np.array([weak])))
+
+    assert said(is_energy=True, weak=True, b_stationary=False)  # the energy has no kinks
+    assert said(is_energy=False, weak=False, b_stationary=False)
+    assert said(is_energy=False, weak=True, b_stationary=True)
+    assert not said(is_energy=False, weak=True, b_stationary=False)
+
+
+def test_where_a_constraint_is_violated_no_branch_is_labelled() -> None:
+    outer = Outer.of(replace(SEAL, constraints=(rm.Constraint("resultant(bottom)", (50.0, np.inf)),)), LEAK)
+    found = outer.branches(outer.function(np.zeros(outer.n)))
+    assert (found.label, found.b_stationary) == ("", None)
 
 
 def test_a_finish_that_fails_is_not_taken_and_the_descent_that_is_left_is_said(

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from formulations import outer_solvers
+from formulations.finish import finished
 from formulations.joint import Joint
 from formulations.mpcc import OPTIONS, AllAtOnce
 from formulations.nested import Nested
-from formulations.outer_solvers import INTERIOR, NEWTON, OuterResult
+from formulations.outer_solvers import INTERIOR, NEWTON, NestedSettings, OuterResult
 from rmesh_nlp.evaluation import ROUNDING
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.mapping import MeshMap
@@ -73,6 +75,21 @@ def test_newton_steps_that_lead_up_are_not_taken(monkeypatch: pytest.MonkeyPatch
     found = Joint(tol=1e-3).run(outer, zero, Monitor())
     assert asked
     assert outer.energy(found.q).value < outer.energy(zero).value
+
+
+def test_an_end_above_where_it_began_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither of the finish, nor of an interior point, whatever the solver says."""
+    outer = Outer.of(EXAMPLES["6.2"]((4, 2), 0.6))
+    least = Nested().run(outer, np.zeros(outer.n), Monitor()).q
+    monkeypatch.setattr("formulations.finish._newton", lambda *_: (higher, "steps that lead up"))
+    higher, near = least / 2, least * (1 - 1e-4)
+    assert outer.energy(higher).value > outer.energy(near).value
+    np.testing.assert_array_equal(finished(outer, near, Monitor()).q, near)
+    end = SimpleNamespace(x=higher, f=0.0, converged=True, status=Status.CONVERGED, iterations=1)
+    monkeypatch.setattr(outer_solvers, "Solver", lambda *_, **__: lambda *_, **__: end)
+    found = outer_solvers.interior(outer, near, lambda *_: False, NestedSettings())
+    assert (found.is_lower, found.status) == (False, Status.STALLED)
+    np.testing.assert_array_equal(found.q, near)
 
 
 @pytest.mark.parametrize(

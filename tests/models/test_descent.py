@@ -182,6 +182,14 @@ def test_multipliers_of_elements_with_slack_are_no_equilibrium() -> None:
     assert not np.any(found.limit)
 
 
+def test_an_element_beyond_its_least_area_has_no_slack_left() -> None:
+    given = EXAMPLES["6.2"]((4, 2), 0.6)
+    outer = Outer.of(replace(given, motion=replace(given.motion, min_area_fraction=1 - 1e-6)))
+    q = 0.3 * np.random.default_rng(0).uniform(-1, 1, outer.n)
+    assert np.min(outer.energy.validity.at(q).slack) < 0
+    assert np.min(released(outer.energy, q, np.zeros(outer.n)).slack) == 0
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_the_multiplier_of_a_move_limit_is_the_rate_per_length(sign: float) -> None:
     """Limits are 0.1 by 0.05 over slopes of 1 and 4 %: x is the side that stops nodes there."""

@@ -46,6 +46,16 @@ def test_branch_that_is_hardly_lower_counts_where_it_is_stationary():
     assert (end.solved, end.pivots) == (True, 1)
 
 
+def test_branch_that_is_higher_is_not_taken(monkeypatch):
+    """A solve that climbs, to a stationary point of a branch, is no descent."""
+    run = run_of(MPCC(XY, (x - 1) ** 2 + (y + 1) ** 2, None, x, y))
+    point = labelled(run, np.zeros(2), 2.0, Status.CONVERGED, is_last=False)
+    solved = run.branch(point.z, point.stationarity.direction.zero)
+    monkeypatch.setattr(type(run), "branch", lambda *a, **k: replace(solved, f=3.0))
+    left = pivot(run, point)
+    assert (left.pivots, left.f) == (0, 2.0)
+
+
 def test_branch_along_which_the_objective_falls_without_end_has_no_label():
     end = finish(run_of(MPCC(XY, -x, None, x, y)), np.array([1.0, 0.0]), search=False)
     assert (end.status, end.solved, end.stationarity.label) == (Status.UNBOUNDED, False, "")

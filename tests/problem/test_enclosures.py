@@ -51,3 +51,9 @@ def test_nothing_hides_in_a_cell_that_is_resolved(hidden: PositionFunction) -> N
     square = np.array([[0, 1, 0, 1], [0, 0, 1, 1]])[:, None]
     for low, width in ((1.98, 0.02), (0.0, 3.0), (1.989, 0.011)):
         assert not resolved(hidden, low + width * square, 10)[0]
+
+
+def test_a_product_of_two_members_that_vanish_at_the_centre_varies() -> None:
+    square = np.array([[-1, 1, -1, 1], [-1, -1, 1, 1]])[:, None]
+    assert not resolved(Expression("atan(1e4*x*y)"), square, 10)[0]
+    assert resolved(Expression("atan(1e-4*x*y) + 1"), square, 10)[0]
