@@ -164,7 +164,7 @@ class ContactStress:
     @cached_property
     def even_ends(self) -> Mask:
         """(vertices,) where it ends in a plane of symmetry."""
-        fixed = self.part.nodes[~may_slip(self.space, self.part)]
+        fixed = self.part.nodes[~may_slip(self.space, self.part.number)]
         return self.ends & np.isin(np.arange(self.ends.size), fixed)
 
     @cached_property
@@ -242,9 +242,10 @@ def vertex_pressures(space: DisplacementSpace, X: Array, part: ContactSet, force
     return means[part.nodes[part.nodes < means.size]]
 
 
-def may_slip(space: DisplacementSpace, part: ContactSet) -> Mask:
-    """(nodes of the set,) whether some displacement along the tangent is free."""
-    given, _ = space.given()
-    obstacle = space.problem.first_obstacles[part.number]
+@lru_cache(maxsize=8)  # it does not depend on where the nodes are
+def may_slip(space: DisplacementSpace, number: int) -> Mask:
+    """(nodes of a contact set,) whether some displacement along the tangent is free."""
+    (given, _), part = space.given(), space.contact_sets[number]
+    obstacle = space.problem.first_obstacles[number]
     normals = obstacle.normals(space.points(space.problem.mesh.p)[:, part.nodes])
     return np.any(~given[:, part.nodes] & (np.abs(normals[::-1]) > ROUNDING), axis=0)

@@ -74,7 +74,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
         if not part.obstacle.frictional:
             raise BadInputError(f"{name}: contact on {boundary!r} is without friction")
         minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
-        free = part.nodes[may_slip(on.space, part)]
+        free = part.nodes[may_slip(on.space, part.number)]
         return _integral(on, part, free, forces[1:], ca.vertcat(minus, plus), plus - minus)
 
     return Term(name, quantity).alone

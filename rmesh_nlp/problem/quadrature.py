@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.special import roots_jacobi
@@ -61,12 +62,17 @@ def traction_degree(rule: str | int) -> int:
     return TRACTION_DEGREE if isinstance(rule, str) else max(rule, TRACTION_DEGREE)
 
 
+@lru_cache
 def line_rule(degree: int) -> tuple[Array, Array]:
-    """Gauss rule on an edge: barycentric coordinates (2, points) and weights (points,), summing to 1."""
+    """Gauss rule on an edge: barycentric coordinates (2, points) and weights (points,), summing to 1.
+
+    Not to be written to, as of triangles.
+    """
     points, weights = get_quadrature_line(degree)
     return np.vstack([1 - points.ravel(), points.ravel()]), weights
 
 
+@lru_cache
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
     """Barycentric coordinates (3, points) and weights (points,), summing to 1.
 
