@@ -18,7 +18,7 @@ import numpy as np
 
 from formulations.fixed import Fixed
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates
+from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates, of_contact
 from rmesh_nlp.errors import BadInputError, ProblemError, one_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -98,7 +98,7 @@ class Adaptive(Wrapper):
 
     def asked(self, problem: ContactProblem) -> tuple[str, ...]:
         """The quantities that the accuracy is for."""
-        return self.quantities or _of_contact(problem, "resultant") or (ENERGY,)
+        return self.quantities or of_contact(problem, "resultant") or (ENERGY,)
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)
@@ -112,7 +112,7 @@ class Adaptive(Wrapper):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
-        told = _of_contact(outer.problem, "resultant", "peak", "contact_length")
+        told = of_contact(outer.problem, "resultant", "peak", "contact_length")
         deciding = wanted + (ENERGY,) * self.guaranteed
         every = tuple(dict.fromkeys(deciding + told))
         certified, proved = 0, dict[str, Bounds]()
@@ -122,7 +122,7 @@ class Adaptive(Wrapper):
             nonlocal reached, certified, proved
             outer = reached.outer
             while reached.status is Status.STALLED:
-                on, number, nodes = OnMesh(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
+                on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
                 monitor.work += Work(1, 1, (state := on.state).iterations)
                 if state.status is not Status.CONVERGED or nodes > LARGEST:
                     raise NotCertifiableError(f"on {nodes} nodes: {state.status.message}")
@@ -136,8 +136,7 @@ class Adaptive(Wrapper):
                     proved = dict(bounded(assess(outer, solved, relocates=False), wanted).bounds)
                 figures = {text: of._asdict() for text, of in proved.items()}
                 for text, end in ends.items():
-                    figures[text] = {**figures.get(text, {}), **end._asdict()}
-                    del figures[text]["local"]
+                    figures[text] = {**figures.get(text, {}), **end.record()}
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
                 lacking = [
@@ -184,9 +183,3 @@ class Adaptive(Wrapper):
             return np.zeros(end.local.size)
         share = end.local / max(np.sum(end.local), 1e-300)
         return share * np.clip(np.nan_to_num(error / max(limit, 1e-300)), 1.0, 1e9)
-
-
-def _of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
-    """Quantities of each contact boundary."""
-    names = [one.boundary for one in problem.obstacles if isinstance(one.boundary, str)]
-    return tuple(f"{kind}({name})" for name in names for kind in kinds)
