@@ -91,7 +91,7 @@ def bounded(
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
     resultants = {name: f"resultant({name})" for name in final.contact}
-    others = (text for text in quantities if text not in resultants.values())
+    others = (text for text in quantities if text not in (*resultants.values(), ENERGY))
     nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
@@ -114,6 +114,8 @@ def bounded(
         resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
         for name, (low, high) in force_bounds(exact, after.lower).items()
     }
+    if ENERGY in quantities:
+        bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
     bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
     return _certificate(before, after, why, bounds)
 
