@@ -18,7 +18,7 @@ import numpy as np
 
 from formulations.fixed import Fixed
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates
+from rmesh_nlp.certificate.estimates import ENERGY, Estimate, OnMesh, check, ended, estimates, of_contact
 from rmesh_nlp.errors import BadInputError, ProblemError, one_line
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective import Objective
@@ -98,7 +98,7 @@ class Adaptive(Wrapper):
 
     def asked(self, problem: ContactProblem) -> tuple[str, ...]:
         """The quantities that the accuracy is for."""
-        return self.quantities or _of_contact(problem, "resultant") or (ENERGY,)
+        return self.quantities or of_contact(problem, "resultant") or (ENERGY,)
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
         super().accepts(problem, objective)
@@ -112,7 +112,7 @@ class Adaptive(Wrapper):
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
-        told = _of_contact(outer.problem, "resultant", "peak", "contact_length")
+        told = of_contact(outer.problem, "resultant", "peak", "contact_length")
         deciding = wanted + (ENERGY,) * self.guaranteed
         every = tuple(dict.fromkeys(deciding + told))
         certified, proved = 0, dict[str, Bounds]()
@@ -122,9 +122,9 @@ class Adaptive(Wrapper):
             nonlocal reached, certified, proved
             outer = reached.outer
             while reached.status is Status.STALLED:
-                on, number, nodes = OnMesh(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
+                on, number, nodes = OnMesh.of(outer.contact), len(meshes), outer.problem.mesh.p.shape[1]
                 monitor.work += Work(1, 1, (state := on.state).iterations)
-                if state.status is not Status.CONVERGED or nodes > LARGEST:
+                if state.status is not Status.CONVERGED:
                     raise NotCertifiableError(f"on {nodes} nodes: {state.status.message}")
                 sequence.append(estimates(on, deciding, told))
                 seconds = monitor.budget.elapsed
@@ -136,8 +136,9 @@ class Adaptive(Wrapper):
                     proved = dict(bounded(assess(outer, solved, relocates=False), wanted).bounds)
                 figures = {text: of._asdict() for text, of in proved.items()}
                 for text, end in ends.items():
-                    figures[text] = {**figures.get(text, {}), **end._asdict()}
-                    del figures[text]["local"]
+                    if text in proved and (known := proved[text]).guaranteed:
+                        end = end._replace(value=np.clip(end.value, known.lower, known.upper))
+                    figures[text] = {**figures.get(text, {}), **end.record()}
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
                 lacking = [
@@ -153,6 +154,8 @@ class Adaptive(Wrapper):
                             f"not guaranteed), and narrow about like 1 / nodes: {LARGEST} would not suffice"
                         )
                 if not excess:
+                    if grow := [text for text in wanted if not ends[text].converges]:
+                        raise NotCertifiableError(f"{', '.join(grow)} has no limit on finer meshes")
                     reached = replace(reached, status=Status.CONVERGED)
                 monitor.budget.check()
                 if excess:
@@ -161,6 +164,8 @@ class Adaptive(Wrapper):
                         share = np.cumsum(local[order])
                         most = order[: 1 + np.searchsorted(share, BULK * share[-1])]
                         finer = locally_refined(outer.problem, most)
+                        if finer.mesh.p.shape[1] > LARGEST:
+                            raise NotCertifiableError(f"a finer mesh has more than {LARGEST} nodes")
                         outer = Outer.of(finer, outer.objective, outer.tolerance)
 
         try:
@@ -169,7 +174,9 @@ class Adaptive(Wrapper):
             reached = reached.having({"estimates_remark": one_line(error)})
         if self.relocates and reached.status is Status.CONVERGED:
             return monitor.run(self.inner, reached.outer, reached.q).having(reached.details)
-        return replace(reached, status=monitor.budget.stopped or reached.status)
+        unmet = f"The accuracy {self.accuracy:g} was not reached."
+        lacks = unmet * (reached.status is Status.STALLED)
+        return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)
 
     def _lacking(self, text: str, end: Estimate, bounds: Bounds | None, part: float) -> Array:
         """(elements,) indicators of a quantity whose error is above a part of the accuracy; else zero.
@@ -179,14 +186,9 @@ class Adaptive(Wrapper):
         # the square of the energy norm is twice an energy
         limit, error = abs(end.value) * self.accuracy ** (2 if text == ENERGY else 1), end.error / part
         if bounds is not None:
-            error = (bounds.upper - bounds.lower) / 2 if bounds.guaranteed else np.inf
+            width = (bounds.upper - bounds.lower) / (1 if text == ENERGY else 2)
+            error = width if bounds.guaranteed else np.inf
         if error <= limit or not end.converges:
             return np.zeros(end.local.size)
         share = end.local / max(np.sum(end.local), 1e-300)
         return share * np.clip(np.nan_to_num(error / max(limit, 1e-300)), 1.0, 1e9)
-
-
-def _of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
-    """Quantities of each contact boundary."""
-    names = [one.boundary for one in problem.obstacles if isinstance(one.boundary, str)]
-    return tuple(f"{kind}({name})" for name in names for kind in kinds)

@@ -10,7 +10,7 @@ equilibrated stress of w_h [1]_. A linear quantity of the displacement is that o
 Contact ends within an edge, where w_h falls to 0; the distance from ``int p^`` is what that place is worth.
 
 Where no such field is known (curved foundations, Coulomb friction, bodies that only contact holds), the
-problem is solved on the mesh refined once as well.
+problem is solved by richer displacements as well: of order 2, or on the mesh refined once.
 
 References
 ----------
@@ -22,30 +22,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.equilibration import Guess, equilibrated
+from rmesh_nlp.certificate.equilibration import Guess, edge_ends, equilibrated
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import turned
 from rmesh_nlp.certificate.integrals import Loads, tractions
-from rmesh_nlp.certificate.skeleton import skeleton_of
+from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.errors import located
 from rmesh_nlp.evaluation import ROUNDING, Array, magnitude
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
+from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
+from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.contact_problem import refined
 from rmesh_nlp.problem.data import ContactSet
+from rmesh_nlp.settings import Values
 
 ENERGY = "energy"
 
@@ -74,6 +80,10 @@ class Estimate(NamedTuple):
     local: Array
     converges: bool = True
 
+    def record(self) -> Values:
+        """Without what elements add."""
+        return {name: value for name, value in self._asdict().items() if name != "local"}
+
 
 def ended(sequence: Sequence[Estimate]) -> Estimate:
     """What a sequence of ever finer meshes says of a quantity.
@@ -92,14 +102,36 @@ def ended(sequence: Sequence[Estimate]) -> Estimate:
     return last._replace(error=np.max(changes[-2:]) * ratio / (1 - ratio), converges=bool(converges))
 
 
+@dataclass(frozen=True, eq=False)
 class OnMesh:
-    """A contact problem solved on its mesh, with what estimates need."""
+    """A contact problem solved with the vertices at ``nodes`` (2, vertices), with what estimates need."""
 
-    def __init__(self, solver: ContactSolver) -> None:
-        self.problem, self.space = solver.problem, solver.discretisation.space
-        self.displacement, self.system = solver.displacement, solver.system(self.problem.mesh.p)
-        self.state, self.skeleton = solver.given, skeleton_of(self.problem, self.problem.mesh.p)
-        self.u = self.displacement.values(self.state.u)
+    problem: ContactProblem
+    nodes: Array
+    displacement: Field
+    system: ContactSystem
+    state: Equilibrium
+
+    @classmethod
+    def of(cls, solver: ContactSolver) -> OnMesh:
+        """The mesh of a solver as given."""
+        problem, nodes = solver.problem, solver.problem.mesh.p
+        return cls(problem, nodes, solver.displacement, solver.system(nodes), solver.given)
+
+    @cached_property
+    def space(self) -> DisplacementSpace:
+        """Of the displacements."""
+        return DisplacementSpace(self.problem)
+
+    @cached_property
+    def skeleton(self) -> Skeleton:
+        """Of the mesh."""
+        return skeleton_of(self.problem, self.nodes)
+
+    @cached_property
+    def u(self) -> Array:
+        """(components, nodes) coefficients of the displacement."""
+        return self.displacement.values(self.state.u)
 
     def dual(self, gap: Array, push: Array) -> Array:
         """(components, nodes) the displacement under a load (components, nodes) and offsets (gaps,)."""
@@ -150,7 +182,7 @@ def check(text: str, problem: ContactProblem) -> None:
 
 def _quantity(text: str, on: OnMesh) -> Quantity:
     """A quantity by its text, see :func:`check`."""
-    (kind, name, weight), space, nodes = _split(text), on.space, on.problem.mesh.p
+    (kind, name, weight), space, nodes = _split(text), on.space, on.nodes
     gap, push = np.zeros(space.contact_nodes.size), np.zeros(on.u.shape)
     if kind in ("resultant", "pressure"):
         part = contact_on(space, name)
@@ -171,11 +203,19 @@ def _quantity(text: str, on: OnMesh) -> Quantity:
     return Quantity(load.work(on.u), on.dual(gap, push), load)
 
 
-def estimates(on: OnMesh, texts: Sequence[str], told: Sequence[str] = ()) -> list[Estimate]:
-    """Estimates of quantities on a mesh, by a field in equilibrium or else by the mesh refined once.
+def of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
+    """Quantities of each contact boundary."""
+    names = [one.boundary for one in problem.obstacles if isinstance(one.boundary, str)]
+    return tuple(f"{kind}({name})" for name in names for kind in kinds)
 
-    Nothing is refined for those that are ``told`` only where the others follow from the load. Raises a
-    NotCertifiableError or a ProblemError where neither is known.
+
+def estimates(
+    on: OnMesh, texts: Sequence[str], told: Sequence[str] = (), *, refines: bool = True
+) -> list[Estimate]:
+    """Estimates of quantities on a mesh, by a field in equilibrium or else by richer displacements.
+
+    Nothing richer is solved for those that are ``told`` only where the others follow from the load, and no
+    finer mesh unless it ``refines``. Raises a NotCertifiableError or a ProblemError where neither is known.
     """
     every = list(dict.fromkeys((*texts, *told)))
     try:
@@ -184,7 +224,9 @@ def estimates(on: OnMesh, texts: Sequence[str], told: Sequence[str] = ()) -> lis
         known = [_quantity(text, on) for text in every]
         errors = [0.0 if _is_exact(one, on) else np.nan for one in known]
         if np.any(np.isnan(errors[: len(texts)])):
-            return _by_refinement(on, every)
+            if not refines and on.problem.order == 2:
+                raise
+            return _by_richer(on, every)
         local = np.zeros(on.skeleton.areas.size)
         return [
             Estimate(one.value, error, one.value, local) for one, error in zip(known, errors, strict=True)
@@ -203,7 +245,7 @@ def _by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     problem, skeleton, state = on.problem, on.skeleton, on.state
     if problem.motion.curves:
         raise NotCertifiableError("the body has curves")
-    stresses = contact_stresses(on.space, problem.mesh.p, state.normal_force, state.tangential_force)
+    stresses = contact_stresses(on.space, on.nodes, state.normal_force, state.tangential_force)
     field = equilibrated(problem, skeleton, Guess(on.u, *stresses))
     fields, defect, balance, correction = field.fields, field.defect, field.balance, field.correction
     assembled, system, solved = balance.assembled, balance.assembled.system, balance.solved
@@ -244,22 +286,31 @@ def _by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     return [estimate(text) for text in texts]
 
 
-def _by_refinement(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
-    finer = OnMesh(ContactSolver(refined(on.problem)))
+def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+    """By the solution of order 2 on the same mesh, of one that has this order on the mesh refined once."""
+    is_raised = on.problem.order == 1
+    mesh = relocated_mesh(on.problem.mesh, on.nodes)
+    richer = replace(on.problem, mesh=mesh, reference=None, order=2)
+    richer = richer if is_raised else refined(richer)
+    finer = OnMesh.of(ContactSolver(richer))
     if finer.state.status is not Status.CONVERGED:
-        raise NotCertifiableError("contact was not solved on the finer mesh")
-    element, law = element_of(finer.problem), law_of(finer.problem, finer.skeleton)
+        raise NotCertifiableError("contact was not solved by richer displacements")
+    element, law = element_of(richer), law_of(richer, finer.skeleton)
     fields = TraceFields(element, finer.skeleton, law, np.zeros(0))
 
     def norms(fine: Array, coarse: Array) -> Array:
-        raised = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
+        if is_raised:
+            raised = coarse[:, edge_ends(richer.mesh)].mean(axis=1)
+        else:
+            raised = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
         return np.sqrt(fields.energy(of_displacement(element, law, finer.skeleton, fine - raised)))
 
     defect = norms(finer.u, on.u)
 
     def estimate(text: str) -> Estimate:
         coarse, fine = _quantity(text, on), _quantity(text, finer)
-        local = np.reshape(defect * norms(fine.dual, coarse.dual), (4, -1)).sum(axis=0)
+        products = defect * norms(fine.dual, coarse.dual)
+        local = np.reshape(products, (-1, on.skeleton.areas.size)).sum(axis=0)
         return Estimate(fine.value, abs(fine.value - coarse.value), coarse.value, local)
 
     return [estimate(text) for text in texts]

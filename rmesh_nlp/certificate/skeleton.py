@@ -149,7 +149,8 @@ class Skeleton:
 
 def skeleton_of(problem: ContactProblem, nodes: Array) -> Skeleton:
     """The mesh of a problem with its nodes at ``nodes`` (2, nodes), its edges straight."""
-    return Skeleton(Body(replace(problem, motion=Motion(None)), nodes))
+    straight = replace(problem, motion=Motion(None)) if problem.motion.curves else problem
+    return Skeleton(Body(straight, nodes))
 
 
 def same_domain(problem: ContactProblem, nodes: Array) -> bool:

@@ -65,6 +65,7 @@ def assess(
         objective=last.objective,
         is_same_mesh=is_same_mesh,
         tolerance=last.tolerance,
+        lacks=outcome.lacks,
         designed=last.problem if final.design else None,
         domain_area_change=_domain_area_change(first, final),
         warnings=(*_doubts(first, given, final), *final.warnings, *(() if grown is None else (grown,))),

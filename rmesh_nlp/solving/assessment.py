@@ -13,9 +13,10 @@ Stationary
     The first-order residual of the outer problem (:mod:`rmesh_nlp.models.residual`) is at most the
     tolerance of the solve.
 
-A success is valid and improved, also if a limit stopped the solve. Converged is a success that is
-stationary, whatever the solver said. A status never contradicts that: where a solver failed after it had
-found a better mesh, the mesh is a success, its status is STALLED, and the solver's own word is kept beside.
+A success is valid and improved, also if a limit stopped the solve, unless an accuracy was not reached.
+Converged is a success that is stationary, whatever the solver said. A status never contradicts that: where a
+solver failed after it had found a better mesh, the mesh is a success, its status is STALLED, and the solver's
+own word is kept beside.
 A valid solution whose own energy fell while the continuous one rose is EXPLOITED: the optimiser has found an
 error of the discretisation.
 """
@@ -79,6 +80,8 @@ class Assessment:
     domain_area_change : float, optional
         Relative, where nodes slide along curves.
     warnings : tuple of str
+    lacks : str
+        What was asked for and not reached, as a sentence.
     """
 
     given: State
@@ -92,6 +95,7 @@ class Assessment:
     designed: ContactProblem | None = field(default=None, repr=False)
     domain_area_change: float | None = None
     warnings: tuple[str, ...] = ()
+    lacks: str = ""
 
     @property
     def is_audited(self) -> bool:
@@ -209,9 +213,9 @@ class Assessment:
 
     @property
     def success(self) -> bool:
-        """Valid and improved, and the solver did not fail where it began."""
+        """Valid and improved, nothing lacks, and the solver did not fail where it began."""
         usable = Status.CONVERGED, Status.NOT_STATIONARY, *LIMITS
-        return self.valid and self.improved and self.status in usable
+        return not self.lacks and self.valid and self.improved and self.status in usable
 
     @property
     def detail(self) -> str:
@@ -229,7 +233,7 @@ class Assessment:
                 if constrained.violation > self.tolerance
             }
             return "; ".join(f"{text} = {constrained.in_words()}" for text, constrained in broken.items())
-        return ""
+        return self.lacks
 
     @property
     def message(self) -> str:

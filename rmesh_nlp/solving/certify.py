@@ -12,6 +12,7 @@ from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
+from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, estimates, of_contact
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
@@ -24,7 +25,9 @@ from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion, Traction
 from rmesh_nlp.problem.body import Body
+from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.assessment import Assessment
+from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Certificate
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import State
@@ -34,6 +37,9 @@ POLYGON = (
     "displacements of order 2: take order = 1"
 )
 
+MOST = 1000
+"""Vertices of a mesh of which errors are estimated unasked though nothing was relocated. Estimates take 2
+contact solves on small meshes, 4 on larger ones."""
 
 CROSSED = "it contradicts the other one, so one of them is wrong"
 
@@ -85,7 +91,7 @@ def bounded(
     if problem.order == 2 and problem.motion.curves:
         raise NotCertifiableError(POLYGON)
     resultants = {name: f"resultant({name})" for name in final.contact}
-    others = (text for text in quantities if text not in resultants.values())
+    others = (text for text in quantities if text not in (*resultants.values(), ENERGY))
     nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
@@ -108,6 +114,8 @@ def bounded(
         resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
         for name, (low, high) in force_bounds(exact, after.lower).items()
     }
+    if ENERGY in quantities:
+        bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
     bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
     return _certificate(before, after, why, bounds)
 
@@ -213,3 +221,18 @@ def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
         return bounded(assessment), None
     except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
         return None, f"no certificate: {one_line(error)}"
+
+
+def estimated(outer: Outer, final: State, *, relocates: bool) -> ByName:
+    """Estimates of contact forces and of the energy on the final mesh, where they take no finer one."""
+    problem, point, energy = final.problem, final.point, (ENERGY,)
+    if point is None or not (relocates or final.mesh.p.shape[1] <= MOST):
+        return {}
+    texts = of_contact(problem, "resultant") + energy[problem.has_coulomb :]
+    try:
+        displacement = outer.contact.displacement
+        on = OnMesh(problem, final.mesh.p, displacement, point.system, point.equilibrium)
+        found = estimates(on, texts, refines=False)
+    except (ValueError, RuntimeError, np.linalg.LinAlgError):
+        return {}
+    return {text: one.record() for text, one in zip(texts, found, strict=True)}

@@ -19,7 +19,7 @@ from rmesh_nlp.optimize.budget import Limits, timed
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.solving.assess import assess
-from rmesh_nlp.solving.certify import certified
+from rmesh_nlp.solving.certify import certified, estimated
 from rmesh_nlp.solving.exploited import RunEnd, as_given, is_spurious, once_more
 from rmesh_nlp.solving.formulation import Asked, Keywords
 from rmesh_nlp.solving.monitor import Monitor, OnStep
@@ -155,6 +155,12 @@ def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: 
         surviving = monitor.attempt(lambda: surviving_gain(assessment))
         if certify and budget.stopped is not Status.INTERRUPTED:
             certificate, remark = certified(assessment)
+        details, relocates = end.outcome.details, plan.formulation.relocates
+        in_time = assessment.is_audited and budget.stopped in (None, Status.ITERATION_LIMIT)
+        if in_time and assessment.valid and "estimates" not in details:
+            last = end.outcome.outer
+            found = monitor.finish(lambda: estimated(last, assessment.final, relocates=relocates))
+            details = {**details, "estimates": found} if found else details
     why = "; ".join((plan.why, *end.outcome.remarks)) if plan.why else None
     return Solution(
         assessment=assessment,
@@ -175,7 +181,7 @@ def _made(plan: Plan, end: RunEnd, safe: str | None, monitor: Monitor, certify: 
         safe=safe,
         chosen_by=plan.chooser if why else None,
         chosen=why,
-        details=end.outcome.details,
+        details=details,
         reduced_error=reduced or ReducedError(),
         surviving_gain=surviving,
         certificate=certificate,

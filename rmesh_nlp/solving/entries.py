@@ -333,7 +333,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
         Entry("estimates", dict[str, dict[str, Number | bool]],
               "By quantity: the best known `value`, its estimated `error`, the `computed` value, whether it "
               "`converges`, and where asked for `lower`, `upper` and whether they are `guaranteed` "
-              "([how](accuracy.md))."),
+              "([how](accuracy.md)); after other formulations than `adaptive` of the energy and of contact "
+              "forces, on the final mesh."),
         Entry("meshes", list[dict[str, Any]], "Of `adaptive`: `nodes`, `seconds` so far and `quantities` "
               "like `estimates`, mesh by mesh."),
         Entry("estimates_remark", Text, "Why there are no more."),

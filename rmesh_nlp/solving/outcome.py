@@ -41,6 +41,8 @@ class Outcome:
         value of a Solution, or others; numbers, texts, lists and mappings of them.
     remarks : tuple of str
         For people: what else there is to say of a choice of settings.
+    lacks : str
+        What was asked for and not reached, as a sentence; then nothing is a success.
     """
 
     outer: Outer
@@ -50,6 +52,7 @@ class Outcome:
     label: str | None = None
     details: ByName = field(default_factory=dict)
     remarks: tuple[str, ...] = ()
+    lacks: str = ""
 
     def __post_init__(self) -> None:
         expect("the status of an outcome", self.status, Status)

@@ -106,8 +106,10 @@ def estimate_in_words(of: ByName) -> str:
     """An entry of ``estimates`` in words."""
     if not of["converges"]:
         return f"does not converge: it changes with each refinement, {figure(of['value'])} on the last mesh"
-    said = f"{of['value']:.6g} +- {of['error']:.2g} estimated".replace(" +- nan estimated", "")
-    said += f" (computed {figure(of['computed'])})" if of["computed"] != of["value"] else ""
+    is_exact = of["error"] <= ROUNDING * abs(of["value"])
+    said = f"{of['value']:.6g} +- {of['error'] * (not is_exact):.2g} estimated"
+    said = said.replace(" +- nan estimated", "")
+    said += "" if is_exact or of["computed"] == of["value"] else f" (computed {figure(of['computed'])})"
     if of.get("guaranteed"):
         said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}"
     return said
@@ -137,7 +139,8 @@ def contact_rows(solution: Relocated) -> Rows:
                 if len(set(figures.values())) == 1:
                     said = figures["relocated"]
                 if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
-                    said = estimate_in_words(of)
+                    given = "" if "meshes" in solution.details or len(set(figures.values())) == 1 else said
+                    said = estimate_in_words(of) + (given and f"; {given}")
                 unit = bracketed(named.get(name, units.line_force))
                 rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
         if "force_x" in results:

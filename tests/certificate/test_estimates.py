@@ -12,6 +12,7 @@ from rmesh_nlp.certificate.estimates import Estimate, OnMesh, check, ended, esti
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem.contact_problem import refined
+from rmesh_nlp.solving.summary import summary
 
 FORCE = 88.198
 """Normal force of the body below by a mesh of order 2 with 2,334 vertices, refined where the error is."""
@@ -26,7 +27,7 @@ BODY = rm.ContactProblem(
 
 
 def estimated(problem: rm.ContactProblem, *texts: str) -> list[Estimate]:
-    return estimates(OnMesh(ContactSolver(problem)), texts)
+    return estimates(OnMesh.of(ContactSolver(problem)), texts)
 
 
 @pytest.mark.parametrize(("order", "part"), [(1, 1e-3), (2, 5e-4)])
@@ -57,6 +58,27 @@ def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> N
     problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
     (coarse,), (fine,) = (estimated(p, "resultant(bottom)") for p in (problem, refined(problem)))
     assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 2
+
+
+@pytest.mark.parametrize("formulation", ["fixed", "joint"])
+def test_solution_has_estimates_of_what_it_prints(formulation: str) -> None:
+    solution = rm.solve(BODY, formulation, limits={"iterations": 20})
+    force = solution.details["estimates"]["resultant(bottom)"]
+    assert force["computed"] == solution.contact["bottom"]["normal_force"]
+    assert abs(force["value"] - FORCE) < abs(force["computed"] - FORCE)
+    assert 0.5 < force["error"] / abs(force["computed"] - FORCE) < 2
+    said = dict(summary(solution))
+    assert "estimated" in said["bottom: normal force"]
+    assert "estimated" in said["energy"]
+
+
+def test_estimates_that_take_a_finer_mesh_are_left_out() -> None:
+    curved = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
+    assert "resultant(bottom)" in rm.solve(curved, "fixed").details["estimates"]
+    solution = rm.solve(replace(curved, order=2), "fixed")
+    assert solution.success
+    assert not solution.details
+    assert not rm.solve(BODY, "fixed", audit=False).details
 
 
 def test_refuted_estimate_is_replaced_by_the_change() -> None:

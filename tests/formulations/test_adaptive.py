@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -68,10 +69,31 @@ def test_bounds_decide_where_they_are_guaranteed(body: rm.ContactProblem) -> Non
     assert force["upper"] - force["lower"] <= 2 * 0.05 * force["value"]
 
 
+def test_energy_is_bounded_as_accurately_as_asked(body: rm.ContactProblem) -> None:
+    solution = rm.solve(body, accuracy=0.1, guaranteed=True, quantities="energy")
+    energy = solution.details["estimates"]["energy"]
+    assert solution.success
+    assert energy["lower"] <= energy["value"] <= energy["upper"]
+    assert energy["upper"] - energy["lower"] <= 0.1**2 * abs(energy["value"])
+
+
+def test_quantity_without_a_limit_is_no_success(body: rm.ContactProblem) -> None:
+    growing = [Estimate(2.0**k, np.nan, 2.0**k, np.ones(128)) for k in range(9)]
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("formulations.adaptive.estimates", lambda *_: [growing.pop(0)] * 3)
+        solution = rm.solve(replace(body, order=1), accuracy=0.5, quantities="peak(bottom)", own_order=True)
+    assert solution.status is rm.Status.STALLED
+    assert not solution.success
+    assert "no limit" in solution.details["estimates_remark"]
+
+
 def test_limit_keeps_last_estimates(body: rm.ContactProblem) -> None:
     solution = rm.solve(body, accuracy=1e-9, limits={"iterations": 2})
     assert solution.status is rm.Status.ITERATION_LIMIT
     assert solution.details["estimates"]
+    assert solution.valid
+    assert not solution.success
+    assert "accuracy 1e-09 was not reached" in solution.message
 
 
 @pytest.mark.parametrize("accuracy", [0, -1, 1, "2x", "100%"])

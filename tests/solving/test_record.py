@@ -265,7 +265,7 @@ def test_contact_results_have_the_units_of_the_problem() -> None:
 
     units = {"normal force": "N/mm", "peak pressure": "N/mm²", "contact length": "mm"}
     units["force on the body"] = "N/mm"
-    assert labels("6.2") == [f"contact: {name} [{unit}]" for name, unit in units.items()]
+    assert labels("6.2") == [*(f"contact: {name} [{unit}]" for name, unit in units.items()), "energy"]
     assert labels("6.1")[0] == "contact: normal force"  # as in its figures
 
 
