@@ -19,6 +19,7 @@ from rmesh_nlp.meshes.reading import read_mesh as read_mesh
 from rmesh_nlp.mpcc import MPCC as MPCC
 from rmesh_nlp.optimize.budget import Limits as Limits
 from rmesh_nlp.optimize.status import Status as Status
+from rmesh_nlp.problem import Axisymmetric as Axisymmetric
 from rmesh_nlp.problem import Constraint as Constraint
 from rmesh_nlp.problem import ContactProblem as ContactProblem
 from rmesh_nlp.problem import DesignVariable as DesignVariable

@@ -24,6 +24,8 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
     problem = body.problem
     n = problem.components * space.n_nodes
     matrix, doubt = sp.csc_array((n, n)), sp.csc_array((n, n))
+    held, given = space.given()
+    counts = ~held | (given != 0)  # u_r / r has no finite energy for functions that do not vanish at r = 0
     for law, region in problem.regions:
         curved = body.is_curved[region]
         exact = None if law.varies else space.order
@@ -32,8 +34,17 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
             def integrand(which: Index, barycentric: Array, where: Array, law: Law = law) -> Array:
                 coordinates = gradients(body.at(which, barycentric)[1])[0]
                 gradient = np.einsum("avmk,vimk->aimk", slopes(space.order, barycentric), coordinates)
-                values = functions(space.order, barycentric)
-                return _density(law, gradient, values, where).reshape(-1, *gradient.shape[2:])
+                if not law.varies:
+                    return _density(law, gradient).reshape(-1, *gradient.shape[2:])
+                unit = np.einsum("ci,iam->caim", np.eye(len(counts)), counts[:, space.elements[:, which]])
+                slope = np.einsum("caim,akmp->ckaimp", unit, gradient)
+                u = np.einsum("caim,amp->caimp", unit, functions(space.order, barycentric))
+                fields = law.extended(slope, u, where)
+                fields = fields.reshape(fields.shape[0] * fields.shape[1], -1, *gradient.shape[2:])
+                moduli = law.moduli.reshape(len(fields), -1)
+                stresses = np.einsum("kl,lamp->kamp", moduli, fields)
+                products = np.einsum("kamp,kbmp->abmp", fields, stresses)
+                return products.reshape(-1, *gradient.shape[2:])
 
             if elements.size:
                 local = over_triangles(body, elements, integrand, points)
@@ -46,20 +57,12 @@ def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.cs
     return matrix, doubt
 
 
-def _density(law: Law, gradient: Array, values: Array, where: Array) -> Array:
-    """Integrand (n components, n components, m, k) of the stiffness.
-
-    Shape functions have gradients (n, 2, m, k) and values (n, m, k) at points (2, m, k).
-    """
-    moduli, n = law.moduli, len(gradient) * law.components
-    if not law.varies:
-        each = np.einsum("akmp,ikjl->aijlmp", gradient, moduli, optimize=True)
-        full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
-        return full.reshape(n, n, *gradient.shape[2:])
-    unit = np.eye(law.components)
-    slope, u = np.einsum("ci,akmp->ckaimp", unit, gradient), np.einsum("ci,amp->caimp", unit, values)
-    fields = law.extended(slope, u, where).reshape(*moduli.shape[:2], n, *gradient.shape[2:])
-    return np.einsum("ikamp,ikjl,jlbmp->abmp", fields, moduli, fields, optimize=True)
+def _density(law: Law, gradient: Array) -> Array:
+    """Integrand (n components, n components, m, k) of the stiffness for gradients (n, 2, m, k)."""
+    each = np.einsum("akmp,ikjl->aijlmp", gradient, law.moduli, optimize=True)
+    full = np.einsum("aijlmp,blmp->aibjmp", each, gradient, optimize=True)
+    n = len(gradient) * law.components
+    return full.reshape(n, n, *gradient.shape[2:])
 
 
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:

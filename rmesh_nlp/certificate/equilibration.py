@@ -103,6 +103,8 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
 
     Raises NotCertifiableError for a kind of problem for which no field in equilibrium is known.
     """
+    if any(law.varies for law in problem.laws):
+        raise NotCertifiableError("of a body of revolution no stress in equilibrium is known")
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")
     if problem.has_coulomb:

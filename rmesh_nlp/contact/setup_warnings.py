@@ -134,7 +134,7 @@ def _open(problem: ContactProblem, name: str, offset: Array, change: Array, exte
 def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
     """What needs no solution: materials that lock, point loads."""
     for poisson in problem.locking:
-        text = f"Poisson's ratio is {poisson:.4g} in plane strain: linear triangles lock above {LOCKING}, "
+        text = f"Poisson's ratio is {poisson:.4g}: linear triangles lock above {LOCKING}, "
         yield SetupWarning("locking", text + "and displacements come out too small")
     if problem.point_loads:
         text = "a point load has no finite energy in the plane: its energy falls without end as the mesh is "

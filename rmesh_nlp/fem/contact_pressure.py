@@ -209,7 +209,9 @@ class ContactStress:
         ends = pressing[last] & ~pressing[other]
         last, size = last[ends], size[ends]
         edge = 2 * self.around[last] - size
-        reach = np.interp(self.forces[last] / np.maximum(edge * beside[last], 1e-300), *BEYOND)
+        reach = np.interp(
+            self.means[last] * self.around[last] / np.maximum(edge * beside[last], 1e-300), *BEYOND
+        )
         reach = np.maximum(reach, 1 - self.space.order) * np.where(edge > 0, edge, size)
         return float(inside + np.sum(np.minimum(reach, size)))
 

@@ -123,6 +123,8 @@ class DisplacementSpace:
         """The same at edges, by the values at vertices."""
         problem, shape = self.problem, (self.problem.components, self.problem.mesh.facets.shape[1])
         held, value = np.zeros(shape, dtype=bool), np.zeros(shape)
+        if problem.components == 2:
+            held[0] = np.all(problem.on_axis[problem.mesh.facets], axis=0)
         middles = self.points_of(Body(problem, problem.mesh.p))[:, self.n_vertices :]
         for support in problem.supports:
             facets = members_of("boundary", support.boundary, problem.mesh.boundaries)

@@ -48,6 +48,7 @@ from rmesh_nlp.meshes import shapes
 from rmesh_nlp.meshes.curves import FITTED, Circle, Curve, Parametrised, Spline
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
+    Axisymmetric,
     DesignVariable,
     Elastic,
     Laplace,
@@ -78,6 +79,7 @@ LAWS: Mapping[str, tuple[Callable[..., Law], ...]] = {
     "laplace": (Laplace,),
     "plane-strain": (PlaneStrain.from_young, PlaneStrain),
     "plane-stress": (PlaneStress.from_young, PlaneStress),
+    "axisymmetric": (Axisymmetric.from_young, Axisymmetric),
 }
 """What may make each law."""
 

@@ -216,6 +216,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
         moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]
         if moved:  # its given value or load would not follow, or would go along
             raise BadInputError(f"node {moved[0]} is {what} and cannot move")
+    mobility[problem.on_axis & (mobility == Mobility.FREE)] = Mobility.SLIDING
     forced = (mobility == Mobility.SLIDING) & ~np.any(tangent != 0, axis=0)
     lost = np.flatnonzero(forced & ~np.any(any_tangent != 0, axis=0))
     if lost.size:

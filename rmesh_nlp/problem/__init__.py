@@ -7,13 +7,14 @@ from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Tr
 from rmesh_nlp.problem.contact_problem import ContactProblem, locally_refined, refined
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape
-from rmesh_nlp.problem.laws import Elastic, Laplace, Law, PlaneStrain, PlaneStress
+from rmesh_nlp.problem.laws import Axisymmetric, Elastic, Laplace, Law, PlaneStrain, PlaneStress
 from rmesh_nlp.problem.motion import Motion, Relative
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
 from rmesh_nlp.problem.units import Units
 
 __all__ = [
     "NO_CONTACT",
+    "Axisymmetric",
     "Coefficient",
     "Constraint",
     "ContactProblem",

@@ -92,6 +92,12 @@ def _check_contact_edges(problem: ProblemData) -> None:
 
 
 def _check_laws(problem: ProblemData) -> None:
+    if len({(law.measure, law.axisymmetric) for law in problem.laws}) != 1:
+        raise ProblemError("materials", "the laws of the subdomains mix bodies of revolution and plane ones")
+    node = int(np.argmin(problem.mesh.p[0]))
+    if problem.axisymmetric and problem.mesh.p[0, node] < 0 and not problem.on_axis[node]:
+        said = f"a body of revolution has x = r >= 0, got {problem.mesh.p[0, node]:.6g} at node {node}"
+        raise ProblemError("mesh", said)
     if not isinstance(problem.law, Mapping):
         return
     count = np.zeros(problem.mesh.nelements, dtype=int)

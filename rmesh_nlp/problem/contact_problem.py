@@ -29,7 +29,7 @@ from rmesh_nlp.problem.obstacle import Obstacle
 from rmesh_nlp.problem.units import after
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
-    "laws": ((Law,), "Laplace, PlaneStrain or PlaneStress"),
+    "laws": ((Law,), "Laplace, PlaneStrain, PlaneStress or Axisymmetric"),
     "dirichlet": ((str, Dirichlet), "names of boundaries or Dirichlet"),
     "tractions": ((Traction,), "Traction"),
     "point_loads": ((PointLoad,), "PointLoad"),
@@ -45,13 +45,14 @@ KINDS: dict[str, tuple[tuple[type, ...], str]] = {
 class ContactProblem(Shown, ProblemData):
     """A contact problem on a mesh with movable nodes, checked when it is made.
 
-    All numbers are in one consistent system of units; energies and forces are per unit thickness.
+    All numbers are in one consistent system of units; energies and forces are per unit thickness, or of the
+    whole of a body of revolution.
 
     Parameters
     ----------
     mesh : skfem.MeshTri
         First-order triangles with named boundaries, and named subdomains for several laws.
-    law : Laplace, PlaneStrain, PlaneStress, or a mapping from subdomain names to laws
+    law : Laplace, PlaneStrain, PlaneStress, Axisymmetric, or a mapping from subdomain names to laws
         The material. A mapping must cover every triangle exactly once.
     dirichlet : tuple of str or Dirichlet, or one alone
         Where the displacement is given, in units of length; a plain name fixes all components at zero.
@@ -101,6 +102,8 @@ class ContactProblem(Shown, ProblemData):
                 raise ProblemError(name, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
                 object.__setattr__(self, name, every)
+        per = "revolution" if self.axisymmetric else ""
+        object.__setattr__(self, "units", replace(self.units, per=per))
         if self.design:
             self._check_design()
         else:

@@ -190,6 +190,16 @@ class ProblemData:
         nodes = [nodes_of(self.mesh, name) for name in names]
         return np.unique(numbers_of(nodes))
 
+    @property
+    def axisymmetric(self) -> bool:
+        """Whether the body is one of revolution about x = 0."""
+        return self.laws[0].axisymmetric
+
+    @cached_property
+    def on_axis(self) -> Mask:
+        """(vertices,) whether a vertex is on the axis of a body of revolution."""
+        return self.axisymmetric & (np.abs(self.mesh.p[0]) <= ROUNDING * magnitude(self.mesh.p))
+
     @cached_property
     def held(self) -> tuple[Mask, Array]:
         """Where displacement components are given, and their values: two (components, nodes) arrays."""
@@ -211,6 +221,11 @@ class ProblemData:
                         f"{value[i, nodes[k]]:.6g}",
                     )
                 held[i, nodes], value[i, nodes] = True, given
+        if self.components == 2:
+            for k in np.flatnonzero(self.on_axis & (np.abs(value[0]) > 0)):
+                said = f"on the axis u_r is 0: node {k} cannot have the given displacement {value[0, k]:g}"
+                raise ProblemError("dirichlet", said)
+            held[0, self.on_axis] = True
         return held, value
 
     def nodes_of(self, obstacle: Obstacle) -> Index:

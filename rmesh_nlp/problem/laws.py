@@ -1,4 +1,4 @@
-"""Material laws: a scalar diffusion law and isotropic elasticity in the plane."""
+"""Material laws: a scalar diffusion law and isotropic elasticity, plane or of a body of revolution."""
 
 from __future__ import annotations
 
@@ -26,6 +26,11 @@ LOCKING = 0.45
 """Poisson's ratio from which on linear triangles in plane strain are too stiff."""
 
 
+def revolution(x: Expression, y: Expression) -> Expression:
+    """The measure of a body of revolution with x = r, y = z: the length of the circle."""
+    return 2 * np.pi * x
+
+
 class Law(ABC):
     """A linear material law; a law of your own derives from it, and needs no other change.
 
@@ -50,9 +55,14 @@ class Law(ABC):
         """The law's numbers, with ``stress`` as the unit of moduli, and its load."""
 
     @property
+    def axisymmetric(self) -> bool:
+        """Whether the body is one of revolution about x = 0: forces and energies are of the whole body."""
+        return False
+
+    @property
     def measure(self) -> Coefficient:
         """What a unit of area counts in all integrals, and on boundaries a unit of length, by its place."""
-        return 1.0
+        return revolution if self.axisymmetric else 1.0
 
     def extended(self, gradient: Any, u: Any, x: Any) -> Any:
         """What energy density and stress are functions of, the gradient (components, 2, ...) by default.
@@ -121,10 +131,13 @@ class Laplace(Law):
         Right-hand side, per area; 0 by default.
     conductivity : float
         Positive; 1 by default.
+    axisymmetric : bool
+        Whether the body is one of revolution about x = 0, with x = r and y = z; False by default.
     """
 
     source: Coefficient = 0.0
     conductivity: float | ca.SX = 1.0
+    axisymmetric: bool = False
     components: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
@@ -138,7 +151,8 @@ class Laplace(Law):
 
     def in_words(self, stress: str) -> str:
         """Conductivity and source."""
-        return f"Laplace, conductivity {describe(self.conductivity)}, source {describe(self.source)}"
+        round_ = ", axisymmetric" * self.axisymmetric
+        return f"Laplace{round_}, conductivity {describe(self.conductivity)}, source {describe(self.source)}"
 
     @property
     def least_modulus(self) -> float:
@@ -273,6 +287,47 @@ class PlaneStrain(Elastic):
     def out_of_plane_stress(self, trace: Expression) -> Expression:
         """Lambda times the trace."""
         return self.lame_lambda * trace
+
+
+@dataclass(frozen=True)
+class Axisymmetric(PlaneStrain):
+    """Elasticity of a body of revolution about x = 0, with x = r and y = z: plane strain and u_r / r.
+
+    Energies and forces are of the whole body, also those of point loads: on r > 0 of a circle of them. Nodes
+    on r = 0 have u_r = 0 without being asked.
+    """
+
+    @property
+    def axisymmetric(self) -> bool:
+        """True."""
+        return True
+
+    def extended(self, gradient: Any, u: Any, x: Any) -> Any:
+        """The gradient with the column (u_r / r, 0), the hoop strain."""
+        hoop = u[0] / x[0]
+        if isinstance(gradient, np.ndarray):
+            return np.concatenate([gradient, np.stack([hoop, 0 * hoop])[:, None]], axis=1)
+        return ca.horzcat(gradient, ca.vertcat(hoop, 0))
+
+    def energy_density(self, gradient: Expression) -> Expression:
+        """Half the stress times the strain."""
+        plane, hoop = gradient[:, :2], gradient[0, 2]
+        rest = self.lame_lambda * ca.trace(plane) + (self.lame_lambda / 2 + self.lame_mu) * hoop
+        return super().energy_density(plane) + hoop * rest
+
+    def stress(self, gradient: Any) -> list[list[Any]]:
+        """The stress in the half-plane, and beside it the hoop stress; of a bare gradient without u_r / r."""
+        (rr, rz), (_, zz) = super().stress(gradient)
+        if len(gradient[0]) == 2:
+            return [[rr, rz], [rz, zz]]
+        hoop, push = gradient[0][2], self.lame_lambda * gradient[0][2]
+        around = self.out_of_plane_stress(gradient[0][0] + gradient[1][1]) + push + 2 * self.lame_mu * hoop
+        return [[rr + push, rz, around], [rz, zz + push, 0 * hoop]]
+
+    def written(self, gradient: Any) -> list[Any]:
+        """sigma_rr, sigma_zz, sigma_rz and the hoop stress."""
+        (rr, rz, around), (_, zz, _) = self.stress(gradient)
+        return [rr, zz, rz, around]
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,8 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     motions = []
     for number in np.unique(part[mesh.t[0]]):
         modes = _modes(p, part == number, problem.components)
+        if problem.axisymmetric:
+            modes = modes[problem.components - 1 :][:1]  # along z
         motions += list(np.tensordot(kernel(modes[:, held].T), modes, 1))
     return np.array(motions).reshape(-1, *held.shape)
 

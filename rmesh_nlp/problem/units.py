@@ -17,10 +17,14 @@ class Units:
     ----------
     length, force : str
         Such as "mm" and "N"; stresses are then in N/mm^2.
+    per : str
+        "revolution" where forces and energies are of a whole body of revolution, which the problem decides;
+        else they are per unit of depth.
     """
 
     length: str = ""
     force: str = ""
+    per: str = ""
 
     def __post_init__(self) -> None:
         for name, unit in vars(self).items():
@@ -28,13 +32,19 @@ class Units:
 
     @property
     def line_force(self) -> str:
-        """Force per unit of depth; empty unless both units are named."""
-        return f"{self.force}/{self.length}" if self.length and self.force else ""
+        """Unit of contact forces: force per unit of depth, or force; empty unless both units are named."""
+        line = self.force if self.per else f"{self.force}/{self.length}"
+        return line if self.length and self.force else ""
+
+    @property
+    def energy(self) -> str:
+        """Unit of energies: force, being per unit of depth, or force times length."""
+        return f"{self.force} {self.length}" if self.per and self.force and self.length else self.force
 
     @property
     def stress(self) -> str:
         """Force per area; empty unless both units are named."""
-        return self.line_force and f"{self.line_force}²"
+        return f"{self.force}/{self.length}²" if self.length and self.force else ""
 
 
 NO_UNITS = Units()
@@ -43,7 +53,7 @@ NO_UNITS = Units()
 def units_of(entry: object) -> Units:
     """The units in a record; none where it has none, or nonsense."""
     given = entry if isinstance(entry, dict) else {}
-    return Units(str(given.get("length") or ""), str(given.get("force") or ""))
+    return Units(*(str(given.get(name) or "") for name in ("length", "force", "per")))
 
 
 def bracketed(unit: str) -> str:

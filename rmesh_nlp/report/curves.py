@@ -35,12 +35,12 @@ def convergence_figure(
     """Distance to the best objective over iterations and over cost; on one column over the cost alone.
 
     ``curves`` have a name and the steps that :func:`rmesh_nlp.report.histories.curve` gives. Drawn is the
-    value by the problem's own rule. Energies are per unit of depth, so their unit is that of force. ``best``
+    value by the problem's own rule. ``best``
     has the lowest objective, for curves without a feasible end; ``positions`` are those of the names in other
     figures.
     """
     of_energy = objective_of(best) == "energy"
-    unit = bracketed(units_of(best.get("units")).force) if of_energy else ""
+    unit = bracketed(units_of(best.get("units")).energy) if of_energy else ""
     symbol = "J" if of_energy else "F"
     last = (one.iloc[-1] for _, one in curves)
     ends = [float(end["value"]) for end in last if end["feasible"]]

@@ -68,9 +68,10 @@ def units_notes(records: Records) -> list[str]:
 
 
 def _units_in_words(units: Units, energy: bool) -> str:
+    per = "of the whole revolution" if units.per else f"per {units.length} of depth"
     if energy:
-        return f"u in {units.length}, J in {units.force}, the energy per {units.length} of depth."
-    return f"lengths in {units.length}, forces in {units.force} per {units.length} of depth."
+        return f"u in {units.length}, J in {units.energy}, the energy {per}."
+    return f"lengths in {units.length}, forces in {units.force} {per}."
 
 
 def below_infimum(block: Case) -> Iterator[str]:

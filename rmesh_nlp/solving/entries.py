@@ -93,7 +93,7 @@ def _contact(suffix: str, where: str, path: str) -> tuple[Entry, ...]:
               digits=".4g"),
         Entry(f"resultant{suffix}", Number,
               f"Sum of the normal forces of all contact boundaries on {where}, the integrals of their "
-              "pressures, whatever their directions; `contact` has each.",
+              "pressures, whatever their directions; `contact` has each. Of a body of revolution a force.",
               on("normal_force"), unit="force/length", heading="normal|force", digits=".4g"),
         Entry(f"contact_length{suffix}", Number,
               f"Length of all contact boundaries where they press on {where}; of an interior obstacle an "
@@ -119,8 +119,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               lambda s: int(np.sum(~DisplacementSpace(s.problem).given()[0])), SOLVED, heading="unknowns"),
         Entry("quadrature", str | int, "Rule for the loads: `midpoint` or a degree.",
               "problem.rule", SOLVED),
-        Entry("units", Named | dict[str, str], "Of the problem, if it names any.",
-              lambda s: asdict(s.problem.units), SOLVED),
+        Entry("units", Named | dict[str, str], "Of the problem, if it names any; `per` is `revolution` where "
+              "energies and forces are of a whole body of revolution.",
+              lambda s: {k: v for k, v in asdict(s.problem.units).items() if v or k != "per"}, SOLVED),
         Entry("start", Text, "Where the solve started: `given`, `random`, `positions`, or the formulation "
               "whose solution it was.", "start", SOLVED, heading="start"),
         Entry("seed", Count, "Of random numbers; null for the start from the given mesh.", "seed",
@@ -211,7 +212,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "By contact boundary: `normal_force`, `tangential_force` (friction on the body along the "
               "tangents), `peak_pressure`, `contact_length`, and of an elastic body `force_x`, `force_y` and "
               "`moment` (about the origin, counter-clockwise) of the foundation on the body, pressure and "
-              "friction together; on the final mesh, with `_initial` on the given one, and with "
+              "friction together, of a body of revolution integrals of those in its half-section; on the "
+              "final mesh, with `_initial` on the given one, and with "
               "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
