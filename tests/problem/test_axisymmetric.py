@@ -1,0 +1,132 @@
+"""Bodies of revolution against closed forms: Lamé's cylinder and ring, Hertz's ball."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import rmesh_nlp as rm
+from rmesh_nlp.fem.stress import stresses
+from rmesh_nlp.meshes.shapes import _drawn
+from rmesh_nlp.problem import Law
+
+YOUNG, POISSON, PRESSURE = 1000.0, 0.3, 10.0
+LAW = rm.Axisymmetric.from_young(YOUNG, POISSON)
+
+
+def pressed(n: int, inner: float, order: int, law: Law = LAW, **more: object) -> rm.ContactProblem:
+    """A ring, 1 high, or with ``inner`` 0 a cylinder, under a pressure at r = 2."""
+    given = {"dirichlet": (rm.Dirichlet("bottom", (None, 0.0)),), "name": "ring"} | more
+    mesh, load = rm.shapes.rectangle(n, n, x=(inner, 2.0)), rm.Traction("right", (-PRESSURE, 0.0))
+    return rm.ContactProblem(mesh=mesh, law=law, tractions=(load,), order=order, **given)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("formulation", ["fixed", "joint"])
+def test_cylinder_is_exact_and_its_axis_stays(order: int, formulation: str) -> None:
+    solution = rm.solve(pressed(3, 0.0, order), formulation)
+    r, z = X = solution.mesh.p
+    u = solution.displacement[:, : r.size]
+    np.testing.assert_allclose(u[0], -PRESSURE * (1 - POISSON) / YOUNG * r, atol=1e-13)
+    np.testing.assert_allclose(u[1], 2 * POISSON * PRESSURE / YOUNG * z, atol=1e-13)
+    assert np.sum(r == 0) == 4
+    values = stresses(solution.problem, X, solution.displacement)
+    wanted = np.array([-PRESSURE, 0.0, 0.0, -PRESSURE])  # rr, zz, rz, hoop
+    np.testing.assert_allclose(values, wanted[:, None] + 0 * values, atol=1e-9)
+    record = solution.record()
+    assert record["success"]
+    assert record["energy"] == pytest.approx(-(PRESSURE**2) * (1 - POISSON) / YOUNG * 4 * np.pi, rel=1e-12)
+    assert record["energy_audited"] == pytest.approx(record["energy"], rel=1e-12)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_ring_converges_to_lame_at_the_rate_of_its_order(order: int) -> None:
+    def lame(x: ca.SX, y: ca.SX) -> ca.SX:  # Timoshenko and Goodier, Theory of elasticity, art. 28
+        c = -PRESSURE * 4 / 3
+        return ca.vertcat((1 + POISSON) / YOUNG * ((1 - 2 * POISSON) * c * x + c / x), 0)
+
+    ends = tuple(rm.Dirichlet(name, (None, 0.0)) for name in ("bottom", "top"))
+    exact = rm.ExactSolution(lame, 0.0)
+    first, second = (
+        rm.solve(pressed(n, 1.0, order, dirichlet=ends, exact=exact), "fixed", objective="error-l2").record()
+        for n in (4, 8)
+    )
+    rate = np.log2(first["objective_value"] / second["objective_value"]) / 2
+    assert rate == pytest.approx(order + 1, abs=0.2)
+
+
+def on_plane(friction: float, **more: object) -> rm.ContactProblem:
+    support = rm.Obstacle.line("bottom", point=(0.0, 0.0), normal=(0.0, 1.0), friction=friction)
+    return pressed(4, 0.5, 1, dirichlet=(), obstacle=support, motion=rm.Motion(0.05), **more)
+
+
+def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
+    down = (rm.Traction("right", (-PRESSURE, 0.0)), rm.Traction("top", (0.0, -20.0)))
+    problem = replace(on_plane(1.0), tractions=down, units=rm.Units("mm", "N"))
+    solution, others = rm.solve(problem, "joint"), [rm.solve(problem, one) for one in ("nested", "mpcc")]
+    record = solution.record()
+    assert [one.record()["energy"] for one in others] == pytest.approx([record["energy"]] * 2, rel=1e-6)
+    assert record["gain_audited"] > 0
+    assert record["resultant"] == pytest.approx(20 * np.pi * (4 - 0.25), rel=1e-9)
+    assert record["units"] == {"length": "mm", "force": "N", "per": "revolution"}
+    rows = dict(solution.summary())
+    assert "bottom: normal force [N]" in rows
+    assert "bottom: peak pressure [N/mm²]" in rows
+    for objective in ("energy", "level-pressure(bottom)", "mean(right, ux) + area"):
+        assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
+
+
+def test_certificate_is_refused_in_words() -> None:
+    told = rm.solve(pressed(2, 0.5, 1), "fixed", certify=True).record()["certificate_remark"]
+    assert "body of revolution" in told
+
+
+def test_laplace_of_revolution() -> None:
+    law = rm.Laplace(-4.0, axisymmetric=True)  # u = r^2 - 4
+    mesh = rm.shapes.rectangle(3, 2, x=(0.0, 2.0))
+    problem = rm.ContactProblem(mesh=mesh, law=law, dirichlet="right", order=2)
+    record = rm.solve(problem, "joint").record()
+    assert record["energy_audited"] == pytest.approx(-16 * np.pi, rel=1e-12)
+    assert record["u_min"] == pytest.approx(-4, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"inner": -0.5}, "r >= 0, got -0.5 at node"),
+        ({"dirichlet": (rm.Dirichlet("left", (0.1, 0.0)),)}, "on the axis u_r is 0: node 0 cannot"),
+    ],
+)
+def test_what_no_body_of_revolution_has_is_refused(change: dict[str, object], said: str) -> None:
+    with pytest.raises(rm.ProblemError, match=said):
+        pressed(**({"n": 2, "inner": 0.0, "order": 1} | change))
+
+
+@pytest.mark.slow
+def test_ball_on_plane_is_that_of_hertz() -> None:
+    """K. L. Johnson, Contact mechanics, eq. (4.22)-(4.24)."""
+    pytest.importorskip("gmsh")
+    radius, young, poisson = 6.1237, 1e8, 0.29
+    centre, low = (0.0, radius), radius - np.sqrt(radius**2 - 4)
+    loop = [
+        ((0, 0), 0.2, centre),
+        ((2, low), 0.2, centre),
+        ((radius, radius), 1.0, None),
+        (centre, 1.0, None),
+    ]
+    mesh = _drawn([loop], {"contact": [0], "arc": [1], "top": [2], "axis": [3]})
+    circle = rm.Circle(centre, radius)
+    problem = rm.ContactProblem(
+        mesh=mesh,
+        law=rm.Axisymmetric.from_young(young, poisson),
+        dirichlet=(),
+        obstacle=rm.Obstacle.line("contact", point=(0.0, 0.0), normal=(0.0, 1.0)),
+        tractions=(rm.Traction("top", (0.0, -5e5)),),
+        motion=rm.Motion(curves={"contact": circle, "arc": circle}),
+        order=2,
+    )
+    record = rm.solve(problem, "fixed").record()
+    assert record["resultant"] == pytest.approx(5.8904e7, rel=1e-3)
+    assert record["peak_pressure"] == pytest.approx(1.53594e7, rel=0.015)
+    assert record["contact_length"] == pytest.approx(1.35318, rel=0.02)
