@@ -314,7 +314,7 @@ class ConstraintTable(FileTable):
     bounds: Limits
 
 
-@taking(Units)
+@taking(Units, without=("per",))  # the law decides that
 class UnitsTable(FileTable):
     """``[units]``: names that are written beside numbers and axes; nothing is converted."""
 

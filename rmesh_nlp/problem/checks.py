@@ -15,6 +15,7 @@ from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.data import ContactSet, ProblemData
+from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, traction_degree, triangle_rule
 from rmesh_nlp.problem.rigid import in_words, kernel, rigid_motions, seen_by_contact
@@ -92,22 +93,25 @@ def _check_contact_edges(problem: ProblemData) -> None:
 
 
 def _check_laws(problem: ProblemData) -> None:
-    if len({(law.measure, law.axisymmetric) for law in problem.laws}) != 1:
-        raise ProblemError("materials", "the laws of the subdomains mix bodies of revolution and plane ones")
+    if isinstance(problem.law, Mapping):
+        _check_regions(problem, problem.law)
     node = int(np.argmin(problem.mesh.p[0]))
     if problem.axisymmetric and problem.mesh.p[0, node] < 0 and not problem.on_axis[node]:
         said = f"a body of revolution has x = r >= 0, got {problem.mesh.p[0, node]:.6g} at node {node}"
         raise ProblemError("mesh", said)
-    if not isinstance(problem.law, Mapping):
-        return
+
+
+def _check_regions(problem: ProblemData, laws: Mapping[str, Law]) -> None:
     count = np.zeros(problem.mesh.nelements, dtype=int)
-    for name in problem.law:
+    for name in laws:
         count[members_of("subdomain", name, problem.mesh.subdomains, ("materials", name))] += 1
     for element in np.flatnonzero(count != 1):
         said = f"element {element} has {count[element]} laws: every element needs exactly one"
         raise ProblemError("materials", said)
     if len({law.components for law in problem.laws}) != 1:
         raise ProblemError("materials", "the laws of the subdomains mix scalar and elastic problems")
+    if len({(law.measure, law.axisymmetric) for law in problem.laws}) != 1:
+        raise ProblemError("materials", "the laws of the subdomains mix bodies of revolution and plane ones")
 
 
 def _check_values(problem: ProblemData) -> None:

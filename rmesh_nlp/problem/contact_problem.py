@@ -102,12 +102,12 @@ class ContactProblem(Shown, ProblemData):
                 raise ProblemError(name, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
                 object.__setattr__(self, name, every)
-        per = "revolution" if self.axisymmetric else ""
-        object.__setattr__(self, "units", replace(self.units, per=per))
         if self.design:
             self._check_design()
         else:
             check(self)
+        per = "revolution" if self.axisymmetric else ""
+        object.__setattr__(self, "units", replace(self.units, per=per))
         object.__setattr__(self, "mesh", onto_curves(onto_lines(self.mesh), self.motion.curves))
 
     def _check_design(self) -> None:

@@ -66,7 +66,7 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
     problem = replace(on_plane(1.0), tractions=down, units=rm.Units("mm", "N"))
     solution, others = rm.solve(problem, "joint"), [rm.solve(problem, one) for one in ("nested", "mpcc")]
     record = solution.record()
-    assert [one.record()["energy"] for one in others] == pytest.approx([record["energy"]] * 2, rel=1e-6)
+    assert [one.record()["energy"] for one in others] == pytest.approx([record["energy"]] * 2, rel=1e-5)
     assert record["gain_audited"] > 0
     assert record["resultant"] == pytest.approx(20 * np.pi * (4 - 0.25), rel=1e-9)
     assert record["units"] == {"length": "mm", "force": "N", "per": "revolution"}

@@ -77,7 +77,7 @@ def between_nodes(x: Any, y: Any) -> Any:
     [
         (SCALAR, {"dirichlet": 3}, "dirichlet", "dirichlet must be names of boundaries or Dirichlet, got 3"),
         (SCALAR, {"dirichlet": {"left": 0}}, "dirichlet", r"got \{'left': 0\}"),
-        (SCALAR, {"law": "steel"}, "laws", "laws must be Laplace, PlaneStrain or PlaneStress, got 'steel'"),
+        (SCALAR, {"law": "steel"}, "laws", "PlaneStress or Axisymmetric, got 'steel'"),
         (SCALAR, {"tractions": Traction("top", lambda x: x)}, "tractions", "must take x and y"),
         (SCALAR, {"order": True}, "order", "the order of displacements must be 1 or 2, got True"),
         (SCALAR, {"motion": None}, "motion", "motion must be Motion, got None"),
