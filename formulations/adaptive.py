@@ -34,6 +34,7 @@ from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
 from rmesh_nlp.solving.parts import Bounds, Step, Work
+from rmesh_nlp.solving.summary import estimate_in_words
 
 BULK = 0.7
 """Share of the indicators in the triangles that are refined."""
@@ -113,8 +114,7 @@ class Adaptive(Wrapper):
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
         wanted, meshes, sequence = self.asked(outer.problem), list[Any](), list[list[Estimate]]()
         told = of_contact(outer.problem, "resultant", "peak", "contact_length")
-        deciding = wanted + (ENERGY,) * self.guaranteed
-        every = tuple(dict.fromkeys(deciding + told))
+        every = tuple(dict.fromkeys(wanted + (ENERGY,) * self.guaranteed + told))
         certified, proved = 0, dict[str, Bounds]()
         reached = Outcome(outer, np.zeros(outer.n), Status.STALLED)
 
@@ -126,21 +126,20 @@ class Adaptive(Wrapper):
                 monitor.work += Work(1, 1, (state := on.state).iterations)
                 if state.status is not Status.CONVERGED:
                     raise NotCertifiableError(f"on {nodes} nodes: {state.status.message}")
-                sequence.append(estimates(on, deciding, told))
+                sequence.append(estimates(on, every))
                 seconds = monitor.budget.elapsed
-                monitor.note(Step(number, state.energy, 0.0, 0.0, np.nan, number + 1, seconds))
                 ends = dict(zip(every, map(ended, zip(*sequence, strict=True)), strict=True))
                 solved = Outcome(outer, np.zeros(outer.n), Status.STALLED, label="")
                 if self.guaranteed and nodes > GROWTH * certified:
                     certified = nodes
                     proved = dict(bounded(assess(outer, solved, relocates=False), wanted).bounds)
-                figures = {text: of._asdict() for text, of in proved.items()}
-                for text, end in ends.items():
-                    if text in proved and (known := proved[text]).guaranteed:
-                        end = end._replace(value=np.clip(end.value, known.lower, known.upper))
-                    figures[text] = {**figures.get(text, {}), **end.record()}
+                bounds = {text: of._asdict() for text, of in proved.items()}
+                figures = {text: {**bounds.get(text, {}), **end.record()} for text, end in ends.items()}
                 meshes.append({"nodes": nodes, "seconds": seconds, "quantities": figures})
                 reached = solved.having({"estimates": figures, "meshes": meshes})
+                each = (f"{text} {estimate_in_words(figures[text])}" for text in wanted)
+                said = ", ".join([f"{nodes} nodes", *each])
+                monitor.note(Step(number, state.energy, 0.0, 0.0, np.nan, number + 1, seconds, said=said))
                 lacking = [
                     self._lacking(text, ends[text], proved.get(text), 1.0 if number else FIRST)
                     for text in wanted
@@ -155,7 +154,7 @@ class Adaptive(Wrapper):
                         )
                 if not excess:
                     if grow := [text for text in wanted if not ends[text].converges]:
-                        raise NotCertifiableError(f"{', '.join(grow)} has no limit on finer meshes")
+                        raise NotCertifiableError(f"{grow[0]} has no limit on finer meshes")
                     reached = replace(reached, status=Status.CONVERGED)
                 monitor.budget.check()
                 if excess:
@@ -174,8 +173,7 @@ class Adaptive(Wrapper):
             reached = reached.having({"estimates_remark": one_line(error)})
         if self.relocates and reached.status is Status.CONVERGED:
             return monitor.run(self.inner, reached.outer, reached.q).having(reached.details)
-        unmet = f"The accuracy {self.accuracy:g} was not reached."
-        lacks = unmet * (reached.status is Status.STALLED)
+        lacks = f"The accuracy {self.accuracy:g} was not reached." * (reached.status is Status.STALLED)
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)
 
     def _lacking(self, text: str, end: Estimate, bounds: Bounds | None, part: float) -> Array:

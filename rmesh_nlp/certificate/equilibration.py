@@ -52,9 +52,9 @@ class Guess:
         point, and between vertices of the mesh the coefficient of their edge.
         """
         mesh, finer = coarse.problem.mesh, fine.problem.mesh
-        node = ends = edge_ends(mesh)
+        node = ends = _ends(mesh)
         if coarse.order == 2:
-            P, Q = edge_ends(finer)
+            P, Q = _ends(finer)
             first, second = (part.ravel() for part in np.broadcast_arrays(ends[:, None, P], ends[None, :, Q]))
             node, between = first.astype(np.int64), first != second
             node[between] = coarse.nodes_at(first[between], second[between])
@@ -63,8 +63,8 @@ class Guess:
         return Guess(*(part[..., node].mean(axis=-2) for part in values))
 
 
-def edge_ends(mesh: MeshTri) -> Index:
-    """(2, nodes) between which vertices each node of order 2 is: a vertex between itself and itself."""
+def _ends(mesh: MeshTri) -> Index:
+    """Between which vertices each node of order 2 is: a vertex between itself and itself."""
     return np.hstack([np.tile(np.arange(mesh.p.shape[1]), (2, 1)), mesh.facets])
 
 

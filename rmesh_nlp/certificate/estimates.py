@@ -30,7 +30,7 @@ import numpy as np
 
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
-from rmesh_nlp.certificate.equilibration import Guess, edge_ends, equilibrated
+from rmesh_nlp.certificate.equilibration import Guess, equilibrated
 from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
 from rmesh_nlp.certificate.hybrid import turned
 from rmesh_nlp.certificate.integrals import Loads, tractions
@@ -38,7 +38,7 @@ from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.contact.system import ContactSystem, Equilibrium
 from rmesh_nlp.errors import located
-from rmesh_nlp.evaluation import ROUNDING, Array, magnitude
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.expressions import Expression
 from rmesh_nlp.fem.contact_pressure import contact_stresses, nodal_forces
 from rmesh_nlp.fem.fields import Field
@@ -209,39 +209,19 @@ def of_contact(problem: ContactProblem, *kinds: str) -> tuple[str, ...]:
     return tuple(f"{kind}({name})" for name in names for kind in kinds)
 
 
-def estimates(
-    on: OnMesh, texts: Sequence[str], told: Sequence[str] = (), *, refines: bool = True
-) -> list[Estimate]:
+def estimates(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """Estimates of quantities on a mesh, by a field in equilibrium or else by richer displacements.
 
-    Nothing richer is solved for those that are ``told`` only where the others follow from the load, and no
-    finer mesh unless it ``refines``. Raises a NotCertifiableError or a ProblemError where neither is known.
+    Raises a NotCertifiableError or a ProblemError where neither is known.
     """
-    every = list(dict.fromkeys((*texts, *told)))
     try:
-        return _by_equilibrium(on, every)
+        return by_equilibrium(on, texts)
     except NotCertifiableError:
-        known = [_quantity(text, on) for text in every]
-        errors = [0.0 if _is_exact(one, on) else np.nan for one in known]
-        if np.any(np.isnan(errors[: len(texts)])):
-            if not refines and on.problem.order == 2:
-                raise
-            return _by_richer(on, every)
-        local = np.zeros(on.skeleton.areas.size)
-        return [
-            Estimate(one.value, error, one.value, local) for one, error in zip(known, errors, strict=True)
-        ]
+        return _by_richer(on, texts)
 
 
-def _is_exact(one: Quantity, on: OnMesh) -> bool:
-    """Whether a force follows from the load: that on one straight foundation, whose dual is a translation."""
-    if one.part is None or one.part.obstacle.level or len(on.space.contact_sets) > 1:
-        return False
-    strain, even = np.max(np.ptp(one.dual, axis=1)), np.ptp(one.weights[one.part.nodes]) == 0
-    return bool(even and strain < ROUNDING * magnitude(one.dual))
-
-
-def _by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
+    """Estimates by a field in equilibrium; a NotCertifiableError where none is known."""
     problem, skeleton, state = on.problem, on.skeleton, on.state
     if problem.motion.curves:
         raise NotCertifiableError("the body has curves")
@@ -288,10 +268,10 @@ def _by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
 
 def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     """By the solution of order 2 on the same mesh, of one that has this order on the mesh refined once."""
-    is_raised = on.problem.order == 1
-    mesh = relocated_mesh(on.problem.mesh, on.nodes)
-    richer = replace(on.problem, mesh=mesh, reference=None, order=2)
-    richer = richer if is_raised else refined(richer)
+    problem = on.problem
+    mesh = relocated_mesh(problem.mesh, on.nodes)
+    raised = replace(problem, mesh=mesh, reference=None, order=2)
+    richer = raised if problem.order == 1 else refined(raised)
     finer = OnMesh.of(ContactSolver(richer))
     if finer.state.status is not Status.CONVERGED:
         raise NotCertifiableError("contact was not solved by richer displacements")
@@ -299,11 +279,9 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     fields = TraceFields(element, finer.skeleton, law, np.zeros(0))
 
     def norms(fine: Array, coarse: Array) -> Array:
-        if is_raised:
-            raised = coarse[:, edge_ends(richer.mesh)].mean(axis=1)
-        else:
-            raised = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
-        return np.sqrt(fields.energy(of_displacement(element, law, finer.skeleton, fine - raised)))
+        # vertices of the mesh refined once are the nodes of order 2
+        same = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
+        return np.sqrt(fields.energy(of_displacement(element, law, finer.skeleton, fine - same)))
 
     defect = norms(finer.u, on.u)
 

@@ -75,11 +75,6 @@ class Columns:
         rows, z, pairs = np.split(every, self.ends)
         return Multipliers(rows, z, pairs.reshape(2, -1))
 
-    def gathered(self, multipliers: Multipliers) -> Array:
-        """The multipliers of the columns."""
-        every = [multipliers.rows, multipliers.z, multipliers.pairs.ravel()]
-        return np.concatenate(every)[self.mask]
-
 
 def columns_of(lifted: Lifted, lin: Linearisation) -> Columns:
     """What is active at a linearised point."""

@@ -178,3 +178,22 @@ def bracket_figure(records: Records, page: Page) -> Figure:
     axis.set(xscale="log", xlabel=size, ylabel="bounds of the least energy")
     axis.legend()
     return figure
+
+
+def estimates_figure(meshes: Sequence[Record], page: Page) -> Figure:
+    """Relative errors of quantities against nodes and seconds, with bands up to half the width of bounds."""
+    figure = new_figure(page.width, 2.8)
+    for axis, size in zip(figure.subplots(1, 2, sharey=True), ("nodes", "seconds"), strict=True):
+        at = [mesh[size] for mesh in meshes]
+        for position, text in enumerate(meshes[-1]["quantities"], 1):
+            rows, pen = pd.DataFrame([mesh["quantities"][text] for mesh in meshes]), pen_of(position)
+            parts = rows.astype(float).div(rows["value"].abs(), axis=0)
+            axis.loglog(at, parts["error"], **pen, label=text)
+            if "lower" in parts:
+                width = (parts["upper"] - parts["lower"]) / 2
+                axis.fill_between(at, parts["error"], width, color=pen["color"], alpha=0.15)
+        axis.minorticks_off()
+        _label_in_numbers(axis)
+        axis.set(xlabel=size, ylabel="error over value")
+    add_legend(figure, figure.axes[:1])
+    return figure

@@ -41,6 +41,11 @@ MESHES = (
     Column("gain", "gain", ".4g"),
     Column("time [s]", "wall_time_s", ".3g"),
 )
+ESTIMATES = (
+    Column("formulation", label),
+    *(Column(name, name, ".6g") for name in ("example", "nodes", "quantity", "computed", "value")),
+    Column("error", "error", ".2g"),
+)
 NAMED = {"design": "Design variables", "constraints": "Constrained quantities"}
 
 
@@ -62,8 +67,27 @@ def joined_tables(records: Records) -> list[Table]:
             "mesh, with the wall time of each solve.",
             notes=refinement_notes(records),
         ),
+        table_of(
+            ESTIMATES,
+            estimate_rows(records),
+            title="Estimated errors",
+            caption="Quantities on the final mesh: computed values, the best known ones, and the estimated "
+            "errors of the former.",
+        ),
     )
     return [table for table in tables if table.groups]
+
+
+def estimate_rows(records: Records) -> Groups:
+    """Where an accuracy was asked for, a row for each quantity of each solve."""
+    is_asked = any("meshes" in record for record in records)
+    rows = [
+        {**record, **of, "quantity": text}
+        for record in records
+        for text, of in record.get("estimates", {}).items()
+        if is_asked
+    ]
+    return [("", cells(ESTIMATES, rows))] * bool(rows)
 
 
 def multistart_rows(records: Records) -> Groups:

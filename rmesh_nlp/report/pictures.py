@@ -16,6 +16,7 @@ from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem.units import bracketed, units_of
+from rmesh_nlp.report.curves import estimates_figure
 from rmesh_nlp.report.drawing import (
     DrawnBody,
     coloured,
@@ -60,6 +61,8 @@ def pictures(result: Result, page: Page) -> Iterator[tuple[str, Figure]]:
             yield "limits", limits_figure(fields, last, page, units.length)
     if (design := figure_of_designs([result], page)) is not None:
         yield "design", design
+    if "meshes" in record:
+        yield "estimates", estimates_figure(record["meshes"], page)
 
 
 def _paint_mesh(axis: Axes, body: DrawnBody) -> None:

@@ -12,7 +12,7 @@ from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
 from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, estimates, of_contact
+from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, by_equilibrium, estimates, of_contact
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
@@ -37,9 +37,8 @@ POLYGON = (
     "displacements of order 2: take order = 1"
 )
 
-MOST = 1000
-"""Vertices of a mesh of which errors are estimated unasked though nothing was relocated. Estimates take 2
-contact solves on small meshes, 4 on larger ones."""
+
+FAULTS = (ValueError, RuntimeError, np.linalg.LinAlgError)
 
 CROSSED = "it contradicts the other one, so one of them is wrong"
 
@@ -219,20 +218,21 @@ def certified(assessment: Assessment) -> tuple[Certificate | None, str | None]:
     """The certificate, or a remark that says why there is none."""
     try:
         return bounded(assessment), None
-    except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+    except FAULTS as error:
         return None, f"no certificate: {one_line(error)}"
 
 
-def estimated(outer: Outer, final: State, *, relocates: bool) -> ByName:
-    """Estimates of contact forces and of the energy on the final mesh, where they take no finer one."""
-    problem, point, energy = final.problem, final.point, (ENERGY,)
-    if point is None or not (relocates or final.mesh.p.shape[1] <= MOST):
-        return {}
-    texts = of_contact(problem, "resultant") + energy[problem.has_coulomb :]
+def estimated(outer: Outer, final: State) -> ByName:
+    """The entry with estimates on a valid final mesh, where they take no finer one.
+
+    They are those of contact forces and of the energy.
+    """
+    problem, point, solver = final.problem, final.point, outer.contact
+    assert point is not None
+    texts = *of_contact(problem, "resultant"), ENERGY
+    on = OnMesh(problem, final.mesh.p, solver.displacement, point.system, point.equilibrium)
     try:
-        displacement = outer.contact.displacement
-        on = OnMesh(problem, final.mesh.p, displacement, point.system, point.equilibrium)
-        found = estimates(on, texts, refines=False)
-    except (ValueError, RuntimeError, np.linalg.LinAlgError):
+        found = (estimates if problem.order == 1 else by_equilibrium)(on, texts)
+    except FAULTS:
         return {}
-    return {text: one.record() for text, one in zip(texts, found, strict=True)}
+    return {"estimates": {text: one.record() for text, one in zip(texts, found, strict=True)}}

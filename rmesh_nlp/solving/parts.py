@@ -109,6 +109,8 @@ class Step:
         history.
     design : mapping of str to float
         Design variables at the iterate, by their names.
+    said : str
+        What progress shows in the place of energy and residual.
     """
 
     iteration: int
@@ -125,6 +127,7 @@ class Step:
     energy_given: float = field(default=float("nan"), repr=False, compare=False)
     objective_given: float = field(default=float("nan"), repr=False, compare=False)
     design: Mapping[str, float] = field(default_factory=dict, repr=False, compare=False)
+    said: str = field(default="", repr=False, compare=False)
 
     @property
     def stationarity(self) -> float:

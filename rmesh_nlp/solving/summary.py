@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 
 import numpy as np
+from rich.table import Table
 
 from rmesh_nlp.display import Rows, bounds_in_words, figure
 from rmesh_nlp.evaluation import ROUNDING, difference
@@ -26,7 +27,6 @@ def summary(solution: Relocated) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
-        *_mesh_rows(solution),
         ("first-order residual", f"{conditions.residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
@@ -106,20 +106,24 @@ def estimate_in_words(of: ByName) -> str:
     """An entry of ``estimates`` in words."""
     if not of["converges"]:
         return f"does not converge: it changes with each refinement, {figure(of['value'])} on the last mesh"
-    is_exact = of["error"] <= ROUNDING * abs(of["value"])
-    said = f"{of['value']:.6g} +- {of['error'] * (not is_exact):.2g} estimated"
-    said = said.replace(" +- nan estimated", "")
-    said += "" if is_exact or of["computed"] == of["value"] else f" (computed {figure(of['computed'])})"
+    said = f"{of['value']:.6g} +- {of['error']:.2g} estimated".replace(" +- nan estimated", "")
+    computed = figure(of["computed"])
+    said += f" (computed {computed})" if computed != figure(of["value"]) else ""
     if of.get("guaranteed"):
         said += f", guaranteed {bounds_in_words(of['lower'], of['upper'])}"
     return said
 
 
-def _mesh_rows(solution: Relocated) -> Iterator[tuple[str, str]]:
-    """Quantities and their estimated errors mesh by mesh."""
-    for mesh in solution.details.get("meshes", ()):
-        said = (f"{text} {estimate_in_words(of)}" for text, of in mesh["quantities"].items())
-        yield f"{mesh['nodes']} nodes, {mesh['seconds']:.2g} s", "; ".join(said)
+def mesh_table(meshes: Sequence[ByName]) -> Table:
+    """Quantities with their estimated errors, a row for each mesh."""
+    table = Table("nodes", "seconds", *meshes[0]["quantities"])
+    for mesh in meshes:
+        said = (
+            f"{of['value']:.6g} +- {of['error']:.2g}".replace(" +- nan", "")
+            for of in mesh["quantities"].values()
+        )
+        table.add_row(f"{mesh['nodes']}", f"{mesh['seconds']:.2g}", *said)
+    return table
 
 
 def contact_rows(solution: Relocated) -> Rows:
@@ -135,12 +139,11 @@ def contact_rows(solution: Relocated) -> Rows:
             values = {mesh: results[name + end] for end, mesh in meshes.items() if name + end in results}
             if name != "tangential_force" or any(values.values()):
                 figures = {mesh: figure(value) for mesh, value in values.items()}
-                said = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())
-                if len(set(figures.values())) == 1:
-                    said = figures["relocated"]
+                differ = len(set(figures.values())) > 1 and "meshes" not in solution.details
+                each = ", ".join(f"{value} {mesh}" for mesh, value in figures.items())
+                said = each if differ else figures["relocated"]
                 if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
-                    given = "" if "meshes" in solution.details or len(set(figures.values())) == 1 else said
-                    said = estimate_in_words(of) + (given and f"; {given}")
+                    said = estimate_in_words(of) + f"; {each}" * differ
                 unit = bracketed(named.get(name, units.line_force))
                 rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
         if "force_x" in results:

@@ -125,12 +125,14 @@ def pace(step: Step, limits: Limits, *, of_energy: bool = True) -> str:
     """
     most = limits.iterations
     parts = [f"iteration {step.iteration}" + ("" if most is None else f" of {most} at most")]
-    if not of_energy and math.isfinite(step.objective):
+    if step.said:
+        parts.append(step.said)
+    elif not of_energy and math.isfinite(step.objective):
         parts.append(f"objective {step.objective_given:.6g} -> {step.objective:.6g}")
     elif of_energy and math.isfinite(step.energy):
         parts += [f"J = {step.energy:.6g}", f"gain {difference(step.energy_given, step.energy):.3g}"]
     residuals = [r for r in (step.primal_residual, step.dual_residual) if math.isfinite(r)]
-    if residuals:  # the larger one, as the solver scales them
+    if residuals and not step.said:  # the larger one, as the solver scales them
         parts.append(f"residual {max(residuals):.1e}")
     if math.isfinite(limits.seconds):
         parts.append(f"{in_words(step.seconds)} of {in_words(limits.seconds)} at most")

@@ -192,7 +192,7 @@ def test_a_pressed_block_has_nothing_to_gain(rmesh) -> None:
     assert said.err.count("(gain 0, 0 %)") == 3
     solved = rmesh("solve flat.toml -f joint --no-figures --out one")
     assert re.search(r"audited gain +│ 0 \(0 %\) ", solved.out)
-    assert re.search(r"normal force +│ 20 \+- 0 estimated +│", solved.out)
+    assert re.search(r"normal force +│ 20 \+- \S+ estimated +│", solved.out)
     assert not re.search(r"\de-1\d |-0\.00", said.out + said.err + solved.err)
 
 
