@@ -1,16 +1,12 @@
-"""Meshes from any file that meshio reads, with their groups as names."""
+"""Meshes from files of gmsh, Abaqus and CalculiX, or of any format of meshio, with their groups as names."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import re
-import signal
-import threading
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import meshio
 import numpy as np
@@ -18,218 +14,127 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, expect_path, located, one_line
-from rmesh_nlp.evaluation import ROUNDING, Index
+from rmesh_nlp.meshes.abaqus import read_inp
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise, sides
-from rmesh_nlp.meshes.groups import check_groups
+from rmesh_nlp.meshes.file_mesh import TITLES, USABLE, Block, FileMesh, triangulated
+from rmesh_nlp.meshes.geometry import counter_clockwise
+from rmesh_nlp.meshes.msh import physical_names, read_msh
 
-SECONDS, SECONDS_PER_BYTE = 10.0, 2e-6
-"""Longest time of the processor to read a file: meshio takes about 2e-7 seconds per byte of text."""
+FORMATS = {suffix: kinds[-1] for suffix, kinds in meshio.extension_to_filetypes.items()}
+"""Formats by suffixes; of the two of ``.msh`` that of gmsh, since meshio loses the zones of the other."""
+
+ENDLESS = (".off", ".ply")
+"""Suffixes of surfaces without names, of which meshio's readers find no end in a damaged file."""
 
 
-class _TooLongError(Exception):
-    pass
-
-
-def read_file(path: Path) -> meshio.Mesh:
-    """The mesh of a file, read in the format of its extension and no other.
-
-    Some of meshio's readers never come to the end of a damaged file, so their time is limited where a signal
-    can interrupt them: in the main thread, and not on Windows.
+def read_file(path: Path, kind: str) -> meshio.Mesh:
+    """The mesh of a file, read by meshio in a format and no other.
 
     Raises
     ------
     ValueError
-        If it cannot be read, or takes too long.
+        If it cannot be read.
     """
-    kind = _format(path)
-    if not path.is_file():
-        raise BadInputError(f"{path}: cannot be read as a mesh: there is no such file")
-    size = path.stat().st_size
-    if size == 0:
-        raise BadInputError(f"{path}: cannot be read as a mesh: it is empty{AGAIN}")
-    seconds = SECONDS + SECONDS_PER_BYTE * size
-    said = io.StringIO()  # meshio prints what it dislikes
+    quiet = io.StringIO()  # meshio prints what it dislikes
     try:
-        quiet = contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO())
-        with quiet[0], quiet[1], warnings.catch_warnings(), _limited(seconds):
+        with (
+            contextlib.redirect_stdout(quiet),
+            contextlib.redirect_stderr(quiet),
+            warnings.catch_warnings(),
+        ):
             warnings.simplefilter("ignore")
-            file = meshio.read(path, kind)
-    except _TooLongError:
-        raise BadInputError(
-            f"{path}: cannot be read as a mesh: the reader of {kind} found no end within {seconds:.0f} s; "
-            "the file may be damaged"
-        ) from None
+            return meshio.read(path, kind)
     except (SystemExit, Exception) as error:  # meshio's readers raise anything, some call sys.exit
-        reason = _reason(error, said.getvalue())
-        raise BadInputError(f"{path}: cannot be read as a mesh of the format {kind}: {reason}") from error
-    with located(path):
-        check_groups(kind, path)
-    return file
+        raise BadInputError(
+            f"{path}: cannot be read as a mesh of the format {kind}: {_reason(error, kind)}"
+        ) from error
 
 
-AGAIN = "; export it again, as .msh of gmsh or .vtu if it can be"
-
-INTERNAL = (AssertionError, AttributeError, IndexError, TypeError, NameError)
-"""Errors of a reader that met what it was not made for; their texts speak of its code."""
-
-
-def _reason(error: BaseException, said: str) -> str:
+def _reason(error: BaseException, kind: str) -> str:
     """One line for people on why a reader of meshio gave up, and what to do."""
     if isinstance(error, ModuleNotFoundError):
         return f"this format needs the package {error.name}: pip install {error.name}"
-    text = one_line(error)
-    if isinstance(error, SystemExit):  # its reason was printed
-        lines = [line for line in said.splitlines() if re.match(r"\s*[A-Za-z]", line)]
-        text = lines[-1].strip() if lines else "its content is in another format"
-    elif isinstance(error, KeyError):
-        text = f"{error.args[0] if error.args else 'a part'} is missing in it, or the reader does not know it"
-    elif isinstance(error, INTERNAL) or not text:
-        text = "it is damaged, or has parts that the reader does not know"
-    return text.rstrip(".") + AGAIN
+    again = (
+        "with gmsh OLD.msh -save -format msh41 -o NEW.msh" if kind == "gmsh" else "as .msh of gmsh or .vtu"
+    )
+    said = f"{type(error).__name__}: {one_line(error)}"
+    return f"it is damaged or of an unknown version ({said}); write it again {again}"
 
 
 def _format(path: Path) -> str:
-    """The format of the extension; ``.msh`` has two, told apart by their first line."""
+    """The format of the extension of a file with content."""
     suffix = path.suffix.lower()
-    kinds = meshio.extension_to_filetypes.get(suffix, [])
-    if not kinds:
-        choices = ", ".join(sorted(meshio.extension_to_filetypes))
+    if suffix not in FORMATS or suffix in ENDLESS:
+        choices = ", ".join(sorted({*FORMATS} - {*ENDLESS}))
         raise BadInputError(
             f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {choices}"
         )
-    if len(kinds) == 1:
-        return str(kinds[0])
-    with contextlib.suppress(OSError), path.open("rb") as file:
-        if file.read(200).lstrip().startswith(b"$"):
-            return "gmsh"
-    return str(kinds[0])
+    if not path.is_file() or not path.stat().st_size:
+        said = "it is empty: write it again" if path.is_file() else "there is no such file"
+        raise BadInputError(f"{path}: cannot be read as a mesh: {said}")
+    return FORMATS[suffix]
 
 
-@contextlib.contextmanager
-def _limited(seconds: float) -> Iterator[None]:
-    """Raise a _TooLongError after these seconds, where signals can."""
-    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-
-    def ring(*_: Any) -> None:
-        raise _TooLongError
-
-    # time of the processor: on a busy machine a good file may take ten times as long by the clock
-    before = signal.signal(signal.SIGPROF, ring)
-    timer = signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, *timer)
-        signal.signal(signal.SIGPROF, before)
-
-
-PLAIN_CELLS = ("triangle", "line", "vertex")
+CORNERS = {
+    "vertex": 1,
+    "line": 2,
+    "line3": 2,
+    "triangle": 3,
+    "triangle6": 3,
+    "quad": 4,
+    "quad8": 4,
+    "quad9": 4,
+}
+"""Kinds of cells of meshio that can be used, and their corners."""
 
 
 def read_mesh(path: str | Path) -> MeshTri:
-    """A mesh from any file that meshio reads.
+    """A mesh from a file of gmsh, Abaqus or CalculiX, or any other that meshio reads.
 
-    Physical groups of gmsh, sets of cells and reference numbers become names; a set of nodes (``*NSET``)
-    names the outer edges between them. A group without a name is called ``boundary-<number>`` or
-    ``subdomain-<number>``.
+    Physical groups, sets of elements, surfaces and reference numbers become names; a set of nodes (``*NSET``)
+    names the outer edges between them. A group without a name is called ``boundary-<number>``
+    or ``subdomain-<number>``. Quadrilaterals are cut into triangles, nodes between corners dropped, other
+    planes turned into the x-y plane; a :class:`MeshRepairWarning` says so.
 
     Raises
     ------
     ValueError
-        If the file cannot be read, or not in time, has other cells than triangles with straight
-        edges (lines and points may come along), or is not plane.
+        If the file cannot be read, has other cells than points, lines, triangles and
+        quadrilaterals of order 1 or 2, or is not plane.
     """
     expect_path(path)
-    file = read_file(Path(path))
+    path = Path(path)
+    kind = _format(path)
+    data = path.read_bytes() if kind == "gmsh" else b""
+    with located(path):
+        if kind == "abaqus":
+            return triangulated(read_inp(path))
+        if data.split(maxsplit=2)[1:2] == [b"4.1"]:
+            return triangulated(read_msh(data))
+    file = read_file(path, kind)
     if any(key.startswith("skfem:") for key in file.cell_data):
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
         return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
     with located(path):
-        return _mesh(file)
+        return triangulated(_of_meshio(file, physical_names(data)))
 
 
-def _mesh(file: meshio.Mesh) -> MeshTri:
-    kinds = [block.type for block in file.cells]
-    for kind in kinds:
-        if kind not in PLAIN_CELLS:
-            count = sum(len(block.data) for block in file.cells if block.type == kind)
-            raise BadInputError(
-                f"has {count} cells of type {kind!r}: only triangles with straight edges can be used"
-            )
-    if "triangle" not in kinds:
-        # gmsh may have left them out
-        made_by_gmsh = any(key.startswith("gmsh:") for key in file.cell_data)
-        raise BadInputError(f"has no triangles{HINT_OF_GMSH if made_by_gmsh else ''}")
-    points = np.asarray(file.points, dtype=float)
-    if points.ndim != 2 or points.shape[1] not in (2, 3):
-        raise BadInputError(f"its points have shape {points.shape}: expected two or three coordinates each")
-    if points.shape[1] == 3 and np.ptp(points[:, 2]) > ROUNDING * np.max(np.ptp(points, axis=0)):
-        raise BadInputError(f"is not plane: z runs from {points[:, 2].min()} to {points[:, 2].max()}")
-    groups = _groups(file)
-    triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
-    between = _outer_edges(triangles, file.point_sets or {})
-    return from_arrays(points[:, :2], triangles, between | groups["line"], groups["triangle"])
-
-
-def _outer_edges(triangles: NDArray, sets: Mapping[str, Any]) -> dict[str, NDArray]:
-    """The outer edges between the nodes of each set, as pairs of nodes; sets without any are left out."""
-    edges = np.sort(sides(triangles.T).T, axis=1)
-    edges, counts = np.unique(edges, axis=0, return_counts=True)
-    outer = edges[counts == 1]
-    named = {name: outer[np.all(np.isin(outer, nodes), axis=1)] for name, nodes in sets.items()}
-    return {name: edges for name, edges in named.items() if len(edges)}
-
-
-HINT_OF_GMSH = (
-    ": gmsh saves only what is in a physical group once there is one; add a physical surface, "
-    'Physical Surface("body") = {1}; or gmsh.model.addPhysicalGroup(2, [1], name="body")'
-)
-
-GROUPS = {"line": (1, "boundary"), "triangle": (2, "subdomain")}
-"""Dimension of the groups of cells of one kind, and what they are called without a name."""
-
-
-def _groups(file: meshio.Mesh) -> dict[str, dict[str, NDArray]]:
-    """Named edges ("line"), as pairs of nodes, and named triangles by their numbers."""
-    parts: dict[str, dict[str, list[NDArray]]] = {kind: {} for kind in GROUPS}
-    names = {(int(i), int(dim)): name for name, (i, dim) in (file.field_data or {}).items()}
-    offset = 0
+def _of_meshio(file: meshio.Mesh, names: Mapping[tuple[int, int], str]) -> FileMesh:
+    """What meshio read; ``names`` of physical groups by dimension and number, which it may have lost."""
+    blocks = list[Block]()
     for position, block in enumerate(file.cells):
-        if block.type not in GROUPS:
-            continue
-        (dimension, title), part, count = GROUPS[block.type], parts[block.type], len(block.data)
-        cells = np.asarray(block.data) if block.type == "line" else offset + np.arange(count)
-        offset += count if block.type == "triangle" else 0
-        for key in ("gmsh:physical", "medit:ref"):
-            tags = np.asarray(file.cell_data[key][position]) if key in file.cell_data else np.zeros(count)
-            for tag in np.unique(tags[tags > 0]).astype(int):
-                name = names.get((tag, dimension), f"{title}-{tag}")
-                part.setdefault(name, []).append(cells[tags == tag])
-        for name, chosen in (file.cell_sets or {}).items():
-            if str(name).startswith("gmsh:"):  # none of the user's
-                continue
-            members = _members(name, chosen, position)
-            if members.size:
-                part.setdefault(name, []).append(cells[members])
-    # a set of gmsh is a physical group again, complete where an entity is in several
-    return {
-        kind: {name: np.unique(np.concatenate(arrays), axis=0) for name, arrays in parts[kind].items()}
-        for kind in parts
-    }
-
-
-def _members(name: Any, chosen: Any, position: int) -> Index:
-    """Numbers of the cells of a set in one block."""
-    try:
-        members = np.asarray([] if chosen[position] is None else chosen[position], dtype=np.int64)
-        if members.ndim == 1:
-            return members
-    except (IndexError, TypeError, ValueError):
-        pass
-    raise BadInputError(
-        f"the set {name!r} is no list of cells, perhaps one of sets: write out its cells, or leave it out"
-    )
+        if block.type not in CORNERS:
+            raise BadInputError(f"has cells of type {block.type!r}: {USABLE}")
+        dimension, groups = min(CORNERS[block.type], 3) - 1, dict[str, NDArray]()
+        for key in {"gmsh:physical", "medit:ref"} & {*file.cell_data}:
+            tags = file.cell_data[key][position]
+            for tag in np.unique(tags[tags > 0]).tolist():
+                groups[names.get((dimension, tag), f"{TITLES[dimension]}-{tag}")] = np.flatnonzero(
+                    tags == tag
+                )
+        for name, chosen in file.cell_sets.items():
+            if chosen[position] is not None and len(chosen[position]):
+                groups[name] = np.asarray(chosen[position])
+        blocks.append(Block(CORNERS[block.type], block.data, groups))
+    return FileMesh(file.points, blocks, file.point_sets, names.values())
