@@ -109,7 +109,7 @@ def _contact(
     offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * u[:, part.nodes], axis=0)
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     inside = offset < -1e-9 * scale
-    if np.any(inside) and obstacle.force is None:
+    if np.any(inside) and obstacle.force is obstacle.displacement is None:
         text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
         text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
         yield SetupWarning("overlap", text + "foundation where it should be?")

@@ -29,7 +29,9 @@ TOOLS = {
 }
 
 
-def pressed(tool: rm.Obstacle, n: tuple[int, int] = (8, 4), **changes: Any) -> rm.ContactProblem:
+def pressed(
+    tool: rm.Obstacle | tuple[rm.Obstacle, ...], n: tuple[int, int] = (8, 4), **changes: Any
+) -> rm.ContactProblem:
     """A block 2 long and 1 high on its bottom, under a tool."""
     mesh = rectangle(*n, x=(0.0, 2.0))
     law = rm.PlaneStrain.from_young(young=1e4, poisson=0.3)
@@ -131,6 +133,20 @@ def test_body_between_two_foundations() -> None:
     assert solution.contact["bottom"]["normal_force"] == pytest.approx(FORCE)
     strain = FORCE * (1 - 0.3**2) / 1e4  # uniform
     assert solution.tools["top"]["displacement"][1] == pytest.approx(-strain)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_two_tools_on_one_boundary_and_a_corner_that_is_held(order: int) -> None:
+    """Rows that share tools still have a basis, and those of tools alone a stand-off."""
+    tools = tuple(
+        replace(rm.Obstacle.circle("top", (x, 2.0), 1.0), force=(0.0, -FORCE)) for x in (0.75, 1.25)
+    )
+    held = replace(pressed(tools[0], order=order), dirichlet=("bottom", "left"))
+    for problem in (pressed(tools, order=order), held):
+        solution = rm.solve(problem, "fixed")
+        assert solution.success
+        for tool in solution.tools.values():
+            assert tool["force"][1] == pytest.approx(-FORCE, rel=1e-9)
 
 
 def test_bounds_are_refused_in_words() -> None:
