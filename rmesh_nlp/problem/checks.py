@@ -211,6 +211,8 @@ def _check_tools(problem: ProblemData) -> None:
     for part in problem.contact_sets:
         obstacle, nodes, place = part.obstacle, part.nodes, ("contact", part.number)
         fixed = nodes[np.all(held[:, nodes], axis=0)]
+        if problem.axisymmetric and (any(obstacle.moves[:1]) or any((obstacle.displacement or ())[:1])):
+            raise ProblemError(place, "a tool on a body of revolution moves along y, the axis, only")
         if obstacle.force is not None and fixed.size > 1:
             on = repr(obstacle.boundary)
             said = f"the displacements of nodes {fixed[0]} and {fixed[1]} of {on} are given; "

@@ -149,6 +149,16 @@ def test_two_tools_on_one_boundary_and_a_corner_that_is_held(order: int) -> None
             assert tool["force"][1] == pytest.approx(-FORCE, rel=1e-9)
 
 
+def test_cylinder_under_a_punch() -> None:
+    law = rm.Axisymmetric.from_young(young=1e4, poisson=0.3)
+    foot = rm.Dirichlet("bottom", (None, 0.0))
+    problem = rm.ContactProblem(rectangle(4, 4), law, foot, TOOLS["punch"])
+    solution = rm.solve(problem, "fixed")
+    assert solution.tools["top"]["displacement"][1] == pytest.approx(-FORCE / (np.pi * 1e4))
+    with pytest.raises(rm.BadInputError, match="moves along y, the axis, only"):
+        replace(problem, obstacle=replace(ROLLER, force=(0.0, -FORCE), move="xy"))
+
+
 def test_bounds_are_refused_in_words() -> None:
     solution = rm.solve(pressed(TOOLS["punch"]), "fixed", certify=True)
     assert solution.certificate is None
