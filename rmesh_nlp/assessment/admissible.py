@@ -169,7 +169,7 @@ class Continuous:
         bare, acted = self._bare, [self._bare.normals.indices, self._bare.tangents.indices]
         for cells in self.cells:
             acts = self.problem.frictional | np.any(cells.normals != 0, axis=(1, 2))
-            acted.append(self.field.index[acts][:, cells.nodes].ravel())
+            acted.append(self.field.index[acts][:, cells.carriers[0]].ravel())
         last = np.unique(numbers_of(acted))
         last = last[last >= 0]
         if (condensed := bare.condensed(last)) is None:
@@ -236,8 +236,9 @@ class Continuous:
 
     def _rows(self, cells: Cells, vectors: Array) -> sp.csr_array:
         """(m k, unknowns) what takes unknowns to components along ``vectors`` (components, m, k)."""
-        values = np.einsum("cmk,vk->cvmk", vectors, cells.shares)
-        column = np.broadcast_to(self.field.index[:, cells.nodes][..., None], values.shape)
+        nodes, shares = cells.carriers
+        values = np.einsum("cmk,vk->cvmk", vectors, shares)
+        column = np.broadcast_to(self.field.index[:, nodes][..., None], values.shape)
         row = np.broadcast_to(np.arange(cells.distance.size).reshape(cells.distance.shape), values.shape)
         used = (column >= 0) & (values != 0)
         shape = cells.distance.size, self._bare.load.size
@@ -254,7 +255,7 @@ class Continuous:
 
     def _made(self, system: ContactSystem, state: Equilibrium) -> Admissible:
         """The displacement, its nodes raised by what it lacks to be admissible, and its energy."""
-        u, normals = state.u, self._bare.normals
+        u, own = state.u, self._raising
         rounding = 8 * np.finfo(float).eps * (magnitude(u) + magnitude(self._bare.offset))
         for _ in range(REPEATS):
             displacement = self.field.values(u)
@@ -264,7 +265,7 @@ class Continuous:
                 penetration = 0.0
                 break
             step = np.where(missing > 0, 1.1 * missing + rounding, 0.0)
-            u = u + normals.T @ (step / normals.power(2).sum(axis=1))
+            u = u + own.T @ (step / own.power(2).sum(axis=1))
         state, full = replace(state, u=u, energy=system.energy(u)), displacement.T.ravel()
         strain, work = 0.5 * float(full @ (self.stiffness @ full)), float(self.load @ full)
         friction, doubt = self.friction(displacement)
@@ -274,10 +275,21 @@ class Continuous:
         energies = strain - work + friction, strain, friction, doubt
         return Admissible(self, system, state, displacement, *energies, penetration)
 
+    @property
+    def _raising(self) -> sp.csr_array:
+        """Rows of the normals without the displacements of tools, which have no others."""
+        normals, of_tools = self._bare.normals, self.field.index[:, self.space.n_nodes :]
+        kept = ~np.isin(np.arange(normals.shape[1]), of_tools)
+        own = normals @ sp.diags_array(kept.astype(float))
+        alone = own.power(2).sum(axis=1) == 0
+        return sp.csr_array(own + sp.diags_array(alone.astype(float)) @ normals) if of_tools.size else normals
+
     def friction(self, displacement: Array) -> tuple[float, float]:
         """The integral of friction bound times slip of a displacement (components, nodes), and its doubt."""
         parts = [
-            friction_energy(edges, part.obstacle, displacement[:, self.space.nodes_of(edges.ends)])
+            friction_energy(
+                edges, part.obstacle, part.relative(displacement)[:, self.space.nodes_of(edges.ends)]
+            )
             for part, edges in self._rubbing
         ]
         value, doubt = np.sum([np.sum(each, axis=1) for each in parts], axis=0) if parts else (0.0, 0.0)
@@ -286,7 +298,7 @@ class Continuous:
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""
         normals = cells.contact.obstacle.normals(self.space.points(self.body.nodes))
-        return np.sum(normals * self.given, axis=0)
+        return np.sum(normals * self.given[:, : self.space.n_nodes], axis=0)
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by the height of the foundations without displacement."""

@@ -56,7 +56,8 @@ def coulomb_residual(
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))
         stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
-        fields = np.vstack([space.coefficients(stresses), displacement])
+        relative = part.relative(displacement)[:, : space.n_nodes]
+        fields = np.vstack([space.coefficients(stresses), relative])
         integral += _integral(body, space, part, fields, total / length / size)
     return integral / total
 

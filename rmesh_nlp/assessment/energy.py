@@ -22,7 +22,7 @@ from rmesh_nlp.problem.switches import polynomial_degree
 def stiffness(body: Body, space: DisplacementSpace) -> tuple[sp.csc_array, sp.csc_array]:
     """The matrix K of ``1/2 u K u``, the strain energy, and its doubt."""
     problem = body.problem
-    n = problem.components * space.n_nodes
+    n = problem.components * space.n_displaced
     matrix, doubt = sp.csc_array((n, n)), sp.csc_array((n, n))
     held, given = space.given()
     counts = ~held | (given != 0)  # u_r / r has no finite energy for functions that do not vanish at r = 0
@@ -68,7 +68,7 @@ def _density(law: Law, gradient: Array) -> Array:
 def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
     """F of the work ``F u`` of all loads: sources or body forces, tractions, point loads; and its doubt."""
     problem = body.problem
-    load, doubt = np.zeros((2, space.n_nodes, problem.components))
+    load, doubt = np.zeros((2, space.n_displaced, problem.components))
 
     def add(i: int, nodes: Index, integral: Integral) -> None:
         for target, shares in ((load, integral.value), (doubt, integral.doubt)):
@@ -84,8 +84,8 @@ def load_vector(body: Body, space: DisplacementSpace) -> tuple[Array, Array]:
             if is_nonzero(coefficient):
                 integral = shape_integrals(edges, coefficient, space.order)
                 add(i, space.nodes_of(edges.ends), integral)
-    for point in problem.point_loads:
-        load[point.node] += point.force
+    for node, force in space.forces:
+        load[node] += force
     return load.ravel(), doubt.ravel()
 
 

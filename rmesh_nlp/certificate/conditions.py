@@ -95,10 +95,10 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     for part in parts:
         obstacle = part.obstacle
         edges = Edges(skeleton.body, part.edges)
-        gap = integrals(obstacle.offset, skeleton, part.edges, 2, problem.order)
+        gap = integrals(obstacle.clearance, skeleton, part.edges, 2, problem.order)
         offset[:, part.place] = lowered(gap.moments, degree)
         offset_doubt[:, part.place] = lowered(gap.doubt, degree)
-        _, places, _, is_seen = _samples(obstacle.offset, edges)
+        _, places, _, is_seen = _samples(obstacle.clearance, edges)
         begin, end = places[:, [0, -1]].T
         is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
         is_certain &= gap.is_certain and is_seen and not np.any(is_narrow)

@@ -105,6 +105,8 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     """
     if any(law.varies for law in problem.laws):
         raise NotCertifiableError("of a body of revolution no stress in equilibrium is known")
+    if problem.tools:
+        raise NotCertifiableError("a force moves a foundation")
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")
     if problem.has_coulomb:

@@ -130,12 +130,13 @@ class OnMesh:
 
     @cached_property
     def u(self) -> Array:
-        """(components, nodes) coefficients of the displacement."""
-        return self.displacement.values(self.state.u)
+        """(components, nodes) coefficients of the displacement of the body."""
+        return self.displacement.values(self.state.u)[:, : self.space.n_nodes]
 
     def dual(self, gap: Array, push: Array) -> Array:
         """(components, nodes) the displacement under a load (components, nodes) and offsets (gaps,)."""
         index, load, dual = self.displacement.index, np.zeros(self.system.load.size), np.zeros(push.shape)
+        index = index[:, : self.space.n_nodes]
         free = index >= 0
         load[index[free]] = push[free]
         dual[free] = self.system.response(self.state.active, load, gap)[index[free]]

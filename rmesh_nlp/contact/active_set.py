@@ -37,7 +37,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import magnitude
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem.data import ProblemData
-from rmesh_nlp.problem.rigid import in_words, kernel
+from rmesh_nlp.problem.rigid import in_words, kernel, tool_of
 
 MAX_ITERATIONS = 100
 """Factorisations that one contact solve may take."""
@@ -110,12 +110,13 @@ def _solved(system: ContactSystem, active: ActiveSet, max_iterations: int) -> Eq
 def first_set(system: ContactSystem) -> ActiveSet:
     """The active set that a cold contact solve begins with: that of the condensed problem.
 
-    It is :func:`at_rest` where contact acts on so many unknowns that the condensed matrix has more entries,
-    as on the whole interior. Where only contact holds the body all nodes touch and stick.
+    It is solved from :func:`at_rest`, or where only contact holds the body from the set in which all nodes
+    touch and stick. These are the answer where contact acts on so many unknowns that the condensed matrix has
+    more entries, as on the whole interior.
     """
     start = at_rest(system)
     if system.rigid is not None:
-        return replace(start, touching=np.ones(system.offset.size, dtype=bool))
+        start = replace(start, touching=np.ones(system.offset.size, dtype=bool))
     rows = sp.vstack([system.normals, system.tangents]) if system.slip_bound.size else system.normals
     condensed = system.condensed(np.unique(rows.indices))
     return start if condensed is None else solve(condensed[0], start).active
@@ -137,6 +138,9 @@ def check_load(system: ContactSystem, problem: ProblemData) -> None:
     for goal in np.vstack([-work, np.eye(work.size), -np.eye(work.size)]):
         answer = linprog(goal, rows, np.zeros(len(rows)), bounds=[(-1, 1)] * work.size)
         if answer.status == 0 and -answer.fun > 1e-6:
+            if (tool := tool_of(problem, answer.x)) is not None:
+                said = f"the tool on {problem.obstacles[tool].boundary!r} does not meet the body in the "
+                raise ProblemError(("contact", tool, "force"), f"{said}direction of its force")
             raise ProblemError(
                 "dirichlet",
                 "the body can move off its foundations as a rigid body, by "

@@ -61,9 +61,10 @@ class BarrierProgram(NamedTuple):
 
     @property
     def unit(self) -> Array:
-        """Stiffness of each member of y."""
-        rows = sp.vstack([self.normals, self.tangents, self.tangents])
-        return abs(rows) @ self.stiffness.diagonal()
+        """Stiffness of each member of y; tools, which have none, count like the body at its stiffest."""
+        rows, stiffness = sp.vstack([self.normals, self.tangents, self.tangents]), self.stiffness.diagonal()
+        most = np.max(stiffness, initial=0.0)
+        return abs(rows) @ np.where(stiffness > 0, stiffness, most)
 
     def minimised(self, u: Array) -> Array:
         """The unknowns of least energy, up to ``PROVED`` of it, from u on."""
@@ -132,7 +133,8 @@ class BarrierProgram(NamedTuple):
 
         *_, dy, dz = newton(-y * z)
         part, mean = taken(dy, dz, 1.0), np.mean(y * z)
-        centred = np.mean((y + part * dy) * (z + part * dz)) ** 3 / mean**2
+        ahead = np.mean((y + part * dy) * (z + part * dz))
+        centred = ahead * (ahead / mean) ** 2
         du, ds, dy, dz = newton(centred - dy * dz - y * z)
         part = taken(dy, dz, 0.995)
         return u + part * du, s + part * ds, y + part * dy, z + part * dz

@@ -74,14 +74,21 @@ def setup_warnings(
     """
     problem, space, state = model.problem, model.discretisation.space, state or model.given
     nodes = problem.mesh.p if nodes is None else nodes
-    u, points = space.values(model.displacement.values(state.u)), space.points_of(Body(problem, nodes))
+    displacement, points = model.displacement.values(state.u), space.points_of(Body(problem, nodes))
+    u = space.values(displacement)
     extent = largest_side(nodes[:, np.unique(problem.mesh.t)])
     scale = extent if problem.components == 2 else max(magnitude(u), 1e-300)
     return (
         *_problem(problem),
         *_loads(problem, model.system(nodes), accurate),
         *_sizes(problem, u, extent),
-        *(sign for part in space.contact_sets for sign in _contact(problem, part, points, state, u, scale)),
+        *(
+            sign
+            for part in space.contact_sets
+            for sign in _contact(
+                problem, part, points, state, space.values(part.relative(displacement)), scale
+            )
+        ),
     )
 
 
@@ -102,7 +109,7 @@ def _contact(
     offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * u[:, part.nodes], axis=0)
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     inside = offset < -1e-9 * scale
-    if np.any(inside):
+    if np.any(inside) and obstacle.force is obstacle.displacement is None:
         text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
         text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
         yield SetupWarning("overlap", text + "foundation where it should be?")

@@ -77,6 +77,13 @@ class Cells:
         return held[np.min(gap, axis=0) < -size]
 
     @cached_property
+    def carriers(self) -> tuple[Index, Array]:
+        """(w, m) nodes that gaps depend on, those of each cell and tools, and (w, k) their shares."""
+        tools = [(np.full(self.nodes[:1].shape, nodes[0]), factor) for factor, nodes in self.contact.others]
+        shares = [np.full(self.shares[:1].shape, factor) for _, factor in tools]
+        return np.vstack([self.nodes, *(nodes for nodes, _ in tools)]), np.vstack([self.shares, *shares])
+
+    @cached_property
     def normals(self) -> Array:
         """(components, m, k) unit normals at the points."""
         return self.contact.obstacle.normals(self.points)
@@ -94,8 +101,9 @@ class Cells:
         return beside * problem.measured(self.points)
 
     def displaced(self, displacement: Array) -> Array:
-        """(components, m, k) the displacement (components, nodes) at the points."""
-        return np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
+        """(components, m, k) the displacement (components, nodes) at the points, relative to a tool."""
+        nodes, shares = self.carriers
+        return np.einsum("cvm,vk->cmk", displacement[:, nodes], shares)
 
     def along(self, displacement: Array) -> Array:
         """(m, k) components of a displacement (components, nodes) along the normals at the points."""

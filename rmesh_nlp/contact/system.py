@@ -291,9 +291,13 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:
 
 
 def _places(rows: sp.csr_array, taken: Mask) -> Index:
-    """For each row the column of its largest entry that is not taken, which then is; -1 without any."""
+    """For each row the column of its largest entry that is not taken, which then is; -1 without any.
+
+    Entries count for less in a column of many, such as that of a tool.
+    """
     entries, place = rows.tocoo(), np.full(rows.shape[0], -1)
-    order = np.lexsort((-np.abs(entries.data), np.diff(rows.indptr)[entries.row]))
+    size = np.abs(entries.data) / np.bincount(entries.col)[entries.col]
+    order = np.lexsort((-size, np.diff(rows.indptr)[entries.row]))
     row, column = entries.row[order], entries.col[order]
     while (left := (place[row] < 0) & ~taken[column]).any():
         row, column = row[left], column[left]

@@ -101,7 +101,11 @@ class Discretisation:
         if not self.floats:
             return None
         free = self.displacement.index >= 0
-        motions = [self.space.points(motion) for motion in rigid_motions(self.problem, nodes)]
+        n = self.space.n_vertices
+        motions = [
+            np.hstack([self.space.points(motion[:, :n]), motion[:, n:]])
+            for motion in rigid_motions(self.problem, nodes)
+        ]
         result = np.zeros((self.n_u, len(motions)))
         for k, motion in enumerate(motions):
             result[self.displacement.index[free], k] = motion[free]

@@ -70,11 +70,12 @@ def gap_function(obstacle: Obstacle, components: int, shares: Array, factors: Ar
     the distance. Where no normal varies the gap along the edge is so interpolated.
     """
     (X, x, y), (column, u) = _node(shares), _displaced(components, factors)
+    obstacle, moved = obstacle.unmoved
     distance = obstacle.distance(x, y)
     if shares.size == 2:
         ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.vertsplit(X, 2)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
-    return ca.Function("gap", [X, column], [0, ca.dot(obstacle.direction(x, y), u) + distance], OPEN)
+    return ca.Function("gap", [X, column], [0, ca.dot(obstacle.direction(x, y), u - moved) + distance], OPEN)
 
 
 def slip_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Function:

@@ -104,26 +104,26 @@ def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
 def edge_gaps(on: Fields, part: ContactSet, rows: Index) -> Iterator[ElementGroup]:
     """Gaps of one of the space's contact sets that hold along edges; ``rows`` are those of its nodes."""
     space, problem = on.space, on.problem
-    at_start = at_design(part.obstacle, problem.start)
+    at_start, moved = at_design(part.obstacle, problem.start).unmoved
     where = space.points(problem.mesh.p)[:, part.nodes]
     unit = magnitude(at_start.distances(where)) or 1.0
     highest, _ = _largest(Body(problem.at_design(), problem.mesh.p), at_start)
     least = max(TINY, SMOOTH[space.order] * highest / unit)
     free = np.zeros(space.n_nodes)
     free[part.nodes] = 1.0
-    given = _given_along(space, at_start)
+    given = _given_along(space, at_start, np.array(moved))
     for patch in patches(space, part):
         along = np.vstack([space.nodes_of(patch.vertices[list(cell)]) for cell in patch.cells])
         local = [
             on.positions.at(patch.vertices),
-            on.displacement.at(part.nodes[None, patch.rows]),
+            on.displacement.at(part.carriers[:, patch.rows]),
             constant_field(np.vstack([free[along], given[along]])),
         ]
         number, curve = max(patch.sides), None
         if number >= 0:
             curve = problem.curves[number]
             local.append(on.parameters(number, patch.vertices))
-        function = _gap_function(part.obstacle, patch, curve, unit, least, space)
+        function = _gap_function(part, patch, curve, unit, least, space)
         yield on.group(function, local, rows[None, patch.rows])
 
 
@@ -172,27 +172,29 @@ def patches(space: DisplacementSpace, part: ContactSet) -> Iterator[Patch]:
         yield Patch(n == 2, of_patch, sides, np.array(rows), np.array(vertices, dtype=np.int64).T)
 
 
-def _given_along(space: DisplacementSpace, obstacle: Obstacle) -> Array:
-    """(nodes,) the displacement along the normal that is given; zero where none is."""
+def _given_along(space: DisplacementSpace, obstacle: Obstacle, moved: Array) -> Array:
+    """(nodes,) the displacement along the normal that is given, or zero, less that of the foundation."""
     held, value = space.given()
     normals = obstacle.normals(space.points(space.problem.mesh.p))
-    return np.sum(normals * np.where(held, value, 0.0), axis=0)
+    return np.sum(normals * (np.where(held, value, 0.0)[:, : space.n_nodes] - moved), axis=0)
 
 
 def _gap_function(
-    obstacle: Obstacle, patch: Patch, curve: Curve | None, unit: float, least: float, space: DisplacementSpace
+    part: ContactSet, patch: Patch, curve: Curve | None, unit: float, least: float, space: DisplacementSpace
 ) -> ca.Function:
-    """``(patch, u_i, (free, given)[, parameters]) -> (0, gap)`` of a contact node.
+    """``(patch, u, (free, given)[, parameters]) -> (0, gap)`` of a contact node.
 
     ``free`` is 1 for a node of a cell that keeps off too, 0 for one that is held, whose displacement is
     ``given``: cell by cell, in each those at its vertices and then those at its edges. ``least`` is the least
     height in units of ``unit``. Edges on the last one of the patch's curves are arcs of ``curve``.
     """
-    order, cells, interior = space.order, patch.cells, obstacle.boundary is Place.INTERIOR
+    (obstacle, moved), order, cells = part.obstacle.unmoved, space.order, patch.cells
+    interior, factors = obstacle.boundary is Place.INTERIOR, part.factors
     kind = ca.SX if curve is None else kind_of(*curve.functions)
     n, corners, vertices = len(cells), len(cells[0]), len(patch.vertices)
     nodes, shares = size(order, corners), _samples(corners, interior)
-    X, t, u = kind.sym("X", 2, vertices), kind.sym("t", vertices), kind.sym("u", space.problem.components)
+    X, t = kind.sym("X", 2, vertices), kind.sym("t", vertices)
+    u = kind.sym("u", space.problem.components, factors.size)
     constants = kind.sym("constants", 2 * nodes * n)
     free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
 
@@ -220,8 +222,8 @@ def _gap_function(
         power += ca.sum1(ca.fmax(height / (unit * weight), 0) ** POWER)
     off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
     x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if patch.at_edge else X[:, 0])
-    gap = ca.dot(obstacle.direction(x, y), u) + own - off
-    columns = [ca.vec(X), u, constants] if curve is None else [ca.vec(X), u, constants, t]
+    gap = ca.dot(obstacle.direction(x, y), u @ ca.DM(factors) - moved) + own - off
+    columns = [ca.vec(X), ca.vec(u), constants] + ([] if curve is None else [t])
     return ca.Function("edge_gap", columns, [0, gap], OPEN)
 
 

@@ -17,7 +17,6 @@ from rmesh_nlp.fem.element import NO_ROWS, PointSums, vector
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields
 from rmesh_nlp.fem.pieces import cuts, piecewise
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem import PointLoad
 from rmesh_nlp.problem.body import sides_on
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at, is_nonzero, once
 from rmesh_nlp.problem.laws import Law
@@ -68,10 +67,10 @@ def force_energy(force: tuple[Coefficient, ...], cell: Cell, degree: str | int) 
     return cell.function("force_energy", -work)
 
 
-def point_energy(load: PointLoad) -> ca.Function:
+def point_energy(force: tuple[float, ...]) -> ca.Function:
     """``(u_i,) -> (-force . u, empty)`` at one node."""
-    u = ca.SX.sym("u", len(load.force))
-    return ca.Function("point_energy", [u], [-ca.dot(ca.vertcat(*load.force), u), NO_ROWS], OPEN)
+    u = ca.SX.sym("u", len(force))
+    return ca.Function("point_energy", [u], [-ca.dot(ca.vertcat(*force), u), NO_ROWS], OPEN)
 
 
 def strain(on: Fields) -> list[ElementGroup]:
@@ -80,7 +79,7 @@ def strain(on: Fields) -> list[ElementGroup]:
 
 
 def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
-    """Minus the work of source or body force, tractions and point loads."""
+    """Minus the work of source or body force, tractions, point loads and forces on tools."""
     groups = []
     for law, cell, local in _cells(on):
         if not any(is_nonzero(component) for component in law.load):
@@ -94,8 +93,8 @@ def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
         for edge, place, nodes in on.edges(traction.boundary, on.problem.components):
             function = force_energy(traction.value, edge, traction_degree(rule))
             groups.append(on.group(function, [place, on.displacement.at(nodes)]))
-    for load in on.problem.point_loads:
-        groups.append(on.group(point_energy(load), [on.displacement.at(np.array([[load.node]]))]))
+    for node, force in on.space.forces:
+        groups.append(on.group(point_energy(force), [on.displacement.at(np.array([[node]]))]))
     return groups
 
 

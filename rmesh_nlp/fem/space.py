@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, numbers_of
+from rmesh_nlp.evaluation import Array, Index, Mask, numbers_of
 from rmesh_nlp.fem.bernstein import SIDES, functions
 from rmesh_nlp.fem.cells import measured_rule
 from rmesh_nlp.meshes.geometry import lengths, members_of
@@ -39,6 +39,20 @@ class DisplacementSpace:
     def n_nodes(self) -> int:
         """Number of nodes."""
         return self.n_vertices + (self.problem.mesh.facets.shape[1] if self.order == 2 else 0)
+
+    @property
+    def n_displaced(self) -> int:
+        """Number of nodes with a displacement: those of the body, then one for each tool."""
+        return self.n_nodes + len(self.problem.tools)
+
+    @property
+    def forces(self) -> list[tuple[int, tuple[float, ...]]]:
+        """Nodes at which a force acts, and the force: those of point loads, and tools."""
+        tools = [self.problem.obstacles[number].force or () for number in self.problem.tools]
+        return [
+            *((load.node, load.force) for load in self.problem.point_loads),
+            *enumerate(tools, self.n_nodes),
+        ]
 
     @property
     def n_vertices(self) -> int:
@@ -94,7 +108,10 @@ class DisplacementSpace:
         return points
 
     def values(self, coefficients: Array) -> Array:
-        """(components, nodes) values at the nodes' points of the field with coefficients at the nodes."""
+        """(components, nodes) values at the nodes' points of the field with coefficients at the nodes.
+
+        Tools, whose displacements come last, are left out.
+        """
         return self._with_edges(coefficients, 0.25, 0.5)
 
     def coefficients(self, values: Array) -> Array:
@@ -102,7 +119,7 @@ class DisplacementSpace:
         return self._with_edges(values, -0.5, 2.0)
 
     def _with_edges(self, given: Array, of_ends: float, of_own: float) -> Array:
-        result = np.array(given, dtype=float)
+        result = np.array(given[:, : self.n_nodes], dtype=float)
         if self.order == 2:
             a, b = self.problem.mesh.facets
             result[:, self.n_vertices :] *= of_own
@@ -110,14 +127,18 @@ class DisplacementSpace:
         return result
 
     def given(self) -> tuple[Mask, Array]:
-        """Where displacement components have no unknown, and their coefficients: both (components, nodes)."""
+        """Where displacement components have no unknown, and their coefficients.
+
+        Both (components, nodes), tools after the nodes of the body.
+        """
         held, value = self.problem.held
         held = held.copy()
         held[:, np.setdiff1d(np.arange(held.shape[1]), self.problem.mesh.t)] = True  # on no triangle
         if self.order == 2:
             of_edges = self._given_at_edges(value)
             held, value = (np.hstack(pair) for pair in zip((held, value), of_edges, strict=True))
-        return held, value
+        tools = self.problem.tools_held
+        return np.hstack([held, tools]), np.hstack([value, np.zeros(tools.shape)])
 
     def _given_at_edges(self, at_vertices: Array) -> tuple[Mask, Array]:
         """The same at edges, by the values at vertices."""
@@ -144,21 +165,20 @@ class DisplacementSpace:
         for part in self.problem.contact_sets:
             nodes = part.nodes
             if self.order == 2:
-                nodes = np.append(nodes, self._met_at_edges(self.problem.first_obstacles[part.number]))
-            sets.append(ContactSet(part.number, part.obstacle, nodes, first + np.arange(nodes.size)))
+                nodes = np.append(nodes, self._met_at_edges(part.number))
+            sets.append(self.problem.contact_set(part.number, nodes, first, self.n_nodes))
             first += nodes.size
         return tuple(sets)
 
-    def _met_at_edges(self, obstacle: Obstacle) -> Index:
-        mesh = self.problem.mesh
+    def _met_at_edges(self, number: int) -> Index:
+        mesh, obstacle = self.problem.mesh, self.problem.first_obstacles[number]
         if isinstance(obstacle.boundary, Place):
             facets = np.arange(mesh.facets.shape[1])
         else:
             facets = np.unique(mesh.boundaries[obstacle.boundary])
         nodes = self.n_vertices + facets
-        held, _ = self.given()
-        seen = np.abs(obstacle.normals(self.points(mesh.p)[:, nodes])) > ROUNDING
-        return nodes[np.any(~held[:, nodes] & seen, axis=0)]
+        normals = obstacle.normals(self.points(mesh.p)[:, nodes])
+        return self.problem.met(number, nodes, self.given()[0], normals)
 
     @cached_property
     def contact_nodes(self) -> Index:

@@ -62,7 +62,7 @@ from rmesh_nlp.problem import (
     Shape,
     Units,
 )
-from rmesh_nlp.problem.obstacle import GAPS, unit
+from rmesh_nlp.problem.obstacle import GAPS, MOVES, unit
 from rmesh_nlp.settings import Values
 
 SHAPES: Mapping[str, Callable[..., MeshTri]] = {
@@ -94,6 +94,9 @@ FOUNDATIONS: Mapping[str, tuple[Callable[..., Obstacle], str]] = {
 }
 """Keys of a contact that say where the foundation is: what makes it, and the argument that the key is; empty
 for a table of arguments."""
+
+LAST = ("gap", "force", "move", "displacement")
+"""Keys of a contact that any foundation takes."""
 
 FORCES = ("friction", "coulomb")
 """Keys of a contact that say which friction there is."""
@@ -249,6 +252,9 @@ class ContactTable(FileTable):
     friction: Scalar | None = None
     coulomb: Scalar | None = None
     gap: Literal[GAPS] = "node"  # type: ignore[valid-type]
+    force: Pair | None = None
+    move: Literal[MOVES] | None = None  # type: ignore[valid-type]
+    displacement: Pair | None = None
 
     @model_validator(mode="after")
     def _one_kind(self) -> ContactTable:
@@ -263,7 +269,7 @@ class ContactTable(FileTable):
 
     def made(self, components: int) -> Obstacle:
         """The foundation for a body with so many components of the displacement."""
-        given = self.entries("gap", *FOUNDATIONS)
+        given, last = self.entries(*LAST, *FOUNDATIONS), {name: getattr(self, name) for name in LAST}
         (kind,) = self.given(*FOUNDATIONS) or ["offset"]
         make, argument = FOUNDATIONS[kind]
         value = getattr(self, kind)
@@ -273,7 +279,7 @@ class ContactTable(FileTable):
             given[argument] = value
         if kind == "offset":
             given["normal"] = (1.0,) if components == 1 else unit(self.normal or (0.0, 1.0))
-        return replace(make(**given), gap=self.gap)
+        return replace(make(**given), **last)
 
 
 @taking(PointLoad, without=("node",))

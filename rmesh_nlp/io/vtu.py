@@ -157,7 +157,7 @@ def fields_of(solution: Solution) -> SolutionFields:
 
 def _of_state(state: State) -> MeshState:
     stresses = state.pressure, state.tangential_stress
-    return state_of(state.problem, state.mesh.p, state.displacement, *stresses)
+    return state_of(state.placed, state.mesh.p, state.displacement, *stresses)
 
 
 def read_vtu(path: Path) -> SolutionFields:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rmesh_nlp.errors import Place, ProblemError, contradicting
-from rmesh_nlp.evaluation import ROUNDING, Array, largest_side
+from rmesh_nlp.evaluation import ROUNDING, Array, cross, largest_side, magnitude
 from rmesh_nlp.meshes.embedding import fault
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, members_of
 from rmesh_nlp.optimize.activity import BOUND_OF_AN_NLP
@@ -18,7 +18,7 @@ from rmesh_nlp.problem.data import ContactSet, ProblemData
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import RULES
 from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, traction_degree, triangle_rule
-from rmesh_nlp.problem.rigid import in_words, kernel, rigid_motions, seen_by_contact
+from rmesh_nlp.problem.rigid import in_words, kernel, rigid_motions, seen_by_contact, tool_of
 
 RULE_NAMES, LARGEST_DEGREE = ("auto", MIDPOINT), 50
 """What a quadrature rule may be. Of higher degrees the points are so many that an energy takes minutes."""
@@ -38,6 +38,7 @@ def check(problem: ProblemData) -> None:
     _check_values(problem)
     _check_contact_values(problem)
     _check_friction(problem)
+    _check_tools(problem)
     _check_contact_edges(problem)
     for contact in problem.contact_sets:
         _check_given_gaps(problem, contact)
@@ -156,8 +157,7 @@ def _check_contact_values(problem: ProblemData) -> None:
     for number, obstacle in enumerate(problem.obstacles):
         on = obstacle.boundary
         points = _along(problem, on) if isinstance(on, str) else _inside(problem, ...)
-        gap = obstacle.offset if obstacle.level is None else obstacle.distance
-        _values(("contact", number), gap, points, "the obstacle")
+        _values(("contact", number), obstacle.clearance, points, "the obstacle")
         friction = ("friction", "the friction bound", obstacle.friction)
         for key, what, value in (friction, ("coulomb", "Coulomb's coefficient", obstacle.coulomb)):
             values = _values(("contact", number, key), value, points, what)
@@ -206,6 +206,31 @@ def _check_friction(problem: ProblemData) -> None:
             )
 
 
+def _check_tools(problem: ProblemData) -> None:
+    """A tool meets one node that is held at most: gaps of two would depend on its displacement alone.
+
+    With friction a given displacement of a foundation must not rub.
+    """
+    held, _ = problem.held
+    for part in problem.contact_sets:
+        obstacle, nodes, place = part.obstacle, part.nodes, ("contact", part.number)
+        fixed = nodes[np.all(held[:, nodes], axis=0)]
+        if problem.axisymmetric and (any(obstacle.moves[:1]) or any((obstacle.displacement or ())[:1])):
+            raise ProblemError(place, "a tool on a body of revolution moves along y, the axis, only")
+        if obstacle.force is not None and fixed.size > 1:
+            on = repr(obstacle.boundary)
+            said = f"the displacements of nodes {fixed[0]} and {fixed[1]} of {on} are given; "
+            said += "a tool meets one such node at most: end the contact boundary before them"
+            raise ProblemError((*place, "boundary"), said)
+        if obstacle.displacement is not None and obstacle.frictional:
+            moved = np.array(obstacle.displacement)
+            along = cross(moved[:, None], obstacle.normals(problem.mesh.p[:, nodes]))
+            if magnitude(along) > ROUNDING * magnitude(moved):
+                said = f"with friction a foundation can be moved along its normal only, not by {moved}: "
+                said += "place it where it ends, or press it by a force"
+                raise ProblemError((*place, "displacement"), said)
+
+
 def _check_given_gaps(problem: ProblemData, contact: ContactSet) -> None:
     """Where given displacements fix the gap it must not be negative: no displacement would be admissible."""
     nodes, gap, scale = problem.given_gaps(contact)
@@ -247,6 +272,9 @@ def _check_rigid_motions(problem: ProblemData) -> None:
     """
     motions = rigid_motions(problem)
     if len(free := kernel(seen_by_contact(problem, motions))):
+        if (tool := tool_of(problem, free[0])) is not None:
+            said = f"contact does not prevent a {in_words(problem, free[0])}: move it across its face only"
+            raise ProblemError(("contact", tool, "move"), said)
         raise ProblemError(
             "dirichlet",
             f"the mesh can still move as a rigid body, by {in_words(problem, free[0])}: the given "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -165,6 +165,16 @@ class ContactProblem(Shown, ProblemData):
         other = copy(self)
         object.__setattr__(other, "quadrature", rule)
         vars(other).pop("rule", None)
+        return other
+
+    def placed(self, tools: Mapping[int, Sequence[float]]) -> ContactProblem:
+        """The problem with tools, by their numbers, held where they are moved to; nothing is checked."""
+        other, obstacles = copy(self), list(self.obstacles)
+        for number, moved in tools.items():
+            obstacles[number] = replace(obstacles[number], force=None, move=None, displacement=tuple(moved))
+        object.__setattr__(other, "obstacle", tuple(obstacles))
+        for name in ("tools", "contact_sets", "first_obstacles"):
+            vars(other).pop(name, None)
         return other
 
     def summary(self) -> Rows:

@@ -47,6 +47,10 @@ class ContactSet:
         """(nodes, gaps) the nodes that each gap depends on, its own first."""
         return np.stack([self.nodes, *(nodes for _, nodes in self.others)])
 
+    def relative(self, displacement: Array) -> Array:
+        """A displacement (components, nodes) less that of the tool, if the foundation is one."""
+        return displacement + sum(factor * displacement[:, nodes[:1]] for factor, nodes in self.others)
+
     @property
     def factors(self) -> Array:
         """(nodes,) their factors."""
@@ -234,6 +238,28 @@ class ProblemData:
         return np.unique(self.mesh.t) if isinstance(place, Place) else self.boundary_nodes((place,))
 
     @cached_property
+    def tools(self) -> tuple[int, ...]:
+        """Numbers of the obstacles that a force moves."""
+        return tuple(number for number, each in enumerate(self.obstacles) if each.force is not None)
+
+    @property
+    def tools_held(self) -> Mask:
+        """(components, tools) where they do not move."""
+        moves = np.array([self.obstacles[number].moves for number in self.tools], dtype=bool)
+        return ~moves.reshape(-1, self.components).T
+
+    def contact_set(self, number: int, nodes: Index, first_row: int, first_tool: int) -> ContactSet:
+        """That of an obstacle with rows from ``first_row``, the tools being nodes from ``first_tool``."""
+        tools = [first_tool + k for k, tool in enumerate(self.tools) if tool == number]
+        others = tuple((-1.0, np.full(nodes.size, tool)) for tool in tools)
+        return ContactSet(number, self.obstacles[number], nodes, first_row + np.arange(nodes.size), others)
+
+    def met(self, number: int, nodes: Index, held: Mask, normals: Array) -> Index:
+        """Those of some nodes whose gap depends on a displacement that is not given."""
+        moves = np.array(self.obstacles[number].moves)[:, None]
+        return nodes[np.any((~held[:, nodes] | moves) & (np.abs(normals) > ROUNDING), axis=0)]
+
+    @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
         """Per obstacle the vertices whose gap depends on a displacement that is not given."""
         held, _ = self.held
@@ -241,9 +267,8 @@ class ProblemData:
         for number, obstacle in enumerate(self.obstacles):
             nodes = self.nodes_of(obstacle)
             normals = self.first_obstacles[number].normals(self.mesh.p[:, nodes])
-            seen = np.abs(normals) > ROUNDING
-            nodes = nodes[np.any(~held[:, nodes] & seen, axis=0)].astype(np.int64)
-            sets.append(ContactSet(number, obstacle, nodes, first + np.arange(nodes.size)))
+            nodes = self.met(number, nodes, held, normals).astype(np.int64)
+            sets.append(self.contact_set(number, nodes, first, held.shape[1]))
             first += nodes.size
         return tuple(sets)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache, partial
 
@@ -29,6 +29,9 @@ from rmesh_nlp.settings import check_positive
 
 Vector = tuple[float, float]
 Centre = tuple[float | ca.SX, float | ca.SX]
+
+MOVES = ("x", "y", "xy")
+"""Coordinates along which a tool may move."""
 
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
@@ -89,6 +92,12 @@ class Obstacle:
         "edge": it holds along the edges as well, since the foundation counts as nearer at a node by twice
         the mean height of its arcs above their chords beside the node (:mod:`rmesh_nlp.fem.edge_gaps`).
         The two are the same where the foundation is straight.
+    force : tuple of float, optional
+        Of a tool: it moves as a whole until it presses on the body with this force, per unit of thickness.
+    move : "x", "y" or "xy", optional
+        Along which coordinates a force moves it; by default those along which the force acts.
+    displacement : tuple of float, optional
+        Given displacement of the foundation, in units of length, in the place of a force.
     """
 
     boundary: str | Place
@@ -99,6 +108,9 @@ class Obstacle:
     level: PositionFunction | None = None
     gap: str = "node"
     coulomb: Coefficient = 0.0
+    force: tuple[float, ...] | None = None
+    move: str | None = None
+    displacement: tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
@@ -110,6 +122,25 @@ class Obstacle:
         if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise BadInputError("friction needs a problem with two displacement components", "friction")
         require(self.gap in GAPS, "gap", f"be {' or '.join(map(repr, GAPS))}", self.gap)
+        self._check_tool()
+
+    def _check_tool(self) -> None:
+        for name in ("force", "displacement"):
+            if (given := getattr(self, name)) is None:
+                continue
+            require(np.shape(given) == (2,) and is_finite(given), name, "be two finite numbers", given)
+            object.__setattr__(self, name, tuple(map(float, given)))
+            if len(self.normal) == 1 or self.boundary is Place.INTERIOR:
+                raise BadInputError("a tool needs a problem with two displacement components", name)
+        if self.force is None:
+            require(self.move is None, "move", "come with a force", self.move)
+            return
+        require(self.displacement is None, "displacement", "not come with a force", self.displacement)
+        along = "".join(axis for axis, part in zip("xy", self.force, strict=True) if part)
+        object.__setattr__(self, "move", (along or "xy") if self.move is None else self.move)
+        require(self.move in MOVES, "move", f"be {', '.join(map(repr, MOVES))}", self.move)
+        must = f"act along {' or '.join(self.move or '')}, along which the tool moves, and not across"
+        require(along != "" and set(along) <= set(self.move or ""), "force", must, self.force)
 
     @classmethod
     def line(
@@ -194,7 +225,9 @@ class Obstacle:
         bounds = [f"friction bound {describe(self.friction)}"] if self.has_bound else []
         bounds += [f"Coulomb's coefficient {describe(self.coulomb)}"] if self.has_coulomb else []
         friction = " and ".join(bounds) or "no friction"
-        return f"{where}, {normal}, {friction}"
+        motions = ("pressed by", self.force), ("moved by", self.displacement)
+        tool = [f"{how} ({', '.join(map(figure, vector))})" for how, vector in motions if vector]
+        return ", ".join([f"{where}, {normal}, {friction}", *tool])
 
     def direction(self, x: Expression, y: Expression) -> Expression:
         """Unit normal at a point as a CasADi column."""
@@ -209,10 +242,30 @@ class Obstacle:
         return ca.vertcat(normal[1], -normal[0])
 
     def distance(self, x: Expression, y: Expression) -> Expression:
-        """The gap without displacement at a point."""
+        """The gap without displacement of the body at a point."""
         if self.level is None:
-            return at(self.offset, x, y)
-        return at(self.level, x, y) / ca.norm_2(_gradient(self.level)(x, y))
+            gap = at(self.offset, x, y)
+        else:
+            gap = at(self.level, x, y) / ca.norm_2(_gradient(self.level)(x, y))
+        if self.displacement is None:
+            return gap
+        return gap - ca.dot(self.direction(x, y), ca.DM(self.displacement))
+
+    @property
+    def unmoved(self) -> tuple[Obstacle, ca.DM]:
+        """The foundation without its displacement, and that."""
+        if self.displacement is None:
+            return self, ca.DM.zeros(len(self.normal))
+        return replace(self, displacement=None), ca.DM(self.displacement)
+
+    @property
+    def clearance(self) -> Coefficient:
+        """The same as a coefficient."""
+        if self.level is None and self.displacement is None:
+            return self.offset
+        if self.level is None and is_number(self.offset):
+            return float(self.offset - np.dot(self.normal, self.displacement or 0.0))
+        return self.distance
 
     def normals(self, points: Array) -> Array:
         """Unit normals (components, ...) at ``points`` (2, ...)."""
@@ -223,7 +276,7 @@ class Obstacle:
 
     def distances(self, points: Array) -> Array:
         """Gaps (...) without displacement at ``points`` (2, ...), all finite or a ValueError."""
-        return on_points(self.offset if self.level is None else self.distance, points, "the obstacle")
+        return on_points(self.clearance, points, "the obstacle")
 
     def feet(self, points: Array) -> Array:
         """Points (2, points) of the foundation that ``points`` would meet, for pictures.
@@ -234,6 +287,11 @@ class Obstacle:
         for _ in range(FOOT_STEPS if self.level is not None else 0):
             feet = feet - self.normals(feet) * self.distances(feet)
         return feet
+
+    @property
+    def moves(self) -> tuple[bool, ...]:
+        """Per displacement component whether a force may move the foundation."""
+        return tuple(axis in (self.move or "") for axis in "xy"[: len(self.normal)])
 
     @property
     def frictional(self) -> bool:

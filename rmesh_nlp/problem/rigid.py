@@ -13,8 +13,8 @@ from rmesh_nlp.problem.data import ProblemData
 def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
     """A basis (motions, components, nodes) of the rigid motions that no given displacement prevents.
 
-    Each belongs to one connected part of the mesh and is zero on the others; ``nodes`` are its positions,
-    by default as given.
+    Each belongs to one connected part of the mesh, or to a tool, and is zero on the others; ``nodes`` are the
+    positions, by default as given. Tools come after the nodes.
     """
     mesh = problem.mesh
     p = mesh.p if nodes is None else nodes
@@ -27,7 +27,13 @@ def rigid_motions(problem: ProblemData, nodes: Array | None = None) -> Array:
         if problem.axisymmetric:
             modes = modes[problem.components - 1 :][:1]  # along z
         motions += list(np.tensordot(kernel(modes[:, held].T), modes, 1))
-    return np.array(motions).reshape(-1, *held.shape)
+    of_body = np.array(motions).reshape(-1, *held.shape)
+    free = np.argwhere(~problem.tools_held.T)
+    result = np.zeros((len(of_body) + len(free), len(held), held.shape[1] + len(problem.tools)))
+    result[: len(of_body), :, : held.shape[1]] = of_body
+    for motion, (tool, component) in zip(result[len(of_body) :], free, strict=True):
+        motion[component, held.shape[1] + tool] = 1.0
+    return result
 
 
 def kernel(rows: Array) -> Array:
@@ -39,9 +45,10 @@ def kernel(rows: Array) -> Array:
 
 def in_words(problem: ProblemData, free: Array) -> str:
     """The name of a rigid motion of one part of the mesh; ``free`` (motions,) combines some of all."""
-    motions = rigid_motions(problem)
-    nodes = np.any(motions[np.argmax(np.abs(free))], axis=0)
-    name = "translation"
+    if (tool := tool_of(problem, free)) is not None:
+        return f"translation of the tool on {problem.obstacles[tool].boundary!r}"
+    motions = rigid_motions(problem)[:, :, : problem.mesh.p.shape[1]]
+    nodes, name = np.any(motions[np.argmax(np.abs(free))], axis=0), "translation"
     if problem.components == 2:
         # as complex numbers u = shift + turn z
         u = [1, 1j] @ np.tensordot(free, motions[:, :, nodes], 1)
@@ -52,6 +59,12 @@ def in_words(problem: ProblemData, free: Array) -> str:
     return (
         f"{name} of the part with node {np.argmax(nodes)}" + " (friction is not counted)" * problem.frictional
     )
+
+
+def tool_of(problem: ProblemData, free: Array) -> int | None:
+    """The obstacle that moves most where ``free`` (motions,) combines rigid motions; None of a body."""
+    moved = np.any(rigid_motions(problem)[np.argmax(np.abs(free))], axis=0)[problem.mesh.p.shape[1] :]
+    return problem.tools[np.argmax(moved)] if moved.any() else None
 
 
 def _modes(p: Array, part: Mask, components: int) -> Array:
@@ -70,5 +83,5 @@ def seen_by_contact(problem: ProblemData, motions: Array) -> Array:
     rows = [np.zeros((0, len(motions)))]
     for part in problem.contact_sets:
         normals = problem.first_obstacles[part.number].normals(problem.mesh.p[:, part.nodes])
-        rows.append(np.einsum("cn,mcn->nm", normals, motions[:, :, part.nodes]))
+        rows.append(np.einsum("cn,mckn,k->nm", normals, motions[:, :, part.carriers], part.factors))
     return np.vstack(rows)

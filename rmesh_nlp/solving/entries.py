@@ -216,6 +216,9 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "final mesh, with `_initial` on the given one, and with "
               "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
+        Entry("tools", dict[str, dict[str, list[Number]]],
+              "By contact boundary of a [foundation that moves](own_problems.md#tools): its `displacement`, "
+              "and its `force` on the body, each along x and y.", lambda s: s.tools or None),
         Entry("sticking_nodes", Count, "With friction: nodes of the contact boundary that stick.",
               "final.sticking_nodes"),
         Entry("sliding_nodes", Count, "The same that slide.", "final.sliding_nodes"),

@@ -166,6 +166,20 @@ class Relocated:
         }
 
     @property
+    def tools(self) -> dict[str, dict[str, list[float]]]:
+        """Displacement of each foundation that moves, and its force on the body, by contact boundary."""
+        return {
+            name: {
+                "displacement": list(obstacle.displacement),
+                "force": [result.force_x or 0.0, result.force_y or 0.0],
+            }
+            for (name, result), obstacle in zip(
+                self.final.contact.items(), self.final.placed.obstacles, strict=False
+            )
+            if obstacle.displacement is not None
+        }
+
+    @property
     def energy(self) -> float:
         """J of the contact solution by the problem's own rules."""
         return self.final.energy

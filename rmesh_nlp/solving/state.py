@@ -85,6 +85,8 @@ class State:
         Violation of Coulomb's law along edges, see :mod:`rmesh_nlp.assessment.coulomb`.
     sticking_nodes, sliding_nodes : int, optional
         With friction.
+    tools : mapping of int to list of float
+        Displacements of foundations that a force moves, by the numbers of the obstacles.
     contact : mapping
         Forces, peak pressure and length of the contact, by contact boundary; empty where it is not solved.
     continuous : Admissible, optional
@@ -121,6 +123,7 @@ class State:
     coulomb_residual: float | None = None
     sticking_nodes: int | None = None
     sliding_nodes: int | None = None
+    tools: Mapping[int, list[float]] = field(default_factory=dict)
     contact: Mapping[str, ContactResult] = field(default_factory=dict)
     continuous: Admissible | None = field(default=None, repr=False)
     corrections: Mapping[str, float] = field(default_factory=dict)
@@ -131,6 +134,11 @@ class State:
     constraints: Mapping[str, Constrained] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     doubts: tuple[SetupWarning, ...] = ()
+
+    @property
+    def placed(self) -> ContactProblem:
+        """The problem with its tools where they ended."""
+        return self.problem.placed(self.tools)
 
     @property
     def energy(self) -> float:
@@ -197,6 +205,7 @@ def measured(outer: Outer, q: Array, *, audit: bool = True) -> State:
         ),
         sticking_nodes=None if sliding is None else rows.size - sliding,
         sliding_nodes=sliding,
+        tools=dict(zip(at.problem.tools, displacement[:, space.n_nodes :].T.tolist(), strict=True)),
         contact=contact_results(space, nodes, system, solved) if is_solved else {},
         continuous=continuous,
         corrections={} if continuous is None else corrections(at.contact, nodes, solved, continuous),

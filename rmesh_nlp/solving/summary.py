@@ -152,6 +152,9 @@ def contact_rows(solution: Relocated) -> Rows:
             x, y, moment = (figure(value if abs(value) > least else 0.0) for value in vector)
             label = f"{boundary}: force on the body{bracketed(units.line_force)}"
             rows.append((label, f"({x}, {y}), moment {moment}"))
+        if boundary in solution.tools:
+            moved = ", ".join(map(figure, solution.tools[boundary]["displacement"]))
+            rows.append((f"{boundary}: displacement of the tool{bracketed(units.length)}", f"({moved})"))
     return rows + [(text, estimate_in_words(of)) for text, of in estimates.items()]
 
 

@@ -131,6 +131,15 @@ def test_every_foundation_has_its_gap_and_normal(write, text, expected):
     assert read.friction(2.0, 0.0) == 12.0
 
 
+@pytest.mark.parametrize("more", ["force = [0, -3], move = 'y'", "displacement = [0, -0.1]"])
+def test_a_tool_in_a_file_is_one_in_python(write, more):
+    law = 'material = { law = "plane-strain", young = 1, poisson = 0.3 }\ndirichlet = { bottom = [0, 0] }\n'
+    text = f"contact = {{ boundary = 'top', normal = [0, -1], {more} }}"
+    (read,) = load_problem(write(SMALL + law + text)).obstacles
+    tool = {"force": (0.0, -3.0), "move": "y"} if "force" in more else {"displacement": (0.0, -0.1)}
+    assert read == Obstacle("top", (0.0, -1.0), **tool)
+
+
 def test_symmetry_units_and_point_loads(write):
     more = '[units]\nlength = "mm"\nforce = "N"\n[[point_loads]]\nat = [2, 1]\nforce = [3, -7]\n'
     problem = load_problem(write(VALID.replace('[0, "0*y"]', '"symmetry"') + more))
