@@ -56,7 +56,7 @@ def coulomb_residual(
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))
         stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
-        fields = np.vstack([space.coefficients(stresses), displacement])
+        fields = np.vstack([space.coefficients(stresses), part.relative(displacement)])
         integral += _integral(body, space, part, fields, total / length / size)
     return integral / total
 

@@ -76,6 +76,12 @@ class Cells:
         size = ROUNDING * (magnitude(self.distance) + magnitude(given))
         return held[np.min(gap, axis=0) < -size]
 
+    @property
+    def carriers(self) -> list[tuple[float, Index]]:
+        """A factor and nodes (v, m): those of the cells, and of a pair their partners."""
+        partner = self.contact.partner
+        return [(1.0, self.nodes), *([] if partner is None else [(-1.0, partner[self.nodes])])]
+
     @cached_property
     def normals(self) -> Array:
         """(components, m, k) unit normals at the points."""
@@ -95,7 +101,7 @@ class Cells:
 
     def displaced(self, displacement: Array) -> Array:
         """(components, m, k) the displacement (components, nodes) at the points."""
-        return np.einsum("cvm,vk->cmk", displacement[:, self.nodes], self.shares)
+        return np.einsum("cvm,vk->cmk", self.contact.relative(displacement)[:, self.nodes], self.shares)
 
     def along(self, displacement: Array) -> Array:
         """(m, k) components of a displacement (components, nodes) along the normals at the points."""
@@ -118,7 +124,7 @@ class Cells:
         """
         bend = np.zeros(self.distance.shape)
         for bends in self.bends.T:
-            bent = np.einsum("cvm,v->cm", displacement[:, self.nodes], bends)
+            bent = np.einsum("cvm,v->cm", self.contact.relative(displacement)[:, self.nodes], bends)
             bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
         if self.are_triangles:
             return self.sag + bend / 8

@@ -8,7 +8,7 @@ import re
 import signal
 import threading
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -129,12 +129,12 @@ def _limited(seconds: float) -> Iterator[None]:
 PLAIN_CELLS = ("triangle", "line", "vertex")
 
 
-def read_mesh(path: str | Path) -> MeshTri:
+def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> MeshTri:
     """A mesh from any file that meshio reads.
 
     Physical groups of gmsh, sets of cells and reference numbers become names; a set of nodes (``*NSET``)
     names the outer edges between them. A group without a name is called ``boundary-<number>`` or
-    ``subdomain-<number>``.
+    ``subdomain-<number>``. Nodes at one place are merged, but for those of two boundaries of ``pairs``.
 
     Raises
     ------
@@ -147,12 +147,12 @@ def read_mesh(path: str | Path) -> MeshTri:
     if any(key.startswith("skfem:") for key in file.cell_data):
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
-        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
+        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains, pairs)
     with located(path):
-        return _mesh(file)
+        return _mesh(file, pairs)
 
 
-def _mesh(file: meshio.Mesh) -> MeshTri:
+def _mesh(file: meshio.Mesh, pairs: Collection[tuple[str, str]]) -> MeshTri:
     kinds = [block.type for block in file.cells]
     for kind in kinds:
         if kind not in PLAIN_CELLS:
@@ -172,7 +172,7 @@ def _mesh(file: meshio.Mesh) -> MeshTri:
     groups = _groups(file)
     triangles = np.vstack([block.data for block in file.cells if block.type == "triangle"])
     between = _outer_edges(triangles, file.point_sets or {})
-    return from_arrays(points[:, :2], triangles, between | groups["line"], groups["triangle"])
+    return from_arrays(points[:, :2], triangles, between | groups["line"], groups["triangle"], pairs)
 
 
 def _outer_edges(triangles: NDArray, sets: Mapping[str, Any]) -> dict[str, NDArray]:
