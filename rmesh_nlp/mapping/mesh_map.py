@@ -236,7 +236,7 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
             "or interface, and on no curve that is given"
         )
     tangent = np.where(forced, any_tangent, tangent)
-    for node, leader in problem.tied:
+    for node, leader in motion.tied:
         if node == leader or leader in tied:
             raise BadInputError(f"node {node} cannot be tied to node {leader}, which is tied itself")
         if mobility[leader] != Mobility.PINNED and mobility[node] != Mobility.FREE:

@@ -1,5 +1,6 @@
 """Two bodies, or the two sides of an interface, that touch at pairs of nodes."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,9 +9,12 @@ from skfem import MeshTri
 
 import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
-from rmesh_nlp.errors import ProblemError
+from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.io.export import write_mesh
+from rmesh_nlp.io.problem_file import load_problem
 from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem import locally_refined
 from rmesh_nlp.solving.outer import Outer
@@ -132,3 +136,84 @@ def test_refinement_halves_the_edges_of_a_pair_on_both_sides() -> None:
     finer = locally_refined(problem, below)
     assert finer.mesh.p.shape[1] > problem.mesh.p.shape[1]
     assert len(finer.contact_sets[0].nodes) > len(problem.contact_sets[0].nodes)
+
+
+def press_fit(order: int, n: int = 4) -> rm.ContactProblem:
+    """A quarter of two rings, radii 10, 20 and 30, with an interference of 0.0025 on the radius."""
+    grid = MeshTri.init_tensor(np.linspace(10, 30, 2 * n + 1), np.linspace(0, np.pi / 2, 3 * n + 1))
+    (r, t), inner = grid.p, grid.p[0, grid.t].mean(axis=0) < 20
+    on = {"x": (1, 0), "y": (1, np.pi / 2), "bore": (0, 10), "outside": (0, 30)}
+    names = {name: lambda p, a=a, v=v: np.isclose(p[a], v) for name, (a, v) in on.items()}
+    fit = np.flatnonzero(np.all(np.isclose(grid.p[0, grid.facets], 20), axis=0))
+    mesh = MeshTri(np.stack([r * np.cos(t), r * np.sin(t)]), grid.t)
+    facets = {name: grid.facets_satisfying(on, boundaries_only=True) for name, on in names.items()}
+    mesh = mesh.with_boundaries(facets | {"fit": fit}).with_subdomains({
+        "hub": np.flatnonzero(inner), "ring": np.flatnonzero(~inner)
+    })  # fmt: skip
+    curves = {name: Circle((0.0, 0.0), R) for name, R in (("bore", 10), ("fit", 20), ("outside", 30))}
+    steel = rm.PlaneStress.from_young(young=200e3, poisson=0.3)
+    given = rm.Dirichlet("x", (None, 0.0)), rm.Dirichlet("y", (0.0, None))
+    return rm.ContactProblem(
+        mesh,
+        {"hub": steel, "ring": steel},
+        given,
+        rm.Obstacle.interface("fit", interference=0.0025),
+        rm.Motion(curves=curves),
+        order=order,
+    )
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_press_fit_has_the_pressure_of_thick_rings(order: int) -> None:
+    solution = rm.solve(press_fit(order), "fixed")
+    # Lame: p (u_ring + u_hub) per unit pressure, (2.6 + 5/3) * 20 / E
+    lame = 0.0025 * 200e3 / (20 * (2.6 + 5 / 3))
+    mean = solution.contact["fit"]["normal_force"] / (10 * np.pi)
+    assert solution.status.value == "converged"
+    assert mean == pytest.approx(lame, rel={1: 0.02, 2: 0.005}[order])
+
+
+@pytest.mark.slow
+def test_crack_slips_as_in_a_large_plate() -> None:
+    # E = 25 GPa, compression 100 MPa at 20 degrees to the crack, friction angle 30 degrees; half-length 1
+    a, E, nu = np.radians(20), 25e3, 0.25
+    d, x = np.array([np.cos(a), np.sin(a)]), np.sin(np.linspace(-np.pi / 2, np.pi / 2, 25))
+    stress, away = -100 * np.outer(d, d), 1 + 13 * (np.arange(1, 9) / 8) ** 2.5
+    strain = (1 + nu) / E * (stress - nu * np.trace(stress) * np.eye(2))
+    y = np.cumsum(np.geomspace(0.04, 0.04 * 1.6**9, 10))
+    y = y / y[-1] * 14
+    grid = MeshTri.init_tensor(np.r_[-away[::-1], x, away], np.r_[-y[::-1], 0, y])
+    p = grid.p[:, grid.facets]
+    line = np.flatnonzero(np.all(np.isclose(p[1], 0) & (np.abs(p[0]) < 1 + 1e-9), axis=0))
+    mesh = grid.with_boundaries({"far": grid.boundary_facets(), "crack": line})
+    far = rm.Dirichlet("far", tuple(lambda x, y, e=e: e[0] * x + e[1] * y for e in strain))
+    friction = float(np.tan(np.radians(30)))
+    joint = rm.Obstacle.interface("crack", coulomb=friction)
+    law = rm.PlaneStrain.from_young(young=E, poisson=nu)
+    solver = ContactSolver(rm.ContactProblem(mesh, law, far, joint, order=2))
+    own, others = solver.discretisation.space.contact_sets[0].carriers[:, :23]
+    u = solver.displacement.values(solver.given.u)
+    slip = np.max(np.abs(u[0, own] - u[0, others]))
+    exact = 4 * (1 - nu**2) / E * 100 * np.sin(a) * (np.cos(a) - np.sin(a) * friction)
+    assert slip == pytest.approx(exact, rel=0.02)
+
+
+def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
+    rest = 'material = { law = "plane-strain", young = 1000, poisson = 0.3 }\n'
+    write_mesh(stacked(), tmp_path / "two.msh")
+    (tmp_path / "two.toml").write_text(
+        rest + 'mesh = { file = "two.msh" }\ndirichlet = { bottom-0 = [0, 0], left-1 = "symmetry" }\n'
+        'contact = { pair = ["bottom-1", "top-0"], interference = "0.1*x", coulomb = 0.2 }\n'
+    )
+    (part,) = load_problem(tmp_path / "two.toml").contact_sets
+    assert part.nodes.size == 5
+    assert part.obstacle.distances(np.array([[2.0], [1.0]])) == pytest.approx(-0.2)
+    (tmp_path / "one.toml").write_text(
+        rest
+        + 'mesh = { shape = "rectangle", nx = 4, ny = 4 }\nboundaries = { joint = "abs(y - 0.5) < 1e-9" }\n'
+        'dirichlet = { bottom = [0, 0], left = "symmetry" }\ncontact = { interface = "joint" }\n'
+    )
+    problem = load_problem(tmp_path / "one.toml")
+    assert problem.mesh.p.shape[1] == 30
+    with pytest.raises(BadInputError, match="pairs of boundaries"):
+        rm.solve(problem, "joint", remesh=40)
