@@ -212,6 +212,7 @@ def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
         rest
         + 'mesh = { shape = "rectangle", nx = 4, ny = 4 }\nboundaries = { joint = "abs(y - 0.5) < 1e-9" }\n'
         'dirichlet = { bottom = [0, 0], left = "symmetry" }\ncontact = { interface = "joint" }\n'
+        "tractions = { top = [0, -1] }\n"
     )
     problem = load_problem(tmp_path / "one.toml")
     assert problem.mesh.p.shape[1] == 30
