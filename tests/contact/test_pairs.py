@@ -218,3 +218,14 @@ def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
     assert problem.mesh.p.shape[1] == 30
     with pytest.raises(BadInputError, match="pairs of boundaries"):
         rm.solve(problem, "joint", remesh=40)
+
+
+def test_press_fit_of_revolution_has_the_pressure_of_thick_rings() -> None:
+    grid = MeshTri.init_tensor(np.linspace(10, 30, 9), np.linspace(0, 4, 5))
+    fit = np.flatnonzero(np.all(np.isclose(grid.p[0, grid.facets], 20), axis=0))
+    mesh = grid.with_boundaries({"fit": fit, "low": lambda p: np.isclose(p[1], 0)})
+    law = rm.Axisymmetric.from_young(young=200e3, poisson=0.3)
+    interface = rm.Obstacle.interface("fit", interference=0.0025)
+    problem = rm.ContactProblem(mesh, law, rm.Dirichlet("low", (None, 0.0)), interface, order=2)
+    force = rm.solve(problem, "fixed").contact["fit"]["normal_force"]
+    assert force / (2 * np.pi * 20 * 4) == pytest.approx(5.859375, rel=1e-3)
