@@ -31,6 +31,7 @@ BELOW = {
     "howto": [
         "own_problems",
         "parts",
+        "two_bodies",
         "formulations",
         "without_move_limits",
         "order_and_relocation",

@@ -113,7 +113,8 @@ class Continuous:
         for cells in self.cells:  # at edges coefficients, on the arc if there is one
             rows, at_nodes = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
             offset[rows[rows >= 0]] = at_nodes[rows >= 0]
-        along = np.sum(directions.normals(nodes) * self.given[:, space.contact_nodes], axis=0)
+        moved = [part.relative(self.given)[:, part.nodes] for part in space.contact_sets]
+        along = np.sum(directions.normals(nodes) * np.hstack([self.given[:, :0], *moved]), axis=0)
         frictional = np.zeros(along.size, dtype=bool)
         frictional[space.friction_rows] = True
         bounds = np.zeros(along.size if self.problem.frictional else 0)
@@ -169,7 +170,7 @@ class Continuous:
         bare, acted = self._bare, [self._bare.normals.indices, self._bare.tangents.indices]
         for cells in self.cells:
             acts = self.problem.frictional | np.any(cells.normals != 0, axis=(1, 2))
-            acted.append(self.field.index[acts][:, cells.carriers[0]].ravel())
+            acted += [self.field.index[acts][:, nodes].ravel() for _, nodes in cells.carriers]
         last = np.unique(numbers_of(acted))
         last = last[last >= 0]
         if (condensed := bare.condensed(last)) is None:
@@ -236,13 +237,15 @@ class Continuous:
 
     def _rows(self, cells: Cells, vectors: Array) -> sp.csr_array:
         """(m k, unknowns) what takes unknowns to components along ``vectors`` (components, m, k)."""
-        nodes, shares = cells.carriers
-        values = np.einsum("cmk,vk->cvmk", vectors, shares)
-        column = np.broadcast_to(self.field.index[:, nodes][..., None], values.shape)
-        row = np.broadcast_to(np.arange(cells.distance.size).reshape(cells.distance.shape), values.shape)
-        used = (column >= 0) & (values != 0)
-        shape = cells.distance.size, self._bare.load.size
-        return sp.csr_array((values[used], (row[used], column[used])), shape=shape)
+        shape, rows = (cells.distance.size, self._bare.load.size), sp.csr_array((0, 0))
+        for number, (factor, nodes) in enumerate(cells.carriers):
+            values = factor * np.einsum("cmk,vk->cvmk", vectors, cells.shares)
+            column = np.broadcast_to(self.field.index[:, nodes][..., None], values.shape)
+            row = np.broadcast_to(np.arange(cells.distance.size).reshape(cells.distance.shape), values.shape)
+            used = (column >= 0) & (values != 0)
+            own = sp.csr_array((values[used], (row[used], column[used])), shape=shape)
+            rows = rows + own if number else own
+        return rows
 
     def _turns(self, state: Equilibrium) -> bool:
         """Whether a slip may change its sign within an edge, where friction is less than at nodes."""
@@ -298,7 +301,7 @@ class Continuous:
     def given_along(self, cells: Cells) -> Array:
         """(nodes,) given displacement along the normal of the foundation of some cells."""
         normals = cells.contact.obstacle.normals(self.space.points(self.body.nodes))
-        return np.sum(normals * self.given[:, : self.space.n_nodes], axis=0)
+        return np.sum(normals * cells.contact.relative(self.given)[:, : self.space.n_nodes], axis=0)
 
     def first_standoff(self) -> Array:
         """(gaps,) how far nodes keep off by the height of the foundations without displacement."""

@@ -172,6 +172,8 @@ def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ..
     for obstacle in problem.obstacles:
         if isinstance(obstacle.boundary, Place):
             continue
+        if obstacle.other:
+            raise NotCertifiableError("two bodies are in contact, which has no proof yet")
         if obstacle.level is not None:
             raise NotCertifiableError("the normal of a curved foundation turns along an edge")
         normal = np.array(obstacle.normal) != 0

@@ -106,16 +106,17 @@ def _contact(
 ) -> Iterator[SetupWarning]:
     """Of one contact set, with displacements and places of its nodes on the body, arcs where it has them."""
     obstacle, touching, points = part.obstacle, state.active.touching[part.rows], points[:, part.nodes]
-    offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * u[:, part.nodes], axis=0)
+    moved = part.relative(u)[:, part.nodes]
+    offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * moved, axis=0)
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     inside = offset < -1e-9 * scale
-    if np.any(inside) and obstacle.force is obstacle.displacement is None:
+    if np.any(inside) and obstacle.force is obstacle.displacement is None and not obstacle.other:
         text = f"before any load the foundation overlaps the body by up to {-np.min(offset):.3g}{unit} at "
         text += f"{inside.sum()} of {n} nodes of {name}: the load has to push it back; is the "
         yield SetupWarning("overlap", text + "foundation where it should be?")
     if not np.any(touching):
         yield _open(problem, name, offset, change, scale)
-    elif np.all(touching) and n >= FEW:
+    elif np.all(touching) and n >= FEW and not obstacle.other:
         text = f"all {n} nodes of {name} touch the foundation: the edge of the contact is not on it; a given "
         text += "displacement may be what is meant, or a longer contact boundary"
         yield SetupWarning("all-touching", text)

@@ -76,12 +76,11 @@ class Cells:
         size = ROUNDING * (magnitude(self.distance) + magnitude(given))
         return held[np.min(gap, axis=0) < -size]
 
-    @cached_property
-    def carriers(self) -> tuple[Index, Array]:
-        """(w, m) nodes that gaps depend on, those of each cell and tools, and (w, k) their shares."""
-        tools = [(np.full(self.nodes[:1].shape, nodes[0]), factor) for factor, nodes in self.contact.others]
-        shares = [np.full(self.shares[:1].shape, factor) for _, factor in tools]
-        return np.vstack([self.nodes, *(nodes for nodes, _ in tools)]), np.vstack([self.shares, *shares])
+    @property
+    def carriers(self) -> list[tuple[float, Index]]:
+        """A factor and nodes (v, m): those of the cells, and what they meet, if that moves."""
+        partner = self.contact.partner
+        return [(1.0, self.nodes), *([] if partner is None else [(-1.0, partner[self.nodes])])]
 
     @cached_property
     def normals(self) -> Array:
@@ -101,9 +100,8 @@ class Cells:
         return beside * problem.measured(self.points)
 
     def displaced(self, displacement: Array) -> Array:
-        """(components, m, k) the displacement (components, nodes) at the points, relative to a tool."""
-        nodes, shares = self.carriers
-        return np.einsum("cvm,vk->cmk", displacement[:, nodes], shares)
+        """(components, m, k) the displacement (components, nodes) at the points, less that of what is met."""
+        return np.einsum("cvm,vk->cmk", self.contact.relative(displacement)[:, self.nodes], self.shares)
 
     def along(self, displacement: Array) -> Array:
         """(m, k) components of a displacement (components, nodes) along the normals at the points."""
@@ -126,7 +124,7 @@ class Cells:
         """
         bend = np.zeros(self.distance.shape)
         for bends in self.bends.T:
-            bent = np.einsum("cvm,v->cm", displacement[:, self.nodes], bends)
+            bent = np.einsum("cvm,v->cm", self.contact.relative(displacement)[:, self.nodes], bends)
             bend = np.maximum(bend, np.sum(self.normals * bent[..., None], axis=0))
         if self.are_triangles:
             return self.sag + bend / 8

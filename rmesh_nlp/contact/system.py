@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from rmesh_nlp.contact.factorisation import Condensed, Solve, factorised, factorised_lu
@@ -283,11 +284,25 @@ def _contact_basis(system: ContactSystem) -> tuple[sp.csc_array, Index, Index]:
         scale[places] = 1 / rows.data
         return sp.csc_array(sp.diags_array(scale)), normal, tangent
     # the rows that share displacements, mostly those of one node, are few
-    inverse = sp.csr_array(splu(sp.csc_array(rows[:, places])).solve(np.eye(places.size)))
+    inverse = _inverse(sp.csc_array(rows[:, places]))
     blocks = [[inverse, -inverse @ rows[:, rest]], [None, sp.eye_array(rest.size)]]
     basis = sp.block_array(blocks, format="coo")
     where = order[basis.row], order[basis.col]
     return sp.csc_array((basis.data, where), shape=basis.shape), normal, tangent
+
+
+def _inverse(matrix: sp.csc_array) -> sp.csr_array:
+    """The inverse of a matrix that is block diagonal up to the order of its unknowns, with small blocks."""
+    _, block = connected_components(matrix, directed=False)
+    order = np.argsort(block, kind="stable")
+    first = np.searchsorted(block[order], block)
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+    own = place - first  # which one of its block each unknown is
+    columns = splu(matrix).solve(np.eye(int(np.max(own)) + 1)[own])
+    row, which = np.nonzero(columns)
+    column = order[first[row] + which]
+    return sp.csr_array((columns[row, which], (row, column)), shape=matrix.shape)
 
 
 def _places(rows: sp.csr_array, taken: Mask) -> Index:

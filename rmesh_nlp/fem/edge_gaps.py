@@ -70,7 +70,9 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
     first = problem.at_design()  # foundations that depend on a design: as they are at the start
     body = Body(first, problem.mesh.p)
     chosen = tuple(
-        replace(obstacle, gap="edge") if obstacle.gap != "edge" and _rises(body, at_start) else obstacle
+        replace(obstacle, gap="edge")
+        if obstacle.gap != "edge" and not obstacle.other and _rises(body, at_start)
+        else obstacle
         for obstacle, at_start in zip(problem.obstacles, first.obstacles, strict=True)
     )
     return problem if chosen == problem.obstacles else replace(problem, obstacle=chosen)
@@ -96,7 +98,7 @@ def _largest(body: Body, obstacle: Obstacle) -> tuple[float, float]:
 
 def holds_along_edges(problem: ContactProblem, obstacle: Obstacle) -> bool:
     """Whether gaps of an obstacle hold along edges: where that is asked for, and where the body is curved."""
-    if obstacle.gap == "edge" or isinstance(obstacle.boundary, Place):
+    if obstacle.gap == "edge" or obstacle.other or isinstance(obstacle.boundary, Place):
         return obstacle.gap == "edge"
     return any(number >= 0 for number, _ in problem.edges_by_curve(obstacle.boundary))
 

@@ -161,24 +161,30 @@ class DisplacementSpace:
     @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
         """Per obstacle the nodes whose gap depends on an unknown, and the rows of their gaps among all."""
-        sets, first = [], 0
-        for part in self.problem.contact_sets:
-            nodes = part.nodes
-            if self.order == 2:
-                nodes = np.append(nodes, self._met_at_edges(part.number))
-            sets.append(self.problem.contact_set(part.number, nodes, first, self.n_nodes))
-            first += nodes.size
-        return tuple(sets)
+        problem, parts = self.problem, self.problem.contact_sets
+        if self.order == 1:
+            return parts
+        nodes = [np.append(part.nodes, self._at_edges(part.obstacle)) for part in parts]
+        partners = [self._with_edge_partners(part) for part in parts]
+        return problem.sets_among(nodes, partners, self.points(problem.mesh.p), self.given()[0])
 
-    def _met_at_edges(self, number: int) -> Index:
-        mesh, obstacle = self.problem.mesh, self.problem.first_obstacles[number]
+    def _at_edges(self, obstacle: Obstacle) -> Index:
+        """Nodes at the edges of a contact set."""
+        mesh = self.problem.mesh
         if isinstance(obstacle.boundary, Place):
-            facets = np.arange(mesh.facets.shape[1])
-        else:
-            facets = np.unique(mesh.boundaries[obstacle.boundary])
-        nodes = self.n_vertices + facets
-        normals = obstacle.normals(self.points(mesh.p)[:, nodes])
-        return self.problem.met(number, nodes, self.given()[0], normals)
+            return self.n_vertices + np.arange(mesh.facets.shape[1])
+        return self.n_vertices + np.unique(mesh.boundaries[obstacle.boundary])
+
+    def _with_edge_partners(self, part: ContactSet) -> Index | None:
+        """(nodes,) the partners of a contact set, those at edges included."""
+        if part.partner is None:
+            return None
+        if not part.obstacle.other:  # a tool, which comes after the nodes
+            return np.full(self.n_nodes, part.partner[0] + self.n_nodes - self.n_vertices)
+        at_edges, result = self._at_edges(part.obstacle), np.full(self.n_nodes, -1)
+        ends = self.problem.mesh.facets[:, at_edges - self.n_vertices]
+        result[: self.n_vertices], result[at_edges] = part.partner, self.nodes_at(*part.partner[ends])
+        return result
 
     @cached_property
     def contact_nodes(self) -> Index:

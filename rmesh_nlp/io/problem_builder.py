@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
 from rmesh_nlp.errors import one_line
+from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io.problem_messages import outwards
 from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable
@@ -27,7 +31,7 @@ from rmesh_nlp.problem import (
     Traction,
     Units,
 )
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.conditions import symmetric
 
 
@@ -89,13 +93,25 @@ def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
 def _mesh(table: ProblemTable) -> MeshTri:
     """The mesh with all its names."""
     with table.source.at("mesh", *table.mesh.given("file")):
-        mesh = table.mesh.made(table.source.path.parent)
+        pairs = [contact.pair for contact in table.contact if contact.pair]
+        mesh = table.mesh.made(table.source.path.parent, pairs)
+    inside = {contact.interface for contact in table.contact}
     for kind, conditions in (("boundaries", table.boundaries), ("subdomains", table.subdomains)):
         for name, condition in conditions.items():
             with table.source.at(kind, name):
-                mesh = named(
-                    mesh, **{kind: {name: lambda p, c=condition: on_points(c, p, "the condition") > 0.5}}
-                )
+
+                def holds(p: Array, c: Coefficient = condition) -> Mask:
+                    return on_points(c, p, "the condition") > 0.5
+
+                of: Any = holds
+                if (
+                    kind == "boundaries" and name in inside
+                ):  # edges of which both ends and the middle are on it
+                    ends = mesh.p[:, mesh.facets]
+                    of = mesh.facets[
+                        :, np.all([*map(holds, (*ends.transpose(1, 0, 2), ends.mean(axis=1)))], 0)
+                    ].T
+                mesh = named(mesh, **{kind: {name: of}})
     return mesh
 
 

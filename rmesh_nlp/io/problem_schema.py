@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from inspect import Parameter, signature
@@ -91,6 +91,8 @@ FOUNDATIONS: Mapping[str, tuple[Callable[..., Obstacle], str]] = {
     "height": (Obstacle.graph, "height"),
     "points": (Obstacle.graph, "height"),
     "offset": (Obstacle, "offset"),
+    "pair": (Obstacle.pair, "first"),
+    "interface": (Obstacle.interface, "name"),
 }
 """Keys of a contact that say where the foundation is: what makes it, and the argument that the key is; empty
 for a table of arguments."""
@@ -200,13 +202,13 @@ class MeshTable(FileTable):
     file: Text | None = None
     shape: Literal[tuple(SHAPES)] | None = None  # type: ignore[valid-type]
 
-    def made(self, folder: Path) -> MeshTri:
-        """The mesh; its file is relative to a folder."""
+    def made(self, folder: Path, pairs: Collection[tuple[str, str]] = ()) -> MeshTri:
+        """The mesh; its file is relative to a folder, the nodes of pairs of boundaries are not merged."""
         if self.shape is not None:
             return call(f"the shape {self.shape!r}", [SHAPES[self.shape]], self.entries("shape"))
 
         def read(file: str) -> MeshTri:
-            return read_mesh(folder / file)
+            return read_mesh(folder / file, pairs)
 
         return call("a mesh from a file", [read], self.entries())
 
@@ -237,10 +239,13 @@ class CircleTable(FileTable):
 
 
 class ContactTable(FileTable):
-    """``[contact]`` or each ``[[contact]]``: on a boundary, or above an obstacle in the interior."""
+    """``[contact]`` or each ``[[contact]]``: on or between boundaries, or above an obstacle inside."""
 
-    either = ("boundary", "interior")
+    either = ("boundary", "interior", "pair", "interface")
     boundary: Text | None = None
+    pair: tuple[Text, Text] | None = None
+    interface: Text | None = None
+    interference: Scalar | None = None
     offset: Scalar | None = None
     normal: Pair | None = None
     line: LineTable | None = None
@@ -263,6 +268,8 @@ class ContactTable(FileTable):
             raise ValueError(f"expected one way to say where the obstacle is, got {' and '.join(kinds)}")
         if self.normal is not None and kinds not in ([], ["offset"]):
             raise ValueError("expected normal only together with offset")
+        if self.interference is not None and not self.given("pair", "interface"):
+            raise ValueError("expected interference only together with pair or interface")
         if self.interior is not None and self.given(*FORCES):
             raise ValueError("friction needs contact on a boundary")
         return self
@@ -275,6 +282,8 @@ class ContactTable(FileTable):
         value = getattr(self, kind)
         if isinstance(value, FileTable):
             given |= value.entries()
+        elif kind == "pair":
+            given["first"], given["second"] = value
         elif value is not None:
             given[argument] = value
         if kind == "offset":

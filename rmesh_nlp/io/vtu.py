@@ -59,7 +59,7 @@ def state_of(
         points = nodes[:, which]
         pressing = on_points(obstacle.coulomb, points) * np.maximum(pressure[which], 0.0)
         bound[which] = on_points(obstacle.friction, points) + pressing
-        along = np.sum(obstacle.normals(points) * u[:, which], axis=0)
+        along = np.sum(obstacle.normals(points) * part.relative(u)[:, which], axis=0)
         # of two foundations that a node may meet the nearer one
         gap[which] = np.fmin(gap[which], along + obstacle.distances(points))
         if obstacle.boundary is Place.INTERIOR:

@@ -129,8 +129,14 @@ class MeshMap:
             parameters.offset[number, nodes] = curve.nearest(mesh.p[:, nodes])
             parameters.index[number, inner] = index[0, inner]
             parameters.scale[number, inner] = scale[0, inner]
-        for node, leader in problem.motion.tied:
+        for node, leader in problem.tied:
             index[:, node], scale[:, node] = index[:, leader], scale[:, leader]
+            which[:, node] = which[:, leader]
+            if which[0, leader] != NONE:  # of a pair on a circle, which is a curve of both boundaries
+                offset[:, node] = offset[:, leader]
+                parameters.index[along[node], node] = index[0, leader]
+                parameters.scale[along[node], node] = scale[0, leader]
+                parameters.offset[along[node], node] = offset[0, leader]
         positions = Field(index, scale, offset)
         if curves:
             bends = Bends(which, tuple(f for curve in curves for f in curve.functions))
@@ -211,7 +217,11 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
         mobility[problem.boundary_nodes(names)] = mobile
     for places, mobile in rules:  # that for a node overrides those for its boundaries
         mobility[[place for place in places if isinstance(place, int)]] = mobile
-    tied = {node for node, _ in motion.tied}
+    for partner in problem.partners:  # what stops one node of a pair stops both
+        own = np.zeros(0, int) if partner is None else np.flatnonzero(partner >= 0)
+        both = np.stack([own, own if partner is None else partner[own]])
+        mobility[both] = np.min(mobility[both], axis=0)
+    tied = {node for node, _ in problem.tied}
     for still, what in ((held, "held at a function of position"), (loaded, "under a point load")):
         moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]
         if moved:  # its given value or load would not follow, or would go along

@@ -8,7 +8,7 @@ that is wrong is a ValueError. Names of boundaries may overlap (a load on a part
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ def from_arrays(
     triangles: ArrayLike,
     boundaries: ByName | None = None,
     subdomains: ByName | None = None,
+    pairs: Collection[tuple[str, str]] = (),
 ) -> MeshTri:
     """A mesh from ``nodes`` (nodes, 2) and ``triangles`` (elements, 3).
 
@@ -41,6 +42,8 @@ def from_arrays(
         Names of edges, each an (edges, 2) array of node numbers or a predicate of the edge
         midpoints ``x`` (2, edges) of the outer boundary; names of triangles, each an array of
         numbers or a predicate of their midpoints.
+    pairs : tuples of two names, optional
+        Boundaries, given by node numbers, whose nodes may be at the same places and stay two each.
 
     Raises
     ------
@@ -49,7 +52,9 @@ def from_arrays(
         missing or repeated node, no area, or covers another, a node hangs on an edge, or a name is empty.
     """
     p, t = _checked(np.array(nodes, dtype=float), np.array(triangles))
-    p, t, number = _without_duplicates(p, t)
+    p, t, number = _without_duplicates(
+        p, t, [[(boundaries or {}).get(n, ()) for n in both] for both in pairs]
+    )
     used = np.unique(t)
     if used.size < p.shape[1]:
         _warn(f"dropped {p.shape[1] - used.size} nodes that belong to no triangle")
@@ -92,10 +97,13 @@ def _checked(p: NDArray, t: NDArray) -> tuple[NDArray, Index]:
     return p.T, t.astype(np.int64).T
 
 
-def _without_duplicates(p: NDArray, t: Index) -> tuple[NDArray, Index, Index]:
-    """Nodes at one place merged; also the new number of each old node."""
+def _without_duplicates(p: NDArray, t: Index, apart: list[list[Any]]) -> tuple[NDArray, Index, Index]:
+    """Nodes at one place merged, but for those of two boundaries apart; also the new number of each node."""
     pairs = cKDTree(p.T).query_pairs(ROUNDING * largest_side(p), output_type="ndarray")
     number = np.arange(p.shape[1])
+    for first, second in apart:
+        on = [np.isin(pairs, np.ravel(each)) for each in (first, second)]
+        pairs = pairs[~np.any(on[0] & on[1][:, ::-1], axis=1)]
     for a, b in pairs[np.argsort(pairs[:, 1])]:
         number[b] = number[a]
     merged = np.unique(number)

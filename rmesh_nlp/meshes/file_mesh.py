@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from types import EllipsisType
 from typing import NamedTuple
 
@@ -66,11 +66,12 @@ def positions(tags: NDArray) -> Callable[[NDArray], Index]:
     return found
 
 
-def triangulated(file: FileMesh) -> MeshTri:
+def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> MeshTri:
     """The triangles of a plane mesh, with its groups of edges and of faces as names.
 
     Quadrilaterals are cut, nodes between corners dropped, planes other than x-y turned; a
-    :class:`MeshRepairWarning` says so. A set of nodes names the outer edges between them.
+    :class:`MeshRepairWarning` says so. A set of nodes names the outer edges between them. Nodes of the
+    two boundaries of ``pairs`` stay apart.
 
     Raises
     ------
@@ -121,7 +122,8 @@ def triangulated(file: FileMesh) -> MeshTri:
         warnings.warn("; ".join(said), MeshRepairWarning, stacklevel=4)
     keep = np.isin(np.arange(len(p)), drop, invert=True)
     new = np.cumsum(keep) - 1
-    return from_arrays(p[keep], new[t[kept]], {n: new[ends] for n, ends in boundaries.items()}, subdomains)
+    boundaries = {name: new[ends] for name, ends in boundaries.items()}
+    return from_arrays(p[keep], new[t[kept]], boundaries, subdomains, pairs)
 
 
 def _plane(points: Array, corners: Index) -> tuple[Array, list[str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import warnings
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 import meshio
@@ -88,13 +88,14 @@ CORNERS = {
 """Kinds of cells of meshio that can be used, and their corners."""
 
 
-def read_mesh(path: str | Path) -> MeshTri:
+def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> MeshTri:
     """A mesh from a file of gmsh, Abaqus or CalculiX, or any other that meshio reads.
 
     Physical groups, sets of elements, surfaces and reference numbers become names; a set of nodes (``*NSET``)
     names the outer edges between them. A group without a name is called ``boundary-<number>``
     or ``subdomain-<number>``. Quadrilaterals are cut into triangles, nodes between corners dropped, other
-    planes turned into the x-y plane; a :class:`MeshRepairWarning` says so.
+    planes turned into the x-y plane; a :class:`MeshRepairWarning` says so. Nodes at one place are merged, but
+    for those of two boundaries of ``pairs``.
 
     Raises
     ------
@@ -108,16 +109,16 @@ def read_mesh(path: str | Path) -> MeshTri:
     data = path.read_bytes() if kind == "gmsh" else b""
     with located(path):
         if kind == "abaqus":
-            return triangulated(read_inp(path))
+            return triangulated(read_inp(path), pairs)
         if data.split(maxsplit=2)[1:2] == [b"4.1"]:
-            return triangulated(read_msh(data))
+            return triangulated(read_msh(data), pairs)
     file = read_file(path, kind)
     if any(key.startswith("skfem:") for key in file.cell_data):
         mesh = MeshTri.load(path)  # scikit-fem's own way to keep names
         edges = {name: mesh.facets[:, facets].T for name, facets in (mesh.boundaries or {}).items()}
-        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains)
+        return from_arrays(mesh.p.T, counter_clockwise(mesh.p, mesh.t).T, edges, mesh.subdomains, pairs)
     with located(path):
-        return triangulated(_of_meshio(file, physical_names(data)))
+        return triangulated(_of_meshio(file, physical_names(data)), pairs)
 
 
 def _of_meshio(file: meshio.Mesh, names: Mapping[tuple[int, int], str]) -> FileMesh:

@@ -112,6 +112,8 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     budget = budget or Budget()
     if first.problem.has_coulomb:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
+    if first.problem.pairs:
+        raise BadInputError("a new mesh by Mmg does not keep the nodes of pairs of boundaries together")
     budget.check()
     current, ratio, off, done = first, float("nan"), sagitta(first.problem), list[Solved]()
     for _ in range(ROUNDS):

@@ -58,6 +58,17 @@ def _check_mesh(problem: ProblemData) -> None:
         raise ProblemError("mesh", wrong)
 
 
+def check_pairs(problem: ProblemData) -> None:
+    """Raise a ProblemError if a pair of boundaries is not there, or is of a problem that has none."""
+    if problem.pairs:
+        check_names(problem)
+    for number, obstacle in enumerate(problem.obstacles):
+        if obstacle.other and (problem.components == 1 or problem.shapes or obstacle.gap == "edge"):
+            reason = "needs an elastic body" if problem.components == 1 else "takes no gap along edges"
+            reason = "cannot be moved by the shape of a design" if problem.shapes else reason
+            raise ProblemError(("contact", number), f"a pair of boundaries {reason}")
+
+
 def check_names(problem: ProblemData) -> None:
     """Raise a ProblemError if a part of the problem names a boundary that the mesh has not."""
     if not problem.dirichlet and not problem.obstacles:
@@ -71,6 +82,7 @@ def check_names(problem: ProblemData) -> None:
         *((name, ("curves", name)) for name in motion.curves),
         *((place, ("motion", rule)) for rule in RULES for place in getattr(motion, rule)),
         *((place, ("contact", number, "boundary")) for number, place in enumerate(places)),
+        *((one.other or one.boundary, ("contact", number)) for number, one in enumerate(problem.obstacles)),
     ]
     for name, place in used:
         if isinstance(name, str) and members_of("boundary", name, problem.mesh.boundaries, place).size == 0:
@@ -198,7 +210,8 @@ def _check_friction(problem: ProblemData) -> None:
             continue
         nodes = part.nodes
         oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > ROUNDING, axis=0)
-        for node in nodes[np.any(held[:, nodes] & (oblique | (value[:, nodes] != 0)), axis=0)]:
+        wrong = [np.any(held[:, at] & (oblique | (value[:, at] != 0)), axis=0) for at in part.carriers]
+        for node in nodes[np.any(wrong, axis=0)]:
             raise ProblemError(
                 ("contact", part.number, "friction"),
                 f"contact node {node} has friction and one given displacement component: with friction it "

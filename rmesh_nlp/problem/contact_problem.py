@@ -18,7 +18,7 @@ from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
-from rmesh_nlp.problem.checks import check, check_names
+from rmesh_nlp.problem.checks import check, check_names, check_pairs
 from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
@@ -26,6 +26,7 @@ from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.lines import harmonic_motions, onto_curves, onto_lines
 from rmesh_nlp.problem.motion import RULES, Motion, Relative
 from rmesh_nlp.problem.obstacle import Obstacle
+from rmesh_nlp.problem.pairs import edges_of_pair, paired
 from rmesh_nlp.problem.units import after
 
 KINDS: dict[str, tuple[tuple[type, ...], str]] = {
@@ -102,6 +103,12 @@ class ContactProblem(Shown, ProblemData):
                 raise ProblemError(name, f"{name} must be {what}, got {wrong[0] if wrong else given!r}")
             if not needed:
                 object.__setattr__(self, name, every)
+        check_pairs(self)
+        mesh, obstacles, curves = paired(self.mesh, self.obstacles, self.motion.curves)
+        if obstacles != self.obstacles or mesh is not self.mesh:
+            object.__setattr__(self, "mesh", mesh)
+            object.__setattr__(self, "obstacle", obstacles)
+            object.__setattr__(self, "motion", replace(self.motion, curves=curves))
         if self.design:
             self._check_design()
         else:
@@ -124,7 +131,8 @@ class ContactProblem(Shown, ProblemData):
                 said = f"the displacement given on {support.boundary!r} cannot depend on {used[0]!r}"
                 raise ProblemError(("dirichlet", support.boundary), said)
         for obstacle in self.obstacles:
-            if obstacle.boundary in self.motion.curves and (used := names_in(obstacle)):
+            on_arcs = obstacle.boundary in self.motion.curves and not obstacle.other
+            if on_arcs and (used := names_in(obstacle)):
                 said = f"gaps hold along the arcs of {obstacle.boundary!r}, where no foundation can depend"
                 raise ProblemError("design", f"{said} on a design variable yet, as {used[0]!r} does")
         check_names(self)
@@ -223,16 +231,28 @@ def refined(problem: ContactProblem, *, mesh: MeshTri | None = None) -> ContactP
 
 
 def locally_refined(problem: ContactProblem, elements: NDArray) -> ContactProblem:
-    """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers."""
-    old = problem.mesh
-    new = replace(old, _boundaries=None).refined(np.asarray(elements))
-    (a, b), (c, d) = old.facets, new.facets
-    n = np.int64(new.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
-    whole = np.isin(a * n + b, c * n + d)
-    middle = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2)[1]
+    """The problem with some triangles refined, and what neighbours need; old nodes keep their numbers.
+
+    The edges of a pair are halved on both sides or on none.
+    """
+    old, (a, b), chosen = problem.mesh, problem.mesh.facets, np.unique(elements)
+    sides = [edges_of_pair(old, *names) for names in problem.pairs]
+    while True:
+        new = replace(old, _boundaries=None).refined(chosen)
+        c, d = new.facets
+        n = np.int64(new.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
+        whole = np.isin(a * n + b, c * n + d)
+        uneven = np.hstack([np.zeros(0, int), *(both[whole[both] & ~whole[both[::-1]]] for both in sides)])
+        if uneven.size == 0:
+            break
+        chosen = np.union1d(chosen, old.f2t[0, uneven])
+    near = cKDTree(new.p.T).query((old.p[:, a] + old.p[:, b]).T / 2, k=2)[1].T  # of a pair both are there
+    is_first = np.isin(np.minimum(a, near[0]) * n + np.maximum(a, near[0]), c * n + d)
+    middle = np.where(is_first, *near)
     pieces = np.where(whole, [a, b, a, b], [a, middle, middle, b])
     boundaries = {name: pieces[:, facets].T.reshape(-1, 2) for name, facets in (old.boundaries or {}).items()}
-    mesh = from_arrays(new.p.T, counter_clockwise(new.p, new.t).T, boundaries, new.subdomains)
+    triangles = counter_clockwise(new.p, new.t).T
+    mesh = from_arrays(new.p.T, triangles, boundaries, new.subdomains, pairs=problem.pairs)
     return on_mesh(problem, mesh, problem.motion)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -19,6 +19,7 @@ from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_desig
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
 from rmesh_nlp.problem.obstacle import NO_CONTACT, Obstacle, Place
+from rmesh_nlp.problem.pairs import matched
 from rmesh_nlp.problem.quadrature import exact_rule
 from rmesh_nlp.problem.switches import HIGH, polynomial_degree
 from rmesh_nlp.problem.units import NO_UNITS, Units
@@ -33,7 +34,9 @@ class ContactSet:
 
     Of a problem they are vertices, of a displacement space its nodes. A gap is where its node is; it depends
     on the sum of the displacements of its ``carriers`` (nodes, gaps) times ``factors`` (nodes,): its own, and
-    further ones where ``others`` has them, each a factor and as many nodes.
+    further ones where ``others`` has them, each a factor and as many nodes. ``partner`` (all nodes,) is what
+    nodes meet if it is no foundation at rest: of a pair the node of the second boundary at each one of the
+    first, itself at the end of a crack, -1 elsewhere; a tool, which comes after the nodes.
     """
 
     number: int
@@ -41,15 +44,19 @@ class ContactSet:
     nodes: Index
     rows: Index
     others: tuple[tuple[float, Index], ...] = ()
+    partner: Index | None = None
+
+    def relative(self, values: Array) -> Array:
+        """Values (..., nodes), less those of the partner where a node has one."""
+        if self.partner is None:
+            return values
+        own = values[..., : self.partner.size]
+        return own - np.where(self.partner >= 0, values[..., self.partner], 0.0)
 
     @property
     def carriers(self) -> Index:
         """(nodes, gaps) the nodes that each gap depends on, its own first."""
         return np.stack([self.nodes, *(nodes for _, nodes in self.others)])
-
-    def relative(self, displacement: Array) -> Array:
-        """A displacement (components, nodes) less that of the tool, if the foundation is one."""
-        return displacement + sum(factor * displacement[:, nodes[:1]] for factor, nodes in self.others)
 
     @property
     def factors(self) -> Array:
@@ -248,28 +255,62 @@ class ProblemData:
         moves = np.array([self.obstacles[number].moves for number in self.tools], dtype=bool)
         return ~moves.reshape(-1, self.components).T
 
-    def contact_set(self, number: int, nodes: Index, first_row: int, first_tool: int) -> ContactSet:
-        """That of an obstacle with rows from ``first_row``, the tools being nodes from ``first_tool``."""
-        tools = [first_tool + k for k, tool in enumerate(self.tools) if tool == number]
-        others = tuple((-1.0, np.full(nodes.size, tool)) for tool in tools)
-        return ContactSet(number, self.obstacles[number], nodes, first_row + np.arange(nodes.size), others)
-
-    def met(self, number: int, nodes: Index, held: Mask, normals: Array) -> Index:
-        """Those of some nodes whose gap depends on a displacement that is not given."""
-        moves = np.array(self.obstacles[number].moves)[:, None]
-        return nodes[np.any((~held[:, nodes] | moves) & (np.abs(normals) > ROUNDING), axis=0)]
-
     @cached_property
     def contact_sets(self) -> tuple[ContactSet, ...]:
         """Per obstacle the vertices whose gap depends on a displacement that is not given."""
-        held, _ = self.held
+        nodes = [self.nodes_of(obstacle) for obstacle in self.obstacles]
+        held = np.hstack([self.held[0], self.tools_held])
+        return self.sets_among(nodes, self.partners, self.mesh.p, held)
+
+    @cached_property
+    def partners(self) -> tuple[Index | None, ...]:
+        """What the vertices meet on each obstacle, see :class:`ContactSet`."""
+        result: list[Index | None] = []
+        for number, obstacle in enumerate(self.obstacles):
+            partner = None
+            if isinstance(obstacle.boundary, str) and obstacle.other:
+                partner = np.full(self.mesh.p.shape[1], -1)
+                own, others = matched(self.mesh, obstacle.boundary, obstacle.other, ("contact", number))
+                partner[own] = others
+            elif number in self.tools:
+                n = self.mesh.p.shape[1]
+                partner = np.full(n, n + self.tools.index(number))
+            result.append(partner)
+        return tuple(result)
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """The names of the two boundaries of each pair."""
+        return tuple((str(one.boundary), one.other) for one in self.obstacles if one.other)
+
+    @property
+    def tied(self) -> tuple[tuple[int, int], ...]:
+        """(node, leader) of nodes that move alike: those of the motion, and the two nodes of each pair."""
+        pairs = [
+            p for p, one in zip(self.partners, self.obstacles, strict=True) if p is not None and one.other
+        ]
+        of_pairs = [(int(p[node]), int(node)) for p in pairs for node in np.flatnonzero(p >= 0)]
+        return (*self.motion.tied, *((node, leader) for node, leader in of_pairs if node != leader))
+
+    def sets_among(
+        self, nodes: Sequence[Index], partners: Sequence[Index | None], points: Array, held: Mask
+    ) -> tuple[ContactSet, ...]:
+        """Per obstacle those of its ``nodes`` whose gap depends on a displacement that is not given.
+
+        ``points`` (2, nodes) are all nodes, ``held`` (components, nodes and tools) says which components are
+        given.
+        """
         sets, first = [], 0
         for number, obstacle in enumerate(self.obstacles):
-            nodes = self.nodes_of(obstacle)
-            normals = self.first_obstacles[number].normals(self.mesh.p[:, nodes])
-            nodes = self.met(number, nodes, held, normals).astype(np.int64)
-            sets.append(self.contact_set(number, nodes, first, held.shape[1]))
-            first += nodes.size
+            own, partner = nodes[number], partners[number]
+            free = ~held[:, own]
+            if partner is not None:
+                free = (free | ~held[:, partner[own]]) & (partner[own] != own)
+            seen = np.abs(self.first_obstacles[number].normals(points[:, own])) > ROUNDING
+            own = own[np.any(free & seen, axis=0)].astype(np.int64)
+            others = () if partner is None else ((-1.0, partner[own]),)
+            sets.append(ContactSet(number, obstacle, own, first + np.arange(own.size), others, partner))
+            first += own.size
         return tuple(sets)
 
     def given_gaps(self, contact: ContactSet) -> tuple[Index, Array, float]:
@@ -277,10 +318,11 @@ class ProblemData:
         obstacle = self.first_obstacles[contact.number]
         nodes = np.setdiff1d(self.nodes_of(obstacle), contact.nodes)
         where, (held, value) = self.mesh.p[:, nodes], self.held
+        given = contact.relative(np.pad(np.where(held, value, 0.0), ((0, 0), (0, len(self.tools)))))
         if nodes.size == 0:
             return nodes, np.zeros(0), 1e-300
         distance = obstacle.distances(where)
-        along = np.sum(obstacle.normals(where) * np.where(held, value, 0.0)[:, nodes], axis=0)
+        along = np.sum(obstacle.normals(where) * given[:, nodes], axis=0)
         size = max(1e-300, magnitude(distance), magnitude(along))
         return nodes, distance + along, size
 

@@ -1,4 +1,4 @@
-"""Contact sets: a boundary part over a rigid foundation, or an obstacle below a membrane."""
+"""Contact sets: a boundary over a rigid foundation or another boundary, or an obstacle below a membrane."""
 
 from __future__ import annotations
 
@@ -98,6 +98,8 @@ class Obstacle:
         Along which coordinates a force moves it; by default those along which the force acts.
     displacement : tuple of float, optional
         Given displacement of the foundation, in units of length, in the place of a force.
+    other : str
+        The boundary that is met in the place of a rigid foundation, see :meth:`pair`; none by default.
     """
 
     boundary: str | Place
@@ -111,6 +113,7 @@ class Obstacle:
     force: tuple[float, ...] | None = None
     move: str | None = None
     displacement: tuple[float, ...] | None = None
+    other: str = ""
 
     def __post_init__(self) -> None:
         if isinstance(self.offset, PiecewiseLinear) and not self.kinks:
@@ -209,7 +212,40 @@ class Obstacle:
         is_place = len(pair) == 2 and is_finite([value for value in pair if is_number(value)])
         require(is_place, "centre", "be finite", centre)
         sign = -1.0 if inside else 1.0
-        return cls.curve(boundary, partial(_off_circle, centre, radius, sign), friction, coulomb)
+        return cls.curve(boundary, partial(off_circle, centre, radius, sign), friction, coulomb)
+
+    @classmethod
+    def pair(
+        cls,
+        first: str,
+        second: str,
+        interference: Coefficient = 0.0,
+        friction: Coefficient = 0.0,
+        coulomb: Coefficient = 0.0,
+    ) -> Obstacle:
+        """Two boundaries with nodes at the same places, of two bodies or of one.
+
+        The gap is ``normal^T (u_first - u_second) - interference``, the normal from the second boundary to
+        the first, of a straight line or of a circle among the curves of the motion. The interference is in
+        units of length; a negative one is a gap. Relocation moves both nodes of a pair alike.
+        """
+        gap = partial(_minus, interference) if callable(interference) else -interference
+        return cls(first, offset=gap, friction=friction, coulomb=coulomb, other=second)
+
+    @classmethod
+    def interface(
+        cls,
+        name: str,
+        interference: Coefficient = 0.0,
+        friction: Coefficient = 0.0,
+        coulomb: Coefficient = 0.0,
+    ) -> Obstacle:
+        """A named line inside the mesh that may open, with two nodes in the place of each.
+
+        Its ends inside the body stay closed, those on the boundary open. The first side of the pair that it
+        becomes is the upper one, the right one of a vertical line, and the outer one of a circle.
+        """
+        return cls.pair(name, name, interference, friction, coulomb)
 
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
@@ -219,6 +255,7 @@ class Obstacle:
     def in_words(self) -> str:
         """Where contact is, along which normal and with which friction."""
         where = "in the interior" if self.boundary is Place.INTERIOR else f"on {self.boundary}"
+        where += f" and {self.other}" if self.other else ""
         normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
         if self.level is not None:
             normal = "the normal of the curve at each undeformed node"
@@ -243,7 +280,7 @@ class Obstacle:
 
     def distance(self, x: Expression, y: Expression) -> Expression:
         """The gap without displacement of the body at a point."""
-        if self.level is None:
+        if self.level is None or self.other:
             gap = at(self.offset, x, y)
         else:
             gap = at(self.level, x, y) / ca.norm_2(_gradient(self.level)(x, y))
@@ -284,7 +321,7 @@ class Obstacle:
         Along the contact normal; on a curve as far as its level function says.
         """
         feet = points - self.normals(points) * self.distances(points)
-        for _ in range(FOOT_STEPS if self.level is not None else 0):
+        for _ in range(FOOT_STEPS if self.level is not None and not self.other else 0):
             feet = feet - self.normals(feet) * self.distances(feet)
         return feet
 
@@ -327,9 +364,10 @@ def _above(height: Coefficient, x: Expression, y: Expression) -> Expression:
     return y - at(height, x, y)
 
 
-def _off_circle(
+def off_circle(
     centre: Centre, radius: float | ca.SX, sign: float, x: Expression, y: Expression
 ) -> Expression:
+    """Distance from a circle, negative on the other side of it; outside is positive for a sign of 1."""
     return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
 
 

@@ -83,5 +83,5 @@ def seen_by_contact(problem: ProblemData, motions: Array) -> Array:
     rows = [np.zeros((0, len(motions)))]
     for part in problem.contact_sets:
         normals = problem.first_obstacles[part.number].normals(problem.mesh.p[:, part.nodes])
-        rows.append(np.einsum("cn,mckn,k->nm", normals, motions[:, :, part.carriers], part.factors))
+        rows.append(np.einsum("cn,mcn->nm", normals, part.relative(motions)[:, :, part.nodes]))
     return np.vstack(rows)

@@ -1,0 +1,231 @@
+"""Two bodies, or the two sides of an interface, that touch at pairs of nodes."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skfem import MeshTri
+
+import rmesh_nlp as rm
+from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.fem.objective_text import parse_objective
+from rmesh_nlp.io.export import write_mesh
+from rmesh_nlp.io.problem_file import load_problem
+from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.meshes.curves import Circle
+from rmesh_nlp.models.reduced_model import ReducedObjective
+from rmesh_nlp.problem import locally_refined
+from rmesh_nlp.solving.outer import Outer
+from support.bodies import STEEL, pressed, stacked
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("count", [2, 3])
+def test_uniform_pressure_passes_through_blocks_exactly(order: int, count: int) -> None:
+    problem = pressed(stacked(count), order=order)
+    solution = rm.solve(problem, "fixed")
+    assert solution.status.value == "converged"
+    strain = 5.0 / 1000 * np.array([0.3 * 1.3, -(1 - 0.09)])
+    u, p = solution.displacement, problem.mesh.p
+    np.testing.assert_allclose(u[:, : p.shape[1]], strain[:, None] * p, atol=1e-12 * np.max(np.abs(u)))
+    assert solution.energy_audited == pytest.approx(-0.5 * 5 * 2 * count * 5 / 1000 * 0.91, rel=1e-12)
+    for k in range(1, count):
+        contact = solution.contact[f"bottom-{k}"]
+        assert contact["normal_force"] == pytest.approx(10, rel=1e-12)
+        assert contact["force_y"] == pytest.approx(10, rel=1e-12)
+        assert contact["peak_pressure"] == pytest.approx(5, rel=1e-12)
+
+
+def cracked(load: float, order: int) -> rm.ContactProblem:
+    """The square (-1, 1)^2 with an interface from (-0.5, 0) to the right side, pulled or pressed."""
+    grid = MeshTri.init_tensor(*2 * [np.linspace(-1, 1, 13)])
+    p = grid.p[:, grid.facets]
+    line = np.flatnonzero(np.all(np.isclose(p[1], 0) & (p[0] > -0.51), axis=0))
+    sides = {"low": lambda x: np.isclose(x[1], -1), "high": lambda x: np.isclose(x[1], 1)}
+    mesh = grid.with_boundaries(sides | {"joint": line})
+    pull, joint = rm.Traction("high", (0.0, load)), rm.Obstacle.interface("joint")
+    return rm.ContactProblem(mesh, STEEL, "low", joint, tractions=pull, order=order)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_interface_opens_but_for_its_end_inside_the_body(order: int) -> None:
+    problem = cracked(1.0, order)
+    assert problem.mesh.p.shape[1] == 13**2 + 9  # 10 nodes are on the line, one of them its end
+    solver = ContactSolver(problem)
+    (part,), u = solver.discretisation.space.contact_sets, solver.displacement.values(solver.given.u)
+    own, others = part.carriers[:, :9]
+    opening = (u[1, own] - u[1, others])[np.argsort(problem.mesh.p[0, own])]
+    assert np.all(np.diff(opening, prepend=0) > 0)
+
+
+def test_pressed_interface_without_friction_is_that_of_a_whole_body_where_it_would_not_slip() -> None:
+    grid = MeshTri.init_tensor(*2 * [np.linspace(0, 2, 5)])
+    sides = {"low": lambda x: np.isclose(x[1], 0), "high": lambda x: np.isclose(x[1], 2)}
+    line = np.flatnonzero(np.all(np.isclose(grid.p[1, grid.facets], 1), axis=0))
+    mesh = grid.with_boundaries(sides | {"joint": line, "left-0": lambda x: np.isclose(x[0], 0)})
+    load = rm.Traction("high", (0.0, -1.0))
+    rollers = rm.Dirichlet("low", (None, 0.0)), rm.Dirichlet("left-0", (0.0, None))
+    ends = [
+        rm.solve(rm.ContactProblem(mesh, STEEL, rollers, obstacle, tractions=load), "fixed").energy
+        for obstacle in (rm.Obstacle.interface("joint"), ())
+    ]
+    assert ends[0] == pytest.approx(ends[1], rel=1e-12)
+
+
+def test_nodes_that_do_not_coincide_are_refused_with_their_distance() -> None:
+    mesh = stacked()
+    p = np.array(mesh.p)
+    p[1, p.shape[1] // 2 :] += 0.01
+    apart = MeshTri(p, mesh.t).with_boundaries(mesh.boundaries)
+    with pytest.raises(ProblemError, match=r"the largest distance is 0\.01"):
+        pressed(apart)
+
+
+def test_nodes_of_a_pair_are_not_merged_and_all_others_are() -> None:
+    mesh = stacked()
+    arrays = mesh.p.T, mesh.t.T, {name: mesh.facets[:, f].T for name, f in mesh.boundaries.items()}
+    with pytest.warns(rm.meshes.MeshRepairWarning, match="merged 5 duplicate"):
+        assert from_arrays(*arrays).p.shape[1] == mesh.p.shape[1] - 5
+    assert from_arrays(*arrays, pairs=[("top-0", "bottom-1")]).p.shape == mesh.p.shape
+
+
+FRICTION = {"none": {}, "tresca": {"friction": 0.5}, "coulomb": {"coulomb": 0.3}}
+
+
+def bent(order: int = 2, **laws: Any) -> rm.ContactProblem:
+    """Two blocks under a pressure that falls to the right, so that a part of the pair opens."""
+    load = rm.Traction("top-1", (0.0, lambda x, y: -10 * (1.5 - x)))
+    given = "bottom-0", rm.Dirichlet("left-1", (0.0, None))
+    pair, motion = rm.Obstacle.pair("bottom-1", "top-0", **laws), rm.Motion(delta=rm.Relative(0.3))
+    return pressed(stacked(2, (6, 2)), pair, dirichlet=given, tractions=load, motion=motion, order=order)
+
+
+@pytest.mark.parametrize("kind", FRICTION)
+@pytest.mark.parametrize("order", [1, 2])
+def test_derivatives_along_moves_of_both_nodes(kind: str, order: int) -> None:
+    outer = Outer.of(bent(order, interference=lambda x, y: 1e-3 * x * (2 - x), **FRICTION[kind]))
+    rng = np.random.default_rng(2)
+    q, d = 0.3 * rng.uniform(-1, 1, outer.n), 1e-5 * rng.uniform(-1, 1, outer.n)
+    partner = outer.problem.partners[0]
+    own = np.flatnonzero(partner >= 0)
+    X = outer.nodes(q)
+    np.testing.assert_array_equal(X[:, own], X[:, partner[own]])
+    assert np.max(np.abs(X[0, own] - outer.problem.mesh.p[0, own])) > 0.01
+    function = outer.energy
+    if kind == "coulomb":
+        function = ReducedObjective(function, parse_objective("resultant(bottom-1)"))
+    change = (function(q + d).value - function(q - d).value) / 2
+    assert function(q).gradient @ d == pytest.approx(change, rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["none", "tresca"])
+def test_formulations_agree_on_relocated_pairs(kind: str) -> None:
+    ends = [rm.solve(bent(**FRICTION[kind]), name) for name in ("joint", "nested", "mpcc")]
+    energies = np.array([end.energy for end in ends])
+    assert {end.status.value for end in ends} == {"converged"}
+    assert np.ptp(energies) < 1e-6 * (ends[0].energy_initial - energies.min())
+    assert 0 < ends[0].contact["bottom-1"]["contact_length"] < 2
+
+
+def test_refinement_halves_the_edges_of_a_pair_on_both_sides() -> None:
+    problem = bent()
+    below = np.flatnonzero(np.any(problem.mesh.p[1, problem.mesh.t] > 0.99, axis=0))[:1]
+    finer = locally_refined(problem, below)
+    assert finer.mesh.p.shape[1] > problem.mesh.p.shape[1]
+    assert len(finer.contact_sets[0].nodes) > len(problem.contact_sets[0].nodes)
+
+
+def press_fit(order: int, n: int = 4) -> rm.ContactProblem:
+    """A quarter of two rings, radii 10, 20 and 30, with an interference of 0.0025 on the radius."""
+    grid = MeshTri.init_tensor(np.linspace(10, 30, 2 * n + 1), np.linspace(0, np.pi / 2, 3 * n + 1))
+    (r, t), inner = grid.p, grid.p[0, grid.t].mean(axis=0) < 20
+    on = {"x": (1, 0), "y": (1, np.pi / 2), "bore": (0, 10), "outside": (0, 30)}
+    names = {name: lambda p, a=a, v=v: np.isclose(p[a], v) for name, (a, v) in on.items()}
+    fit = np.flatnonzero(np.all(np.isclose(grid.p[0, grid.facets], 20), axis=0))
+    mesh = MeshTri(np.stack([r * np.cos(t), r * np.sin(t)]), grid.t)
+    facets = {name: grid.facets_satisfying(on, boundaries_only=True) for name, on in names.items()}
+    mesh = mesh.with_boundaries(facets | {"fit": fit}).with_subdomains({
+        "hub": np.flatnonzero(inner), "ring": np.flatnonzero(~inner)
+    })  # fmt: skip
+    curves = {name: Circle((0.0, 0.0), R) for name, R in (("bore", 10), ("fit", 20), ("outside", 30))}
+    steel = rm.PlaneStress.from_young(young=200e3, poisson=0.3)
+    given = rm.Dirichlet("x", (None, 0.0)), rm.Dirichlet("y", (0.0, None))
+    return rm.ContactProblem(
+        mesh,
+        {"hub": steel, "ring": steel},
+        given,
+        rm.Obstacle.interface("fit", interference=0.0025),
+        rm.Motion(curves=curves),
+        order=order,
+    )
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_press_fit_has_the_pressure_of_thick_rings(order: int) -> None:
+    solution = rm.solve(press_fit(order), "fixed")
+    # Lame: p (u_ring + u_hub) per unit pressure, (2.6 + 5/3) * 20 / E
+    lame = 0.0025 * 200e3 / (20 * (2.6 + 5 / 3))
+    mean = solution.contact["fit"]["normal_force"] / (10 * np.pi)
+    assert solution.status.value == "converged"
+    assert mean == pytest.approx(lame, rel={1: 0.02, 2: 0.005}[order])
+
+
+@pytest.mark.slow
+def test_crack_slips_as_in_a_large_plate() -> None:
+    # E = 25 GPa, compression 100 MPa at 20 degrees to the crack, friction angle 30 degrees; half-length 1
+    a, E, nu = np.radians(20), 25e3, 0.25
+    d, x = np.array([np.cos(a), np.sin(a)]), np.sin(np.linspace(-np.pi / 2, np.pi / 2, 25))
+    stress, away = -100 * np.outer(d, d), 1 + 13 * (np.arange(1, 9) / 8) ** 2.5
+    strain = (1 + nu) / E * (stress - nu * np.trace(stress) * np.eye(2))
+    y = np.cumsum(np.geomspace(0.04, 0.04 * 1.6**9, 10))
+    y = y / y[-1] * 14
+    grid = MeshTri.init_tensor(np.r_[-away[::-1], x, away], np.r_[-y[::-1], 0, y])
+    p = grid.p[:, grid.facets]
+    line = np.flatnonzero(np.all(np.isclose(p[1], 0) & (np.abs(p[0]) < 1 + 1e-9), axis=0))
+    mesh = grid.with_boundaries({"far": grid.boundary_facets(), "crack": line})
+    far = rm.Dirichlet("far", tuple(lambda x, y, e=e: e[0] * x + e[1] * y for e in strain))
+    friction = float(np.tan(np.radians(30)))
+    joint = rm.Obstacle.interface("crack", coulomb=friction)
+    law = rm.PlaneStrain.from_young(young=E, poisson=nu)
+    solver = ContactSolver(rm.ContactProblem(mesh, law, far, joint, order=2))
+    own, others = solver.discretisation.space.contact_sets[0].carriers[:, :23]
+    u = solver.displacement.values(solver.given.u)
+    slip = np.max(np.abs(u[0, own] - u[0, others]))
+    exact = 4 * (1 - nu**2) / E * 100 * np.sin(a) * (np.cos(a) - np.sin(a) * friction)
+    assert slip == pytest.approx(exact, rel=0.02)
+
+
+def test_files_have_pairs_and_interfaces(tmp_path: Path) -> None:
+    rest = 'material = { law = "plane-strain", young = 1000, poisson = 0.3 }\n'
+    write_mesh(stacked(), tmp_path / "two.msh")
+    (tmp_path / "two.toml").write_text(
+        rest + 'mesh = { file = "two.msh" }\ndirichlet = { bottom-0 = [0, 0], left-1 = "symmetry" }\n'
+        'contact = { pair = ["bottom-1", "top-0"], interference = "0.1*x", coulomb = 0.2 }\n'
+    )
+    (part,) = load_problem(tmp_path / "two.toml").contact_sets
+    assert part.nodes.size == 5
+    assert part.obstacle.distances(np.array([[2.0], [1.0]])) == pytest.approx(-0.2)
+    (tmp_path / "one.toml").write_text(
+        rest
+        + 'mesh = { shape = "rectangle", nx = 4, ny = 4 }\nboundaries = { joint = "abs(y - 0.5) < 1e-9" }\n'
+        'dirichlet = { bottom = [0, 0], left = "symmetry" }\ncontact = { interface = "joint" }\n'
+        "tractions = { top = [0, -1] }\n"
+    )
+    problem = load_problem(tmp_path / "one.toml")
+    assert problem.mesh.p.shape[1] == 30
+    with pytest.raises(BadInputError, match="pairs of boundaries"):
+        rm.solve(problem, "joint", remesh=40)
+
+
+def test_press_fit_of_revolution_has_the_pressure_of_thick_rings() -> None:
+    grid = MeshTri.init_tensor(np.linspace(10, 30, 9), np.linspace(0, 4, 5))
+    fit = np.flatnonzero(np.all(np.isclose(grid.p[0, grid.facets], 20), axis=0))
+    mesh = grid.with_boundaries({"fit": fit, "low": lambda p: np.isclose(p[1], 0)})
+    law = rm.Axisymmetric.from_young(young=200e3, poisson=0.3)
+    interface = rm.Obstacle.interface("fit", interference=0.0025)
+    problem = rm.ContactProblem(mesh, law, rm.Dirichlet("low", (None, 0.0)), interface, order=2)
+    force = rm.solve(problem, "fixed").contact["fit"]["normal_force"]
+    assert force / (2 * np.pi * 20 * 4) == pytest.approx(5.859375, rel=1e-3)
