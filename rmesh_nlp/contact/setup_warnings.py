@@ -106,8 +106,7 @@ def _contact(
 ) -> Iterator[SetupWarning]:
     """Of one contact set, with displacements and places of its nodes on the body, arcs where it has them."""
     obstacle, touching, points = part.obstacle, state.active.touching[part.rows], points[:, part.nodes]
-    moved = part.relative(u)[:, part.nodes]
-    offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * moved, axis=0)
+    offset, change = obstacle.distances(points), np.sum(obstacle.normals(points) * u[:, part.nodes], axis=0)
     name, n, unit = _name(part), touching.size, after(problem.units.length)
     inside = offset < -1e-9 * scale
     if np.any(inside) and obstacle.force is obstacle.displacement is None and not obstacle.other:

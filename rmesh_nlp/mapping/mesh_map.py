@@ -217,10 +217,8 @@ def _mobility(problem: ContactProblem, along: NDArray) -> tuple[Index, Array]:
         mobility[problem.boundary_nodes(names)] = mobile
     for places, mobile in rules:  # that for a node overrides those for its boundaries
         mobility[[place for place in places if isinstance(place, int)]] = mobile
-    for partner in problem.partners:  # what stops one node of a pair stops both
-        own = np.zeros(0, int) if partner is None else np.flatnonzero(partner >= 0)
-        both = np.stack([own, own if partner is None else partner[own]])
-        mobility[both] = np.min(mobility[both], axis=0)
+    both = problem.matches  # what stops one node of a pair stops both
+    mobility[both] = np.min(mobility[both], axis=0)
     tied = {node for node, _ in problem.tied}
     for still, what in ((held, "held at a function of position"), (loaded, "under a point load")):
         moved = [node for node in still if mobility[node] != Mobility.PINNED or node in tied]

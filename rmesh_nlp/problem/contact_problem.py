@@ -181,7 +181,7 @@ class ContactProblem(Shown, ProblemData):
         for number, moved in tools.items():
             obstacles[number] = replace(obstacles[number], force=None, move=None, displacement=tuple(moved))
         object.__setattr__(other, "obstacle", tuple(obstacles))
-        for name in ("tools", "contact_sets", "first_obstacles"):
+        for name in ("tools", "partners", "contact_sets", "first_obstacles"):
             vars(other).pop(name, None)
         return other
 

@@ -286,11 +286,15 @@ class ProblemData:
     @property
     def tied(self) -> tuple[tuple[int, int], ...]:
         """(node, leader) of nodes that move alike: those of the motion, and the two nodes of each pair."""
-        pairs = [
-            p for p, one in zip(self.partners, self.obstacles, strict=True) if p is not None and one.other
-        ]
-        of_pairs = [(int(p[node]), int(node)) for p in pairs for node in np.flatnonzero(p >= 0)]
-        return (*self.motion.tied, *((node, leader) for node, leader in of_pairs if node != leader))
+        pairs = ((node, leader) for leader, node in self.matches.T.tolist() if node != leader)
+        return (*self.motion.tied, *pairs)
+
+    @property
+    def matches(self) -> Index:
+        """(2, k) the nodes of all pairs, a crack's ends included."""
+        parts = zip(self.partners, self.obstacles, strict=True)
+        pairs = [partner for partner, obstacle in parts if partner is not None and obstacle.other]
+        return np.hstack([np.zeros((2, 0), np.int64), *([np.flatnonzero(p >= 0), p[p >= 0]] for p in pairs)])
 
     def sets_among(
         self, nodes: Sequence[Index], partners: Sequence[Index | None], points: Array, held: Mask
