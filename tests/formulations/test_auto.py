@@ -122,7 +122,8 @@ def test_with_coulomb_friction_the_given_mesh_is_solved_and_an_objective_is_name
     assert solution.chosen is not None
     assert solution.chosen.startswith("fixed: with Coulomb friction")
     assert "'mean(load, -uy)'" in solution.chosen
-    assert dict(summary(solution))["contact: normal force [N/m]"] == f"{solution.record()['resultant']:.6g}"
+    said = dict(summary(solution))["contact: normal force [N/m]"]
+    assert f"(computed {solution.record()['resultant']:.6g})" in said
 
 
 def accurate(n: int) -> ContactProblem:
