@@ -230,7 +230,8 @@ class Continuous:
 
         def offset(x: Array) -> Array:
             u = displacement(x)
-            return np.concatenate([(cells.distance - cells.dips(u)).ravel() for cells in self.cells])[acts]
+            gaps = [cells.distance + cells.along(self.given) - cells.dips(u) for cells in self.cells]
+            return np.concatenate([gap.ravel() for gap in gaps])[acts]
 
         rows = N[acts], T[rubs], bound[rubs]
         return BarrierProgram(program.stiffness, program.load, *rows, offset).minimised(state.u)

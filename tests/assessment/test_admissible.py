@@ -399,3 +399,16 @@ def test_friction_is_the_least_along_edges_and_not_at_nodes(gap: float, order: i
     assert energy(1.0) > least + 1e-5 * abs(least)
     # the search takes 128 trapezoids per edge for the integral
     assert min(energy(part) for part in (1e-3, 1e-2, 0.1)) >= least - 1e-8 * abs(least)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_given_displacements_open_the_gaps_of_edges_beside_them(order: int) -> None:
+    """u = x is given at both ends, which lie over a foundation that it does not meet: the energy is 1 / 2."""
+    problem = ContactProblem(
+        rectangle(3, 2, x=(1, 2)),
+        Laplace(),
+        (Dirichlet("left", (1.0,)), Dirichlet("right", (2.0,))),
+        Obstacle("bottom", normal=(1.0,), offset=lambda x, y: 0.1 - x),
+        order=order,
+    )
+    assert admissible(problem).energy == pytest.approx(0.5, rel=1e-9)
