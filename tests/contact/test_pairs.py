@@ -13,7 +13,7 @@ from rmesh_nlp.errors import BadInputError, ProblemError
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
-from rmesh_nlp.meshes import from_arrays
+from rmesh_nlp.meshes import from_arrays, named
 from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem import locally_refined
@@ -229,3 +229,23 @@ def test_press_fit_of_revolution_has_the_pressure_of_thick_rings() -> None:
     problem = rm.ContactProblem(mesh, law, rm.Dirichlet("low", (None, 0.0)), interface, order=2)
     force = rm.solve(problem, "fixed").contact["fit"]["normal_force"]
     assert force / (2 * np.pi * 20 * 4) == pytest.approx(5.859375, rel=1e-3)
+
+
+@pytest.mark.parametrize("formulation", ["nested", "mpcc"])
+def test_interference_is_designed_for_a_force(formulation: str) -> None:
+    """The force of two clamped blocks is linear in their interference."""
+    d = rm.DesignVariable("d", 0.01, (0.0, 0.1))
+    mesh = rm.shapes.rectangle(4, 4, x=(0, 4), y=(0, 2))
+    on = np.isclose(mesh.p[1], 1)
+    problem = rm.ContactProblem(
+        named(mesh, {"joint": mesh.facets[:, np.all(on[mesh.facets], axis=0)].T}),
+        rm.PlaneStrain.from_young(young=1000, poisson=0.3),
+        ("bottom", "top"),
+        rm.Obstacle.interface("joint", interference=d.symbol),
+        rm.Motion(0.0),
+        order=2,
+        design=(d,),
+    )
+    force = rm.solve(problem.at_design(), "fixed").record()["resultant"]
+    found = rm.solve(problem, formulation, objective=f"square(resultant(joint) - {3 * force})")
+    assert found.design["d"] == pytest.approx(0.03, rel=1e-6)
