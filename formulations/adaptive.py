@@ -172,7 +172,7 @@ class Adaptive(Wrapper):
         except (NotCertifiableError, ProblemError) as error:
             reached = reached.having({"estimates_remark": one_line(error)})
         if self.relocates and reached.status is Status.CONVERGED:
-            return monitor.run(self.inner, reached.outer, reached.q).having(reached.details)
+            return monitor.run(self.inner, reached.outer, reached.q).having({"meshes": meshes})
         lacks = f"The accuracy {self.accuracy:g} was not reached." * (reached.status is Status.STALLED)
         return replace(reached, status=monitor.budget.stopped or reached.status, lacks=lacks)
 

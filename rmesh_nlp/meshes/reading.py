@@ -134,6 +134,11 @@ def _of_meshio(file: meshio.Mesh, names: Mapping[tuple[int, int], str]) -> FileM
                 groups[names.get((dimension, tag), f"{TITLES[dimension]}-{tag}")] = np.flatnonzero(
                     tags == tag
                 )
+        families = getattr(file, "cell_tags", {})  # of MED: names by number, a name may be in several
+        for name in {name for own in families.values() for name in own}:
+            of_name = [number for number, own in families.items() if name in own]
+            members = np.flatnonzero(np.isin(file.cell_data["cell_tags"][position], of_name))
+            groups |= {name: members} if members.size else {}
         for name, chosen in file.cell_sets.items():
             if chosen[position] is not None and len(chosen[position]):
                 groups[name] = np.asarray(chosen[position])

@@ -20,6 +20,7 @@ def summary(solution: Relocated) -> Rows:
     """Status, energies and measured residuals of a Solution, as (label, value) rows for people."""
     final, trace, conditions = solution.final, solution.trace, solution.assessment.first_order
     motion = np.linalg.norm(final.mesh.p - final.before, axis=0)
+    is_at_rest = conditions.is_stationary and not conditions.stationarity  # nothing is to be stationary in
     rows = [
         ("status", f"{solution.status.value}: {solution.message}"),
         ("success", success_in_words(solution.success, solution.status)),
@@ -27,7 +28,7 @@ def summary(solution: Relocated) -> Rows:
         *_objective_rows(solution),
         *_energy_rows(solution),
         *contact_rows(solution),
-        ("first-order residual", f"{conditions.residual:.1e}"),
+        ("first-order residual", "-" if is_at_rest else f"{conditions.residual:.1e}"),
         ("least area ratio", figure(final.min_area_ratio)),
         ("largest motion", figure(float(motion.max()))),
         ("equilibrium residual", f"{final.residuals.equilibrium:.1e}"),
@@ -40,7 +41,7 @@ def summary(solution: Relocated) -> Rows:
         before, after = solution.given.coulomb_residual, final.coulomb_residual
         rows.append(("Coulomb's law along edges", f"residual {before:.1e}, {after:.1e}"))
     if not solution.assessment.is_same_mesh:
-        rows.insert(2, ("mesh", f"{solution.mesh.p.shape[1]} nodes, made by Mmg for the solution"))
+        rows.insert(2, ("mesh", f"{solution.mesh.p.shape[1]} nodes, made for the solution"))
     if solution.error_reduction is not None:
         rows.append(("error reduction", solution.error_reduction.text()))
     if (attained := solution.reduced_error.attained) is not None:

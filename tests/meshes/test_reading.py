@@ -295,6 +295,18 @@ def test_files_of_gmsh_are_read_with_all_groups(tmp_path: Path, made: str, optio
     )
 
 
+def test_families_of_med_are_groups(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Each family is a set of groups: a group is in several families."""
+    file = meshio.Mesh(SQUARE, [("line", [[0, 1], [1, 2]]), ("triangle", HALVES)])
+    file.cell_data = {"cell_tags": [np.array([-1, -2]), np.array([-3, 0])]}
+    file.cell_tags = {-1: ["low", "outside"], -2: ["outside"], -3: ["left"]}
+    monkeypatch.setattr("rmesh_nlp.meshes.reading.read_file", lambda *_: file)
+    (tmp_path / "a.med").write_text("read by meshio")
+    mesh = read_mesh(tmp_path / "a.med")
+    assert {name: facets.size for name, facets in mesh.boundaries.items()} == {"low": 1, "outside": 2}
+    assert {name: elements.size for name, elements in mesh.subdomains.items()} == {"left": 1}
+
+
 def test_names_that_no_edge_has_are_told(tmp_path: Path) -> None:
     path = tmp_path / "a.msh"
     path.write_text(MSH.format(names=NAMES.format(curve="foot").replace("4\n1 1", '5\n0 9 "corner"\n1 1')))
