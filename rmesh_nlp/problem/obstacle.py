@@ -93,7 +93,8 @@ class Obstacle:
         the mean height of its arcs above their chords beside the node (:mod:`rmesh_nlp.fem.edge_gaps`).
         The two are the same where the foundation is straight.
     force : tuple of float, optional
-        Of a tool: it moves as a whole until it presses on the body with this force, per unit of thickness.
+        Of a tool: it moves as a whole until it presses on the body with this force, per unit of thickness or
+        of a whole body of revolution.
     move : "x", "y" or "xy", optional
         Along which coordinates a force moves it; by default those along which the force acts.
     displacement : tuple of float, optional
