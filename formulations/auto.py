@@ -80,7 +80,7 @@ class Auto(Chooser):
         motion, free = problem.motion, MeshMap.of(problem)
         if problem.constraints:
             return AllAtOnce(), "mpcc: quantities of the contact are constrained"
-        if problem.has_coulomb and objective.is_energy:
+        if not problem.has_energy and objective.is_energy:
             why = "fixed: with Coulomb friction no energy is minimised; an objective, such as "
             return Fixed(), f"{why}{example_objective(problem)!r}, would move nodes"
         if not objective.is_energy:

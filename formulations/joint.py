@@ -73,7 +73,7 @@ class Joint(Formulation):
         return {**own, **self.ipopt}
 
     def accepts(self, problem: ContactProblem, objective: Objective) -> None:
-        if problem.has_coulomb:
+        if not problem.has_energy:
             raise BadInputError(
                 "joint minimises an energy, and with Coulomb friction there is none: use mpcc or nested"
             )

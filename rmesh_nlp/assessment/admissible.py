@@ -97,7 +97,7 @@ class Continuous:
         self.given = self.field.values(np.zeros(parts.n_u))  # (components, nodes)
         sets = self.space.contact_sets
         self.cells = [cells for part in sets for cells in cells_of(body, self.space, part)]
-        rubbing = [part for part in sets if part.obstacle.has_bound]
+        rubbing = [part for part in sets if part.obstacle.friction_law.has_given]
         self._rubbing = [(part, body.edges(str(part.obstacle.boundary))) for part in rubbing]
 
     @cached_property
@@ -120,7 +120,7 @@ class Continuous:
         bounds = np.zeros(along.size if self.problem.frictional else 0)
         for part, edges in self._rubbing:
             friction = np.zeros(space.n_nodes)
-            shares = shape_integrals(edges, part.obstacle.friction, space.order).value
+            shares = shape_integrals(edges, part.obstacle.friction_law.given, space.order).value
             np.add.at(friction, space.nodes_of(edges.ends), shares)
             bounds[part.rows] = friction[part.nodes]
         return ContactSystem(
@@ -182,7 +182,7 @@ class Continuous:
 
         With Coulomb friction, where no energy is least, that in equilibrium.
         """
-        has_program = bool(self.cells) and not self.problem.has_coulomb
+        has_program = bool(self.cells) and self.problem.has_energy
         if self.space.order == 1 or not has_program:
             system = self._bare if has_program else self.system(self.first_standoff())
             state = solve(system, start)
@@ -219,10 +219,10 @@ class Continuous:
         ]
         N = sp.vstack([self._rows(cells, cells.normals)[:, last] for cells in self.cells], "csr")
         acts = (np.diff(N.indptr) > 0) & np.concatenate(near)
-        rubbing = [cells for cells in self.cells if cells.contact.obstacle.has_bound]
+        rubbing = [cells for cells in self.cells if cells.contact.obstacle.friction_law.has_given]
         T = sp.vstack([N[:0], *(self._rows(cells, cells.tangents)[:, last] for cells in rubbing)], "csr")
         bounds = (
-            on_points(each.contact.obstacle.friction, each.points) * each.measures(self.problem)
+            on_points(each.contact.obstacle.friction_law.given, each.points) * each.measures(self.problem)
             for each in rubbing
         )
         bound = np.concatenate([np.zeros(0), *(each.ravel() for each in bounds)])

@@ -115,7 +115,7 @@ def _is_sharp(space: DisplacementSpace, part: ContactSet, nodes: Array, vertex: 
 
     Mirrored in the foundation it is one of up to 180 degrees without load, at which no stress is singular.
     """
-    if part.obstacle.frictional:
+    if part.obstacle.friction_law:
         return False
     at, elements = np.nonzero(space.problem.triangles == vertex)
     own = space.problem.triangles[:, elements]

@@ -20,7 +20,6 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Index, cross
 from rmesh_nlp.fem.bernstein import functions
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.problem.data import ContactSet
 
 
@@ -42,7 +41,7 @@ def coulomb_residual(
     normal, tangential : (gaps,) arrays
         Contact forces.
     """
-    parts = [part for part in space.contact_sets if part.obstacle.has_coulomb]
+    parts = [part for part in space.contact_sets if not part.obstacle.friction_law.has_energy]
     if not parts:
         return None
     weights, force = space.weights(nodes), np.hypot(normal, tangential)
@@ -73,12 +72,11 @@ def _integral(
         shares = functions(space.order, np.stack([1 - s, s]))
         pressure, tau, *u = np.einsum("cvm,vmk->cmk", on_edges[:, :, which], shares)
         normals = obstacle.normals(where)
-        given, factor = (on_points(value, where) for value in (obstacle.friction, obstacle.coulomb))
-        bound = given + factor * np.maximum(pressure, 0.0)
+        bound = obstacle.friction_law.bound(where, pressure)
         slip = cross(u, normals)
         return np.abs(tau + np.clip(stiffness * slip - tau, -bound, bound))[None]
 
-    return float(np.sum(over_edges(edges, integrand, (obstacle.friction,)).value))
+    return float(np.sum(over_edges(edges, integrand, (obstacle.friction_law.given,)).value))
 
 
 def growth(before: float | None, after: float | None) -> str | None:

@@ -125,9 +125,9 @@ def friction_energy(edges: Edges, obstacle: Obstacle, displacement: Array) -> tu
         return cross(u, normals)
 
     def integrand(rows: Index, s: Array, where: Array) -> Array:
-        bound = on_points(obstacle.friction, where, "the friction bound")
+        bound = on_points(obstacle.friction_law.given, where, "the friction bound")
         return (bound * np.abs(slip(rows, s, where)))[None]
 
     along = (lambda rows, s: slip(rows, s, edges.at(rows, s)[0])), order if obstacle.level is None else None
-    total = over_edges(edges, integrand, (obstacle.friction,), [along])
+    total = over_edges(edges, integrand, (obstacle.friction_law.given,), [along])
     return total.value[0], total.doubt[0]

@@ -133,7 +133,7 @@ def _friction_work(skeleton: Skeleton, conditions: Conditions, u: Array) -> Arra
     """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
     work = np.zeros(conditions.contact.size)
     for part in conditions.parts:
-        if part.obstacle.frictional:
+        if part.obstacle.friction_law:
             along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
             work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, along)[0]
     return work

@@ -103,7 +103,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
         is_certain &= gap.is_certain and is_seen and not np.any(is_narrow)
         if n == 2:
-            below, known = _linear_below(obstacle.friction, edges)
+            below, known = _linear_below(obstacle.friction_law.given, edges)
             friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
             is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])

@@ -109,7 +109,7 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         raise NotCertifiableError("a force moves a foundation")
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")
-    if problem.has_coulomb:
+    if not problem.has_energy:
         raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")

@@ -64,13 +64,13 @@ class Directions:
 
 def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
     """(gaps,) Coulomb's coefficients at vertex positions (2, vertices) and a design; None where none is."""
-    if not space.problem.has_coulomb:
+    if space.problem.has_energy:
         return None
     points, values = space.points(nodes), np.zeros(space.contact_nodes.size)
     for part in space.contact_sets:
-        if part.obstacle.has_coulomb:
+        if not part.obstacle.friction_law.has_energy:
             what = "Coulomb's coefficient"
-            coulomb = at_design(part.obstacle.coulomb, at)
+            coulomb = at_design(part.obstacle.friction_law.slope, at)
             values[part.rows] = on_points(coulomb, points[:, part.nodes], what)
     return values
 

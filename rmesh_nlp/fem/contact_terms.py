@@ -89,7 +89,7 @@ def force_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Func
     """``(X_i, lambda[, mu-, mu+]) -> (0, (-lambda n + (mu- - mu+) t) @ factors^T)`` of one contact node."""
     X, x, y, pressure, minus, plus = _forces(shares)
     force, used = -pressure * obstacle.direction(x, y), [X, pressure]
-    if obstacle.frictional:
+    if obstacle.friction_law:
         force += (minus - plus) * obstacle.tangential(x, y)
         used += [minus, plus]
     return ca.Function("contact_force", used, [0, ca.vec(force @ factors[None])], OPEN)
@@ -128,8 +128,8 @@ def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
 
 def friction(on: Fields) -> list[ElementGroup]:
     """Friction energy."""
-    rough = [part for part, _ in _frictional(on.space) if part.obstacle.has_bound]
-    return [group for part in rough for group in bounds(on, part, part.obstacle.friction, on.slip)]
+    rough = [part for part, _ in _frictional(on.space) if part.obstacle.friction_law.has_given]
+    return [group for part in rough for group in bounds(on, part, part.obstacle.friction_law.given, on.slip)]
 
 
 def bounds(on: Fields, part: ContactSet, bound: Coefficient, values: Field) -> list[ElementGroup]:
@@ -169,7 +169,7 @@ def _numbered(space: DisplacementSpace, parts: list[tuple[ContactSet, Index]]) -
 
 def _frictional(space: DisplacementSpace) -> list[tuple[ContactSet, Index]]:
     """Contact sets with friction, and the numbers of their slip magnitudes."""
-    parts = [part for part in space.contact_sets if part.obstacle.frictional]
+    parts = [part for part in space.contact_sets if part.obstacle.friction_law]
     first = np.cumsum([0, *(part.nodes.size for part in parts)])
     return [(part, start + np.arange(part.nodes.size)) for part, start in zip(parts, first[:-1], strict=True)]
 
@@ -199,7 +199,7 @@ def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
     assert on.forces is not None
     groups = []
     for part in on.space.contact_sets:
-        used = on.forces if part.obstacle.frictional else on.forces[:1]
+        used = on.forces if part.obstacle.friction_law else on.forces[:1]
         for which, vertices, shares in on.space.kinds(part.nodes):
             forces = (field.component(part.number).at(part.nodes[None, which]) for field in used)
             function = force_function(part.obstacle, shares, part.factors)
@@ -211,7 +211,7 @@ def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
 def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda, mu-, mu+) -> (0, F(X) lambda - mu- - mu+)`` of one contact node."""
     X, x, y, pressure, minus, plus = _forces(shares)
-    value = at(obstacle.coulomb, x, y) * pressure - minus - plus
+    value = at(obstacle.friction_law.slope, x, y) * pressure - minus - plus
     return ca.Function("bound_force", [X, pressure, minus, plus], [0, value], OPEN)
 
 

@@ -47,7 +47,7 @@ def energy(on: Fields) -> list[ElementGroup]:
 
 
 def _energy(on: Fields) -> list[ElementGroup]:
-    if on.problem.has_coulomb:
+    if not on.problem.has_energy:
         raise BadInputError("with Coulomb friction there is no energy that the displacement minimises")
     return energy(on)
 
@@ -109,7 +109,7 @@ def _friction(on: Fields) -> list[ElementGroup]:
         raise BadInputError("the objective 'friction' needs a contact boundary with friction")
     if len(on.problem.laws) > 1:
         raise BadInputError("the objective 'friction' needs one law")
-    rough = [obstacle for obstacle in on.problem.obstacles if obstacle.frictional]
+    rough = [obstacle for obstacle in on.problem.obstacles if obstacle.friction_law]
     return [*friction(on), *(_work(on, exact, obstacle, along=True) for obstacle in rough)]
 
 
@@ -144,7 +144,7 @@ def _exact(on: Fields, name: str) -> ExactSolution:
 
 
 def _theorem(on: Fields, name: str) -> ExactSolution:
-    if on.problem.has_coulomb:
+    if not on.problem.has_energy:
         raise BadInputError(
             f"the objective {name!r} is a term of Theorem 4.1 on a least energy, and with Coulomb friction "
             "there is none"

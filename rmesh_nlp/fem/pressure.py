@@ -71,7 +71,7 @@ def shear(boundary: str, *, name: str = "shear") -> Objective:
 
     def quantity(on: Fields) -> list[ElementGroup]:
         forces, part = _forces_on(on, boundary), contact_on(on.space, boundary)
-        if not part.obstacle.frictional:
+        if not part.obstacle.friction_law:
             raise BadInputError(f"{name}: contact on {boundary!r} is without friction")
         minus, plus = ca.SX.sym("mu_minus"), ca.SX.sym("mu_plus")
         free = part.nodes[may_slip(on.space, part.number)]

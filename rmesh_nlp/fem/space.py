@@ -194,7 +194,7 @@ class DisplacementSpace:
     @cached_property
     def friction_rows(self) -> Index:
         """(n_s,) numbers of the gaps at which friction may act."""
-        return numbers_of(part.rows for part in self.contact_sets if part.obstacle.frictional)
+        return numbers_of(part.rows for part in self.contact_sets if part.obstacle.friction_law)
 
     def weights(self, X: Array) -> Array:
         """omega_i of (5.9) for every gap: the integral of its node's shape function over the boundary.

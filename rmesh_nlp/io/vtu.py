@@ -20,7 +20,6 @@ from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.models.residual import OuterMultipliers
 from rmesh_nlp.problem import ContactProblem, Place
-from rmesh_nlp.problem.coefficients import on_points
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.solving.state import State
 
@@ -57,8 +56,7 @@ def state_of(
     for part in space.contact_sets:
         which, obstacle = part.nodes, part.obstacle
         points = nodes[:, which]
-        pressing = on_points(obstacle.coulomb, points) * np.maximum(pressure[which], 0.0)
-        bound[which] = on_points(obstacle.friction, points) + pressing
+        bound[which] = obstacle.friction_law.bound(points, pressure[which])
         along = np.sum(obstacle.normals(points) * part.relative(u)[:, which], axis=0)
         # of two foundations that a node may meet the nearer one
         gap[which] = np.fmin(gap[which], along + obstacle.distances(points))

@@ -110,7 +110,7 @@ def metric_start(first: Solved, nodes: int, budget: Budget | None = None) -> Met
     if nodes > LARGEST:
         raise BadInputError(f"a new mesh may have up to {LARGEST} nodes, got {nodes}")
     budget = budget or Budget()
-    if first.problem.has_coulomb:
+    if not first.problem.has_energy:
         raise BadInputError("the best mesh is that of least energy: with Coulomb friction none is minimised")
     if first.problem.pairs:
         raise BadInputError("a new mesh by Mmg does not keep the nodes of pairs of boundaries together")

@@ -206,7 +206,7 @@ def _check_friction(problem: ProblemData) -> None:
     """With friction a contact node may be fixed along the tangent at zero, and not otherwise."""
     held, value = problem.held
     for part in problem.contact_sets:
-        if not part.obstacle.frictional:
+        if not part.obstacle.friction_law:
             continue
         nodes, bodies = part.nodes, part.carriers[np.all(part.carriers < held.shape[1], axis=1)]
         oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > ROUNDING, axis=0)
@@ -235,7 +235,7 @@ def _check_tools(problem: ProblemData) -> None:
             said = f"the displacements of nodes {fixed[0]} and {fixed[1]} of {on} are given; "
             said += "a tool meets one such node at most: end the contact boundary before them"
             raise ProblemError((*place, "boundary"), said)
-        if obstacle.displacement is not None and obstacle.frictional:
+        if obstacle.displacement is not None and obstacle.friction_law:
             moved = np.array(obstacle.displacement)
             along = cross(moved[:, None], obstacle.normals(problem.mesh.p[:, nodes]))
             if magnitude(along) > ROUNDING * magnitude(moved):
@@ -273,7 +273,7 @@ def _check_shared_nodes(problem: ProblemData) -> None:
         if number > 2 or np.linalg.matrix_rank(normals[~held[:, node]], tol=SEVEN_DIGITS) < number:
             said += " and cannot obey all their gaps: end one of them before it"
             raise ProblemError("contact", said)
-        if any(obstacle.frictional for obstacle in meeting):
+        if any(obstacle.friction_law for obstacle in meeting):
             raise ProblemError("contact", f"{said}, one of them with friction: end one of them before it")
 
 

@@ -158,7 +158,7 @@ class ProblemData:
     @property
     def frictional(self) -> bool:
         """Whether contact is with friction anywhere."""
-        return any(obstacle.frictional for obstacle in self.obstacles)
+        return any(obstacle.friction_law for obstacle in self.obstacles)
 
     @property
     def supports(self) -> tuple[Dirichlet, ...]:
@@ -167,9 +167,9 @@ class ProblemData:
         return tuple(Dirichlet(d, zero) if isinstance(d, str) else d for d in self.dirichlet)
 
     @property
-    def has_coulomb(self) -> bool:
-        """Whether friction depends on the pressure anywhere: then no energy is minimised."""
-        return any(obstacle.has_coulomb for obstacle in self.obstacles)
+    def has_energy(self) -> bool:
+        """Whether the displacement minimises an energy: friction depends on the pressure nowhere."""
+        return all(obstacle.friction_law.has_energy for obstacle in self.obstacles)
 
     @cached_property
     def triangles(self) -> Index:

@@ -9,7 +9,7 @@ from functools import lru_cache, partial
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.display import describe, figure
+from rmesh_nlp.display import figure
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import (
@@ -20,11 +20,11 @@ from rmesh_nlp.problem.coefficients import (
     PositionFunction,
     at,
     evaluated,
-    is_nonzero,
     is_number,
     on_points,
 )
 from rmesh_nlp.problem.conditions import as_tuple
+from rmesh_nlp.problem.friction import Friction
 from rmesh_nlp.settings import check_positive
 
 Vector = tuple[float, float]
@@ -123,7 +123,7 @@ class Obstacle:
         length = np.linalg.norm(self.normal) if is_finite(self.normal) else np.nan
         if not abs(length - 1) <= 1e-12:
             raise BadInputError(f"the contact normal {self.normal} has length {length}, not 1", "normal")
-        if self.frictional and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
+        if self.friction_law and (len(self.normal) == 1 or self.boundary is Place.INTERIOR):
             raise BadInputError("friction needs a problem with two displacement components", "friction")
         require(self.gap in GAPS, "gap", f"be {' or '.join(map(repr, GAPS))}", self.gap)
         self._check_tool()
@@ -260,12 +260,9 @@ class Obstacle:
         normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
         if self.level is not None:
             normal = "the normal of the curve at each undeformed node"
-        bounds = [f"friction bound {describe(self.friction)}"] if self.has_bound else []
-        bounds += [f"Coulomb's coefficient {describe(self.coulomb)}"] if self.has_coulomb else []
-        friction = " and ".join(bounds) or "no friction"
         motions = ("pressed by", self.force), ("moved by", self.displacement)
         tool = [f"{how} ({', '.join(map(figure, vector))})" for how, vector in motions if vector]
-        return ", ".join([f"{where}, {normal}, {friction}", *tool])
+        return ", ".join([f"{where}, {normal}, {self.friction_law.in_words()}", *tool])
 
     def direction(self, x: Expression, y: Expression) -> Expression:
         """Unit normal at a point as a CasADi column."""
@@ -332,19 +329,9 @@ class Obstacle:
         return tuple(axis in (self.move or "") for axis in "xy"[: len(self.normal)])
 
     @property
-    def frictional(self) -> bool:
-        """Whether friction may act."""
-        return self.has_bound or self.has_coulomb
-
-    @property
-    def has_bound(self) -> bool:
-        """Whether there is a bound of Tresca."""
-        return is_nonzero(self.friction)
-
-    @property
-    def has_coulomb(self) -> bool:
-        """Whether there is a coefficient of Coulomb."""
-        return is_nonzero(self.coulomb)
+    def friction_law(self) -> Friction:
+        """Both bounds of friction as one law."""
+        return Friction(self.friction, self.coulomb)
 
     @property
     def tangent(self) -> tuple[float, ...]:

@@ -151,7 +151,7 @@ def advise(problem: ContactProblem) -> Advice:
     Move limits are not regarded, nor by the ``command`` that is recommended; over curved foundations gaps
     hold along edges, as in ``auto``.
     """
-    if problem.has_coulomb:
+    if not problem.has_energy:
         raise BadInputError(
             "advice is about the error of the energy: with Coulomb friction none is minimised"
         )

@@ -146,7 +146,7 @@ def _check_energy(problem: ContactProblem, objective: Objective, formulation: Fo
     """Raise a BadInputError where an energy is to be minimised that there is not."""
     if not formulation.relocates or all(term.name != "energy" for _, term in objective.terms):
         return
-    if problem.has_coulomb:
+    if not problem.has_energy:
         why = "with Coulomb friction no energy is minimised"
     elif problem.design or problem.constraints:
         why = "energies of different designs do not compare"

@@ -80,7 +80,7 @@ class ReducedError:
 def reduced_error(assessment: Assessment, contact_solves: int) -> ReducedError:
     """By how much the error of the energy fell; nothing for designs and with Coulomb friction."""
     given, final = assessment.given, assessment.final
-    if given.continuous is None or final.continuous is None or final.problem.has_coulomb or final.design:
+    if given.continuous is None or final.continuous is None or not final.problem.has_energy or final.design:
         return ReducedError()
     reduction, finest = error_reduction(given.continuous, final.continuous, contact_solves)
     best = None

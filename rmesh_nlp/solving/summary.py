@@ -84,7 +84,7 @@ def _objective_rows(solution: Relocated) -> list[tuple[str, str]]:
 
 def _energy_rows(solution: Relocated) -> list[tuple[str, str]]:
     """The energies; none where they do not compare: of several designs, or with Coulomb friction."""
-    of_another = solution.problem.has_coulomb and not solution.objective.startswith("energy")
+    of_another = not solution.problem.has_energy and not solution.objective.startswith("energy")
     if solution.assessment.designed is not None or of_another:
         return []
     by_rule = f"{figure(solution.energy_initial)}, {figure(solution.energy)}"

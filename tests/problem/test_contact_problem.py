@@ -266,7 +266,7 @@ def test_interior_obstacle_and_friction() -> None:
     assert below.tangent == ()
     assert Obstacle("a", (0.6, 0.8)).tangent == (0.8, -0.6)
     for bound, frictional in ((0.0, False), (1e-9, True), (lambda x, y: 0.0, True)):
-        assert Obstacle("a", friction=bound).frictional == frictional
+        assert Obstacle("a", friction=bound).friction_law.has_given == frictional
 
 
 @pytest.mark.parametrize(
