@@ -30,6 +30,7 @@ def comparison() -> rm.Comparison:
     return rm.compare(rm.EXAMPLES["6.2"](n=(4, 2)), ["fixed", "joint"])
 
 
+@pytest.mark.slow
 def test_one_spelling_of_options_serves_names_tables_and_lists() -> None:
     """What Python takes by keyword, ``compare`` gives to those that take it, and a text may name too."""
     few = rm.Limits(iterations=1)
@@ -50,6 +51,7 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
     assert "| joint" in comparison.markdown()
 
 
+@pytest.mark.slow
 def test_objects_of_one_class_are_told_apart_by_their_settings() -> None:
     kinds = ["fixed", "auto", Joint(), Joint(first_barrier=1e-2), MultiStart(Joint(), starts=1)]
     found = rm.compare(PROBLEM, kinds, limits=rm.Limits(iterations=1))
@@ -179,6 +181,7 @@ def test_type_checkers_see_what_python_sees() -> None:
         assert getattr(rm, name) is value, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("code", "heavy"),
     [

@@ -60,6 +60,7 @@ def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> N
     assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["fixed", "joint"])
 def test_solution_has_estimates_of_what_it_prints(formulation: str) -> None:
     solution = rm.solve(BODY, formulation, limits={"iterations": 20})
@@ -72,6 +73,7 @@ def test_solution_has_estimates_of_what_it_prints(formulation: str) -> None:
     assert "estimated" in said["energy"]
 
 
+@pytest.mark.slow
 def test_estimates_that_take_a_finer_mesh_are_left_out() -> None:
     curved = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
     assert "resultant(bottom)" in rm.solve(curved, "fixed").details["estimates"]

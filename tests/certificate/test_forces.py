@@ -73,6 +73,7 @@ def solved_body(n: int, order: int, friction: float) -> Solution:
     return fixed.solve(body(n, order, friction))
 
 
+@pytest.mark.slow
 @BOTH
 @pytest.mark.parametrize("friction", [0.0, 1.0])
 def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: int, friction: float) -> None:

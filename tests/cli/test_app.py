@@ -43,6 +43,7 @@ COMMANDS = "import typer.main; typer.main.get_command = press"
 ENDS = "import atexit; atexit.register(press)"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 @pytest.mark.parametrize(
     ("during", "number"), [(IMPORTS, "SIGINT"), (IMPORTS, "SIGTERM"), (COMMANDS, "SIGINT"), (ENDS, "SIGINT")]

@@ -21,6 +21,7 @@ from support.problem_files import SCALAR
 from support.reporting import joint_62
 
 
+@pytest.mark.slow
 def test_runs_beside_files_of_the_user_s_set_each_other_aside(rmesh) -> None:
     mine = {"solutions/mine.vtu": "s", "notes.md": "n", "previous/thesis.txt": "t", "previous-2": "a file"}
     for name, text in mine.items():
@@ -48,6 +49,7 @@ def names_in(folder: str) -> set[str]:
     return {path.name for path in Path(folder).glob("[!.]*")}
 
 
+@pytest.mark.slow
 def test_a_solve_leaves_nothing_of_an_earlier_one(rmesh, monkeypatch) -> None:
     Path("my.toml").write_text(SCALAR)
     monkeypatch.setattr(reporting, "pictures", lambda *_: [("mesh", Figure(figsize=(1, 1)))])
@@ -154,6 +156,7 @@ def test_a_folder_without_permission(rmesh) -> None:
     assert "locked" in said.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("study", [{}, {"variant": "joint", "family": "slabs"}])
 def test_the_unit_of_cost_is_that_of_the_problem_in_all_outputs(rmesh, study: dict[str, Any]) -> None:
     """Solves of 0.08 s from two starts beside contact solves of 2 and 6 ms: 20 of the median."""

@@ -164,6 +164,7 @@ def test_check_says_what_to_do_about_missing_names(rmesh, block: Path) -> None:
     assert "the mesh names none: name groups in gmsh" in said.err
 
 
+@pytest.mark.slow
 def test_advise_predicts_nothing_from_a_mesh_that_is_too_coarse(rmesh, block: Path) -> None:
     """On 12 nodes the second derivatives are others than on the refinement."""
     block.write_text(BLOCK.replace("nx = 6\nny = 3", "nx = 3\nny = 2"))

@@ -21,6 +21,7 @@ def record(folder: str = "one") -> dict[str, Any]:
     return dict(json.loads(Path(folder, "record.json").read_text()))
 
 
+@pytest.mark.slow
 def test_solve_writes_record_solution_and_history(rmesh) -> None:
     typed = "solve 6.1 --formulation joint --n 2 --delta 0.05 --quadrature 6 --order 2"
     said = rmesh(f"{typed} --out one --json")
@@ -55,6 +56,7 @@ def test_without_a_folder_the_solve_names_its_own(rmesh) -> None:
     assert said.err.startswith("6.3 fixed: converged, audited J = ")
 
 
+@pytest.mark.slow
 def test_a_second_solve_with_a_safe_discretisation_is_told(rmesh) -> None:
     said = rmesh("solve 6.1 --n 3 --delta 0.2 -f joint --out .")
     safe = json.loads(Path("record.json").read_text())["safe"]
@@ -74,6 +76,7 @@ def test_a_solve_that_raises_is_recorded_and_exit_code_1(rmesh, monkeypatch: pyt
     assert [path.name for path in Path("one").glob("[!.]*")] == ["record.json"]  # no stale solution
 
 
+@pytest.mark.slow
 def test_a_limit_of_iterations_is_exit_code_0_if_the_mesh_is_better(rmesh) -> None:
     assert rmesh("solve 6.1 -f joint --n 2 --quadrature 6 --max-iterations 2 --out one").code == 0
     assert (record()["status"], record()["success"]) == ("iteration_limit", True)

@@ -161,6 +161,7 @@ def test_force_of_a_pin_is_the_load_and_its_pressure_more() -> None:
     assert found.moment == pytest.approx(2.01 * found.force_y - 2 * found.force_x)
 
 
+@pytest.mark.slow
 def test_values_on_the_refined_mesh_are_in_equilibrium() -> None:
     """The admissible displacement of the assessment is near equilibrium, and no more."""
     mesh = rm.shapes.rectangle(8, 4, x=(0, 2))
@@ -270,6 +271,7 @@ def test_peak_without_a_limit_is_told(wide: float, words: str) -> None:
     assert any(words in text for text in rm.solve(problem, "fixed").record()["warnings"])
 
 
+@pytest.mark.slow
 def test_resolution_is_warned_of_by_one_rule() -> None:
     """Less than three vertices under pressure, or at order 2 two edges."""
     for order, n, is_said in ((1, 8, True), (2, 8, True), (1, 16, False), (2, 16, False)):

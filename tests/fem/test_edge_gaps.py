@@ -69,6 +69,7 @@ def test_beside_a_held_node_the_free_one_makes_up_for_it(given: float) -> None:
     assert off == pytest.approx(np.sum(needed**POWER) ** (1 / POWER), abs=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "obstacle",
     [Obstacle.line("bottom", (0, -0.1), (0.1, 1)), Obstacle.graph("bottom", lambda x, y: x**2 - 9)],
@@ -87,6 +88,7 @@ def test_only_foundations_that_rise_above_their_chords_are_changed() -> None:
     assert with_edge_gaps(along) is along
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("obstacle", "order"), [(PARABOLA, 1), (DISC, 1), (WAVE, 2)])
 def test_nothing_passes_between_the_nodes_of_any_mesh(obstacle: Obstacle, order: int) -> None:
     at_nodes = replace(shaken(block(6, obstacle), seed=1), order=order)

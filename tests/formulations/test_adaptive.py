@@ -143,6 +143,7 @@ def test_order_of_the_file_is_kept(tmp_path: Path, body: rm.ContactProblem) -> N
     assert json.loads((tmp_path / "out" / "record.json").read_text())["order"] == 1
 
 
+@pytest.mark.slow
 def test_only_meshes_whose_bounds_may_suffice_are_certified(body: rm.ContactProblem) -> None:
     solution = rm.solve(body, accuracy=0.02, guaranteed=True)
     lower = [mesh["quantities"]["resultant(bottom)"]["lower"] for mesh in solution.details["meshes"]]

@@ -106,6 +106,7 @@ def test_the_formulation_that_is_chosen_and_why(
     assert [one.gap for one in choice.problem.obstacles] == ["edge" for _ in problem.obstacles]
 
 
+@pytest.mark.slow
 def test_a_seed_starts_elsewhere_without_a_cascade() -> None:
     row = auto.solve(free(2), seed=1).record()
     assert row["start"] == "random"
@@ -130,6 +131,7 @@ def accurate(n: int) -> ContactProblem:
     return replace(free(n), quadrature=8)
 
 
+@pytest.mark.slow
 def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
     problem = accurate(6)
     solution = rm.solve(problem, Cascade(coarsest=12, iterations=6))
@@ -148,6 +150,7 @@ def test_levels_have_the_weight_of_their_error_and_add_up() -> None:
     assert solution.energy < solution.energy_initial
 
 
+@pytest.mark.slow
 def test_a_map_that_folds_triangles_is_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     def folded(*given: Any) -> np.ndarray:
         return np.random.default_rng(0).uniform(-9, 9, given[-1].n_q)

@@ -131,6 +131,7 @@ def test_the_l2_error_goes_below_that_of_the_energy_optimal_mesh() -> None:
     assert adjoint["biactive_nodes"] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", [nested, mpcc])
 def test_nodes_that_touch_without_force_are_named_as_biactive(formulation: Named) -> None:
     """A block without lateral contraction, pulled along the foundation that it lies on."""
@@ -151,6 +152,7 @@ ENDED = {Status.CONVERGED, Status.NOT_STATIONARY}
 """A first-order residual near its tolerance is above it for some formulation and some processor."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", slow_but(name for name in QUADRATIC if name != "6.3, order 2"))
 def test_formulations_agree(name: str) -> None:
     problem = QUADRATIC[name]()
@@ -175,6 +177,7 @@ def _sliding(n: int) -> ContactProblem:
     return replace(sliding_block(n, 3), quadrature=12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [_signorini, pytest.param(_sliding, marks=pytest.mark.slow)])
 def test_the_energy_is_never_below_the_exact_one(make: Callable[[int], ContactProblem]) -> None:
     # with gaps at vertices and middles of edges alone that of Example 6.1 is 0.0035 below
@@ -206,6 +209,7 @@ def unlimited() -> ContactProblem:
 SLOW = pytest.mark.slow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "options"),
     [

@@ -49,6 +49,7 @@ SEAL, LEAK = seal(4, 0.0), leak(1.2)
 """At the best edge it touches in the middle without force."""
 
 
+@pytest.mark.slow
 def test_nested_settles_on_a_kink_where_mpcc_ends_and_both_are_labelled_alike() -> None:
     nested, mpcc = (rm.solve(SEAL, name, objective=LEAK) for name in ("nested", "mpcc"))
     rows = [solution.record() for solution in (nested, mpcc)]
@@ -169,6 +170,7 @@ def test_an_energy_creeps_over_a_longer_window_whatever_the_contact() -> None:
     assert said.index(True) == LONG_WINDOW + 5
 
 
+@pytest.mark.slow
 def test_a_descent_ends_where_an_error_of_the_discretisation_is_minimised() -> None:
     """By midpoints, without limits, nodes run away from where the load acts: its energy falls for ever."""
     coarse, coarser = (replace(rm.EXAMPLES["6.1"](n), motion=rm.Motion(None)) for n in (8, 4))
@@ -186,6 +188,7 @@ def rates(outer: Outer, q: Array, ways: Array, step: float = 1e-5) -> Array:
     return (np.array(ends) - outer.function(q).value) / (step * outer.residual.unit)
 
 
+@pytest.mark.slow
 def test_a_kink_is_a_minimum_or_descends_by_the_weight_of_what_changes_there() -> None:
     """At the best edge of a seal every node touches without force; it is the best for some costs of a gap."""
     block, q = end_of_seal()

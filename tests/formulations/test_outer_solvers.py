@@ -164,6 +164,7 @@ def test_few_contact_solves_lead_to_a_stationary_point_within_area_constraints(n
     assert all(step.stationarity > TOLERANCE for step in solution.history[:-1])
 
 
+@pytest.mark.slow
 def test_another_objective_of_many_variables_takes_newton_along_areas(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -142,6 +142,7 @@ class TestEnds:
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
 
+    @pytest.mark.slow
     @pytest.mark.parametrize("by", ["time limit", "Ctrl-C"])
     def test_a_large_mesh_is_given_up(self, by: str) -> None:
         """Where the metric asks for a thousand million triangles."""

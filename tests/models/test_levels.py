@@ -96,6 +96,7 @@ def test_no_map_is_defined_where_an_arc_cuts_through_its_triangle() -> None:
     assert not energy.is_defined(q)
 
 
+@pytest.mark.slow
 def test_coarser_meshes_have_about_a_quarter_of_the_nodes_or_are_none() -> None:
     coarse = coarsened(EXAMPLES["6.1"](16), least=20)
     assert coarse is not None

@@ -228,6 +228,7 @@ def levels(name):
     return {"x": x, **upper}, lower, y, problem
 
 
+@pytest.mark.slow
 def test_cuts_lead_to_the_optimum_of_a_lower_level_that_is_not_convex():
     upper, lower, y, problem = levels("mitsos-barton-3.13")
     end = solve_bilevel(upper, lower, problem.x0, variables=y, starts=1)
@@ -248,6 +249,7 @@ def test_without_cuts_a_local_minimum_of_the_lower_level_is_found_out():
     assert level.check(end.result.x).verdict == "local minimum"  # to second order, without a search
 
 
+@pytest.mark.slow
 def test_cut_holds_only_where_its_point_is_feasible():
     """y >= x: at x = -2 the lower level has the minima y = x and 1; above it y = 1 alone, where F = 4."""
     upper, lower, y, _ = levels("vogel-2012")

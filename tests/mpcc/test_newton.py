@@ -56,6 +56,7 @@ def test_shifted_result_starts_the_next_solve(block):
         shift(known, 0)
 
 
+@pytest.mark.slow
 def test_table_is_solved_in_processes(block):
     solver, known = block
     table = [[0, 0, goal] for goal in (0.9, 1.0)]

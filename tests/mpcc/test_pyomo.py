@@ -47,6 +47,7 @@ def test_values_and_duals_of_a_model(registered, capfd):
     assert (m.pair.ctype, m.pair.active) == (mpec.Complementarity, True)  # as it was
 
 
+@pytest.mark.slow
 def test_a_model_is_solved_again_from_its_duals(registered):
     """Suffixes of a former solve take the place of the relaxations."""
     m = model()
@@ -80,6 +81,7 @@ def mixed():
     return m
 
 
+@pytest.mark.slow
 def test_mixed_conditions_are_solved_and_the_model_is_left_as_it_was(registered, caplog):
     """Solved again, stopped by the time limit, and refused for bounds that it names."""
     m = mixed()

@@ -67,6 +67,7 @@ def test_the_unit_of_cost_is_one_cold_contact_solve(monkeypatch: pytest.MonkeyPa
     assert fixed.solve(example("6.2", (4, 2))).trace.contact_time_s == 2.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("formulation", "options"),
     [

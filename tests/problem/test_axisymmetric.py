@@ -22,6 +22,7 @@ def pressed(n: int, inner: float, order: int, law: Law = LAW, **more: object) ->
     return rm.ContactProblem(mesh=mesh, law=law, tractions=(load,), order=order, **given)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("formulation", ["fixed", "joint"])
 def test_cylinder_is_exact_and_its_axis_stays(order: int, formulation: str) -> None:
@@ -40,6 +41,7 @@ def test_cylinder_is_exact_and_its_axis_stays(order: int, formulation: str) -> N
     assert record["energy_audited"] == pytest.approx(record["energy"], rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2])
 def test_ring_converges_to_lame_at_the_rate_of_its_order(order: int) -> None:
     def lame(x: ca.SX, y: ca.SX) -> ca.SX:  # Timoshenko and Goodier, Theory of elasticity, art. 28
@@ -61,6 +63,7 @@ def on_plane(friction: float, **more: object) -> rm.ContactProblem:
     return pressed(4, 0.5, 1, dirichlet=(), obstacle=support, motion=rm.Motion(0.05), **more)
 
 
+@pytest.mark.slow
 def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
     down = (rm.Traction("right", (-PRESSURE, 0.0)), rm.Traction("top", (0.0, -20.0)))
     problem = replace(on_plane(1.0), tractions=down, units=rm.Units("mm", "N"))

@@ -80,6 +80,7 @@ def test_measure_and_displacement_are_those_of_law(order: int) -> None:
     assert rm.verify_gradient(loaded).order == pytest.approx(2, abs=0.1)
 
 
+@pytest.mark.slow
 def test_it_is_solved_measured_and_certified_as_the_one_it_equals() -> None:
     known = rm.EXAMPLES["6.1"](2)
     source = known.laws[0].load[0]

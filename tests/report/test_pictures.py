@@ -61,6 +61,7 @@ def test_a_solve_has_its_pictures_and_every_letter_is_legible(make, tmp_path: Pa
         assert [*drawn] == ["mesh", "displacement", "stress", "pressure", "motion", "limits"]
 
 
+@pytest.mark.slow
 def test_nothing_that_is_zero_is_drawn(tmp_path: Path) -> None:
     # held and not loaded: no displacement, no stress, no pressure; and nothing moved
     rest = replace(membrane(), law=Laplace(0.0), obstacle=Obstacle.interior(-1.0))
@@ -154,6 +155,7 @@ def test_nothing_is_drawn_without_designs_in_a_history(tmp_path: Path) -> None:
     assert figure_of_designs([unmoved], Page()) is None
 
 
+@pytest.mark.slow
 def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
     problem = replace(block(E, H0, BOW, n=(4, 1)), motion=Motion(0))
     solution = nested.solve(problem, objective="mean(right, uy**2)", limits={"iterations": 2})

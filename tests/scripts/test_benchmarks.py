@@ -78,6 +78,7 @@ def test_table_of_the_ablation_has_gains_failures_and_cost():
     assert cells == [rule, "3", "0.7500", "0.500", "1, 0", "1, 0", "2.00"]
 
 
+@pytest.mark.slow
 def test_cost_of_a_solve_is_larger_than_its_unit(capsys):
     assert benchmark_cost.main(["6.1:2"]) == 0
     lines = capsys.readouterr().out.splitlines()

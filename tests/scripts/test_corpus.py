@@ -104,6 +104,7 @@ def test_slower_by_more_than_a_tenth_is_a_fault() -> None:
     assert len(result.remarks) == 2
 
 
+@pytest.mark.slow
 def test_cases_have_names_of_their_own() -> None:
     names = [case.name for case in cases()]
     assert len(set(names)) == len(names) > 1000

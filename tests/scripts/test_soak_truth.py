@@ -110,6 +110,7 @@ def test_domain_of_the_true_curves(order: int) -> None:
             np.testing.assert_allclose(bent @ found.stiffness @ bent / 2, (lam + 2 * mu) * 2 * moment)
 
 
+@pytest.mark.slow
 @ORDERS
 def test_gaps_hold_inside_elements(order: int) -> None:
     """Over a bump narrower than an element, which costs energy beside gaps that hold at nodes alone."""
@@ -132,6 +133,7 @@ def claimed(mesh: Any, **record: Any) -> SimpleNamespace:
     return SimpleNamespace(mesh=mesh, displacement=np.zeros((1, mesh.p.shape[1])), record=lambda: said)
 
 
+@pytest.mark.slow
 def test_false_claims_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
     flat = Foundation("right", "offset", 0.01)
     monkeypatch.setattr(soak, "LEVELS", (300,))

@@ -31,6 +31,7 @@ def parabola(n: int, **changes: Any) -> ContactProblem:
     )
 
 
+@pytest.mark.slow
 def test_a_parabola_is_best_meshed_by_strips() -> None:
     # right triangles of width h have the error h^2 / 24 of interpolation, on any grid
     n = 3
@@ -46,6 +47,7 @@ def test_a_parabola_is_best_meshed_by_strips() -> None:
     assert "rmesh solve --remesh" in dict(found.rows())
 
 
+@pytest.mark.slow
 def test_a_linear_solution_leaves_nothing_to_gain() -> None:
     found = advise(parabola(2, law=Laplace(0.0), motion=Motion(0.1)))
     assert "rmesh solve --delta none --remesh" in dict(found.rows())  # limits are not regarded
@@ -53,6 +55,7 @@ def test_a_linear_solution_leaves_nothing_to_gain() -> None:
     assert (found.record()["second_order_factor"], np.isfinite(found.predicted_factor)) == (1.0, True)
 
 
+@pytest.mark.slow
 def test_the_error_is_known_where_energies_of_meshes_do_not_compare() -> None:
     """Data that vary along the boundary are represented better by each finer mesh."""
     exact = (lambda x, y: (x * x - y * y) / 2,)
@@ -77,6 +80,7 @@ def test_least_errors_are_those_of_the_best_triangles_at_each_place() -> None:
         assert value == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_least_errors_are_quadratic_in_the_derivatives_and_fall_like_the_order() -> None:
     mesh = rectangle(1, 1)
     triangles = counter_clockwise(mesh.p, mesh.t)
@@ -92,6 +96,7 @@ def test_least_errors_are_quadratic_in_the_derivatives_and_fall_like_the_order()
     np.testing.assert_allclose(found(1.0, 200), once / 2**2, rtol=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("order", "error"), [(1, 1 / (24 * 4**2)), (2, 1 / (1440 * 4**4))])
 def test_what_is_attained_is_over_the_error_of_the_last_mesh(order: int, error: float) -> None:
     """Of ``x^2 / 2`` and ``x^3 / 6``, by derivatives on the last mesh and on its refinement."""
@@ -139,6 +144,7 @@ def test_rows_say_factors_and_what_they_cost() -> None:
     assert replace(advice, recommended="refine").sentence.startswith("refine")
 
 
+@pytest.mark.slow
 def test_a_factor_is_an_interval_where_errors_and_energies_fall_at_other_rates() -> None:
     """On 20 nodes 26 is predicted for a new mesh, and 3.4 is reached."""
     advice = advise(replace(random_problem(91022), motion=Motion(None)))

@@ -75,6 +75,7 @@ def test_constraint_of_two_variables(formulation: str) -> None:
     assert outer.branches(point).label == "S"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", FORMULATIONS)
 def test_largest_pressure_by_its_epigraph(formulation: str) -> None:
     constraint = rm.Constraint("resultant(bottom)", (100.0, np.inf))

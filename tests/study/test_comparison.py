@@ -230,6 +230,7 @@ def test_an_interrupted_solve_leaves_its_row_and_is_the_last(plan, tmp_path, mon
     assert resumed(plan, tmp_path) == [one.key for one in plan]
 
 
+@pytest.mark.slow
 def test_solves_side_by_side_leave_the_rows_and_files_of_a_run_here(plan, ran, monkeypatch):
     """As workers answer: a row of the one that is solved, nothing of one that was lost."""
     got, contained = [], Contained(None, None)

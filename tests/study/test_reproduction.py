@@ -20,6 +20,7 @@ from rmesh_nlp.study.reproduction import (
 )
 
 
+@pytest.mark.slow
 def test_a_final_energy_is_compared_with_the_printed_one(monkeypatch):
     changes = {"6.1": (0.0, MET), "6.2": (-1e-3, PASSED), "6.3": (1e-3, NOT_MET)}
     ends = {name: PAPER[name].energy_final - 1e-5 + change for name, (change, _) in changes.items()}
@@ -52,6 +53,7 @@ def test_the_page_is_written_by_the_command(tmp_path, monkeypatch):
     assert "://" not in page
 
 
+@pytest.mark.slow
 def test_frozen_weights_are_those_of_the_given_mesh_in_every_contact_problem():
     """By a search over meshes whose contact problems have the bounds of friction of the given one."""
     outer = Outer.of(problem := EXAMPLES["6.3"]((2, 2)))

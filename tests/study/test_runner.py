@@ -42,6 +42,7 @@ def test_fields_survive_the_file_and_a_failure_removes_them(one, tmp_path):
         assert not places.history.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("formulation", ["nested", "joint", "mpcc"])
 def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     """It starts at one, that of the mesh as given, and ends at that of the mesh of the solution."""
@@ -59,6 +60,7 @@ def test_the_history_has_the_first_order_residual(formulation, tmp_path):
     assert steps[-1] <= 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [3, 2])
 def test_repeats_are_bare_and_their_times_medians_with_a_range(one, count, monkeypatch):
     """Those after an interrupted run are left out."""
