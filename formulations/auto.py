@@ -78,6 +78,8 @@ class Auto(Chooser):
         self, problem: ContactProblem, objective: Objective, is_started: bool
     ) -> tuple[Formulation, str]:
         motion, free = problem.motion, MeshMap.of(problem)
+        if problem.steps:
+            return Fixed(), "fixed: load steps follow each other on one mesh"
         if problem.constraints:
             return AllAtOnce(), "mpcc: quantities of the contact are constrained"
         if not problem.has_energy and objective.is_energy:

@@ -7,8 +7,12 @@ from typing import ClassVar
 
 import numpy as np
 
+from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.contact import active_set
+from rmesh_nlp.contact.system import Equilibrium
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.optimize.status import Status
+from rmesh_nlp.settings import ByName
 from rmesh_nlp.solving.formulation import Formulation
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
@@ -23,9 +27,32 @@ class Fixed(Formulation):
     relocates: ClassVar[bool] = False
 
     def run(self, outer: Outer, q: Array, monitor: Monitor) -> Outcome:
+        state, after = self._solved(outer, monitor), list[ByName]()
+        for step in outer.problem.steps:
+            if state.status is not Status.CONVERGED:
+                break
+            after.append(_carried(outer, state))
+            origin = outer.contact.displacement.values(state.u)
+            outer = Outer.of(outer.problem.after(step, origin), outer.objective, outer.tolerance)
+            state = self._solved(outer, monitor)
+        details = {"steps": [*after, _carried(outer, state)]} if after else {}
+        return Outcome(outer, np.zeros(outer.n), state.status, label="", details=details)
+
+    def _solved(self, outer: Outer, monitor: Monitor) -> Equilibrium:
         state = active_set.solve(outer.contact.system_at(np.zeros(outer.n)))
         monitor.work += Work(1, 1, state.iterations)
         nan, seconds = float("nan"), monitor.budget.elapsed
         step = Step(state.iterations, state.energy, 0.0, 0.0, nan, 1, seconds, energy_given=state.energy)
         monitor.note(step)
-        return Outcome(outer, np.zeros(outer.n), state.status, label="")
+        return state
+
+
+def _carried(outer: Outer, state: Equilibrium) -> dict[str, dict[str, float]]:
+    """What each contact boundary carries, by the names of the record."""
+    contact = outer.contact
+    system = contact.system_at(np.zeros(outer.n))
+    results = contact_results(contact.discretisation.space, outer.problem.mesh.p, system, state)
+    return {
+        name: {key: of for key, of in vars(result).items() if of is not None}
+        for name, result in results.items()
+    }

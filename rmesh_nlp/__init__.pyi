@@ -26,6 +26,7 @@ from rmesh_nlp.problem import DesignVariable as DesignVariable
 from rmesh_nlp.problem import Dirichlet as Dirichlet
 from rmesh_nlp.problem import ExactSolution as ExactSolution
 from rmesh_nlp.problem import Laplace as Laplace
+from rmesh_nlp.problem import LoadStep as LoadStep
 from rmesh_nlp.problem import Motion as Motion
 from rmesh_nlp.problem import Obstacle as Obstacle
 from rmesh_nlp.problem import PlaneStrain as PlaneStrain

@@ -290,10 +290,9 @@ class Continuous:
 
     def friction(self, displacement: Array) -> tuple[float, float]:
         """The integral of friction bound times slip of a displacement (components, nodes), and its doubt."""
+        slip = displacement if self.problem.origin is None else displacement - self.problem.origin
         parts = [
-            friction_energy(
-                edges, part.obstacle, part.relative(displacement)[:, self.space.nodes_of(edges.ends)]
-            )
+            friction_energy(edges, part.obstacle, part.relative(slip)[:, self.space.nodes_of(edges.ends)])
             for part, edges in self._rubbing
         ]
         value, doubt = np.sum([np.sum(each, axis=1) for each in parts], axis=0) if parts else (0.0, 0.0)

@@ -51,11 +51,12 @@ def coulomb_residual(
     if total == 0 or size == 0:
         return 0.0
     length = float(np.sum(weights[rows][force[rows] > ROUNDING * np.max(force[rows])]))
-    body, integral = Body(space.problem, nodes), 0.0
+    body, integral, origin = Body(space.problem, nodes), 0.0, space.problem.origin
+    moved = displacement if origin is None else displacement - origin
     for part in parts:
         stresses = np.zeros((2, space.n_nodes))
         stresses[:, part.nodes] = np.stack([normal[part.rows], tangential[part.rows]]) / weights[part.rows]
-        relative = part.relative(displacement)[:, : space.n_nodes]
+        relative = part.relative(moved)[:, : space.n_nodes]
         fields = np.vstack([space.coefficients(stresses), relative])
         integral += _integral(body, space, part, fields, total / length / size)
     return integral / total

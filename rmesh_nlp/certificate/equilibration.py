@@ -109,6 +109,8 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         raise NotCertifiableError("a force moves a foundation")
     if rigid_motions(problem).size > 0:
         raise NotCertifiableError("only contact holds the body")
+    if problem.origin is not None:
+        raise NotCertifiableError("friction counts slip from an earlier load step")
     if not problem.has_energy:
         raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:

@@ -23,7 +23,7 @@ from rmesh_nlp.optimize.budget import deferred
 from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.formulation import ACCURACY
 from rmesh_nlp.solving.parts import Step
-from rmesh_nlp.solving.summary import contact_rows, mesh_table
+from rmesh_nlp.solving.summary import contact_rows, mesh_table, step_table
 from rmesh_nlp.study import comparison
 from rmesh_nlp.study.plan import PlannedSolve, planned
 from rmesh_nlp.study.progress import SolvesProgress
@@ -149,8 +149,9 @@ def _say(done: Done, *, in_full: bool) -> None:
     else:
         for what, value in contact_rows(solution):
             print(f"{what} {value}")
-    if meshes := solution.details.get("meshes"):
-        Console().print(mesh_table(meshes))
+    for name, table in (("meshes", mesh_table), ("steps", step_table)):
+        if rows := solution.details.get(name):
+            Console().print(table(rows))
     for warning in solution.warnings:
         print(f"warning: {warning}")
     if (certificate := solution.certificate) is not None:

@@ -129,6 +129,8 @@ def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field]]]:
 def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:
     """The displacement as unknowns numbered from zero, fixed where it is given.
 
+    With an origin the unknowns are what is added to it, so that slip is counted from there.
+
     Returns the field (components, nodes) and the number of unknowns.
     """
     held, value = space.given()
@@ -136,4 +138,5 @@ def displacement_field(space: DisplacementSpace) -> tuple[Field, int]:
     # node by node, so that the unknowns of a node stay together
     index = np.full(held.T.shape, NONE)
     index[~held.T] = np.arange(count)
-    return Field(index.T, np.ones(value.shape), value), count
+    start = value if space.problem.origin is None else np.where(held, value, space.problem.origin)
+    return Field(index.T, np.ones(value.shape), start), count

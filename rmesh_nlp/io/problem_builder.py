@@ -8,11 +8,11 @@ import numpy as np
 from skfem import MeshTri
 
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.errors import one_line
+from rmesh_nlp.errors import Place, one_line
 from rmesh_nlp.evaluation import Array, Mask
 from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io.problem_messages import outwards
-from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable
+from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable, StepTable
 from rmesh_nlp.io.problem_values import SYMMETRY
 from rmesh_nlp.meshes import named
 from rmesh_nlp.meshes.curves import Curve, fitted
@@ -23,6 +23,7 @@ from rmesh_nlp.problem import (
     DesignVariable,
     Dirichlet,
     Law,
+    LoadStep,
     Motion,
     Obstacle,
     PointLoad,
@@ -33,13 +34,14 @@ from rmesh_nlp.problem import (
 )
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.conditions import symmetric
+from rmesh_nlp.settings import Values
 
 
 def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
     """Read the mesh and put the problem together, or with displacements of another order."""
     source, at, mesh = table.source, table.source.at, _mesh(table)
     laws, curves = dict[str, Law](), dict[str, Curve]()
-    obstacles, supports, loads = list[Obstacle](), list[Dirichlet](), list[PointLoad]()
+    obstacles = list[Obstacle]()
     for name, material in table.materials.items():
         with at("materials", name):
             laws[name] = material.made()
@@ -50,12 +52,10 @@ def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
     for number, contact in enumerate(table.contact):
         with at("contact", number, *contact.given("line", "circle")):
             obstacles.append(contact.made(n))
-    for name, value in table.dirichlet.items():
-        with at("dirichlet", name):
-            supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
-    for number, load in enumerate(table.point_loads):
-        with at("point_loads", number, "at"):
-            loads.append(PointLoad(node_at(mesh, load.at), **load.entries("at")))
+    steps = tuple(
+        LoadStep(**_conditions(table, step, mesh, n, ("steps", number)), tools=step.tools)
+        for number, step in enumerate(table.steps)
+    )
     for name, curve in table.curves.items():
         with at("curves", name):
             curves[name] = curve.made() if isinstance(curve, CurveTable) else fitted(mesh, name, curve)
@@ -68,14 +68,13 @@ def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
         problem = ContactProblem(
             mesh=mesh,
             law=laws if table.material is None else laws[""],
-            dirichlet=tuple(supports),
+            **_conditions(table, table, mesh, n),
             obstacle=obstacles[0] if len(obstacles) == 1 else tuple(obstacles),
             motion=motion,
-            tractions=tuple(Traction(name, value) for name, value in table.tractions.items()),
             quadrature=table.quadrature,
             name=table.name or source.path.stem,
             size=f"{mesh.nelements} triangles",
-            point_loads=tuple(loads),
+            steps=steps,
             units=Units(**table.units.entries()),
             order=table.order if order is None else order,
             design=design,
@@ -88,6 +87,21 @@ def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
     with at("motion"):
         _ = discretise(problem).validity  # the rules of the motion can be obeyed
     return problem
+
+
+def _conditions(
+    table: ProblemTable, loads: ProblemTable | StepTable, mesh: MeshTri, n: int, place: Place = ()
+) -> Values:
+    """Supports, tractions and forces at nodes of a file or of one of its load steps."""
+    at, supports, forces = table.source.at, list[Dirichlet](), list[PointLoad]()
+    for name, value in loads.dirichlet.items():
+        with at(*place, "dirichlet", name):
+            supports.append(symmetric(mesh, name, n) if value == SYMMETRY else Dirichlet(name, value))
+    for number, load in enumerate(loads.point_loads):
+        with at(*place, "point_loads", number, "at"):
+            forces.append(PointLoad(node_at(mesh, load.at), **load.entries("at")))
+    tractions = tuple(Traction(name, value) for name, value in loads.tractions.items())
+    return {"dirichlet": tuple(supports), "point_loads": tuple(forces), "tractions": tractions}
 
 
 def _mesh(table: ProblemTable) -> MeshTri:

@@ -374,6 +374,15 @@ class SolveTable(BaseModel):
         return self.model_dump(exclude={"formulation", "certify"}, exclude_defaults=True)
 
 
+class StepTable(FileTable):
+    """One of ``[[steps]]``: loads and given displacements that change, and forces of tools."""
+
+    tractions: dict[str, Vector] = Field(default_factory=dict)
+    point_loads: tuple[PointLoadTable, ...] = ()
+    dirichlet: dict[str, Given] = Field(default_factory=dict)
+    tools: dict[str, Pair] = Field(default_factory=dict)
+
+
 class ProblemTable(FileTable):
     """A whole problem file."""
 
@@ -391,6 +400,7 @@ class ProblemTable(FileTable):
     contact: Annotated[tuple[ContactTable, ...], BeforeValidator(as_list)] = ()
     design: DesignTable = Field(default_factory=DesignTable)
     constraints: tuple[ConstraintTable, ...] = ()
+    steps: tuple[StepTable, ...] = ()
     units: UnitsTable = UnitsTable()
     motion: MotionTable = MotionTable()
     curves: dict[str, Annotated[CurveTable, WrapValidator(_curve)]] = Field(default_factory=dict)

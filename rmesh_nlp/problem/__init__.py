@@ -3,7 +3,7 @@
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.meshes.geometry import signed_areas
 from rmesh_nlp.problem.coefficients import Coefficient, PiecewiseLinear, PositionFunction, at, where
-from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction
+from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, LoadStep, PointLoad, Traction
 from rmesh_nlp.problem.contact_problem import ContactProblem, locally_refined, refined
 from rmesh_nlp.problem.data import ContactSet
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape
@@ -25,6 +25,7 @@ __all__ = [
     "ExactSolution",
     "Laplace",
     "Law",
+    "LoadStep",
     "Motion",
     "Obstacle",
     "PiecewiseLinear",

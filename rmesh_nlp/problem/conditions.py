@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
@@ -15,6 +15,8 @@ from rmesh_nlp.evaluation import ROUNDING, largest_side
 from rmesh_nlp.meshes.geometry import nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, PositionFunction
 from rmesh_nlp.settings import Checked, Limit
+
+T = TypeVar("T")
 
 
 def as_tuple(value: Any) -> tuple[Any, ...]:
@@ -83,6 +85,34 @@ class PointLoad(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         object.__setattr__(self, "force", as_tuple(self.force))
+
+
+@dataclass(frozen=True)
+class LoadStep:
+    """What changes in one of several load steps; what it does not name stays as it was.
+
+    Parameters
+    ----------
+    tractions : tuple of Traction
+        Each in the place of all on its boundary.
+    point_loads : tuple of PointLoad
+        Each in the place of all at its node.
+    dirichlet : tuple of Dirichlet
+        Each in the place of what was given on its boundary.
+    tools : mapping of str to tuple of float
+        Forces of tools, by the boundaries that they meet.
+    """
+
+    tractions: tuple[Traction, ...] = ()
+    point_loads: tuple[PointLoad, ...] = ()
+    dirichlet: tuple[Dirichlet, ...] = ()
+    tools: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+
+
+def changed(old: Iterable[T], new: Iterable[T], key: str) -> tuple[T, ...]:
+    """Conditions of which new ones take the place of those with the same boundary, or node."""
+    named = {getattr(part, key) for part in new}
+    return (*(part for part in old if getattr(part, key) not in named), *new)
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
 from rmesh_nlp.problem.checks import check, check_names, check_pairs
-from rmesh_nlp.problem.conditions import Dirichlet, PointLoad, Traction, as_tuple
+from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, as_tuple, changed
 from rmesh_nlp.problem.data import ProblemData
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design, names_in
 from rmesh_nlp.problem.laws import Law
@@ -38,6 +38,7 @@ KINDS: dict[str, tuple[tuple[type, ...], str]] = {
     "motion": ((Motion,), "Motion"),
     "design": ((DesignVariable, Shape), "DesignVariable or Shape"),
     "constraints": ((Constraint,), "Constraint"),
+    "steps": ((LoadStep,), "LoadStep"),
 }
 """What some fields of a problem consist of."""
 
@@ -80,6 +81,10 @@ class ContactProblem(Shown, ProblemData):
         What the optimised mesh and design must keep; none by default.
     units : Units
         Names of the units, written in texts and figures only; none by default.
+    steps : tuple of LoadStep, or one alone
+        Loads that follow those of the problem one after the other, on the mesh as given; none by default.
+    origin : (components, nodes and tools) array, optional
+        The displacement that friction counts slip from, that of the load step before; zero by default.
     numbers : mapping of str to float
         What :meth:`at_design` has put in the place of design variables.
     reference : (2, 3, elements) array, optional
@@ -113,6 +118,12 @@ class ContactProblem(Shown, ProblemData):
             self._check_design()
         else:
             check(self)
+        each = self
+        for number, step in enumerate(self.steps):
+            try:
+                each = each.after(step, None)
+            except ProblemError as error:
+                raise ProblemError(("steps", number, *error.place), str(error)) from error
         per = "revolution" if self.axisymmetric else ""
         object.__setattr__(self, "units", replace(self.units, per=per))
         object.__setattr__(self, "mesh", onto_curves(onto_lines(self.mesh), self.motion.curves))
@@ -162,10 +173,30 @@ class ContactProblem(Shown, ProblemData):
             tractions=at_design(self.tractions, at),
             point_loads=at_design(self.point_loads, at),
             obstacle=at_design(as_tuple(self.obstacle), at),
+            steps=at_design(self.steps, at),
             reference=self.mesh.p[:, self.triangles] if self.reference is None else self.reference,
             design=(),
             constraints=(),
             numbers=at,
+        )
+
+    def after(self, step: LoadStep, origin: Array | None) -> ContactProblem:
+        """The problem of the next load step, whose slip is counted from a displacement ``origin``."""
+        known = {str(part.boundary) for part in self.obstacles if part.force is not None}
+        for name in step.tools:
+            if name not in known:
+                raise ProblemError("tools", f"no tool under a force meets {name!r}")
+        obstacles = (
+            replace(part, force=step.tools.get(str(part.boundary), part.force)) for part in self.obstacles
+        )
+        return replace(
+            self,
+            tractions=changed(self.tractions, step.tractions, "boundary"),
+            point_loads=changed(self.point_loads, step.point_loads, "node"),
+            dirichlet=changed(self.supports, step.dirichlet, "boundary"),
+            obstacle=tuple(obstacles),
+            steps=(),
+            origin=origin,
         )
 
     def with_rule(self, rule: str | int) -> ContactProblem:

@@ -14,7 +14,7 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Index, Mask, magnitude, number
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.meshes.geometry import counter_clockwise, nodes_of
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
-from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, PointLoad, Traction, as_tuple
+from rmesh_nlp.problem.conditions import Dirichlet, ExactSolution, LoadStep, PointLoad, Traction, as_tuple
 from rmesh_nlp.problem.design import Constraint, DesignVariable, Shape, at_design
 from rmesh_nlp.problem.laws import Law
 from rmesh_nlp.problem.motion import Motion
@@ -83,6 +83,8 @@ class ProblemData:
     design: tuple[DesignVariable | Shape, ...] = ()
     constraints: tuple[Constraint, ...] = ()
     units: Units = NO_UNITS
+    steps: tuple[LoadStep, ...] = ()
+    origin: Array | None = field(default=None, compare=False, repr=False)
     numbers: Mapping[str, float] = field(default_factory=dict, compare=False, repr=False)
     reference: Array | None = field(default=None, compare=False, repr=False)
 

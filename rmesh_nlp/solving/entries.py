@@ -342,6 +342,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "forces, on the final mesh."),
         Entry("meshes", list[dict[str, Any]], "Of `adaptive`: `nodes`, `seconds` so far and `quantities` "
               "like `estimates`, mesh by mesh."),
+        Entry("steps", list[dict[str, dict[str, Number]]],
+              "With load steps: what each contact boundary carries after each."),
         Entry("estimates_remark", Text, "Why there are no more."),
         Entry("remeshed_nodes", list[int], "With `--remesh`: nodes of the meshes that Mmg made in turn."),
         Entry("remeshed_energies", list[Number], "Energies on them before any node moved.", unit="energy"),

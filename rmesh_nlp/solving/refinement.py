@@ -80,7 +80,9 @@ class ReducedError:
 def reduced_error(assessment: Assessment, contact_solves: int) -> ReducedError:
     """By how much the error of the energy fell; nothing for designs and with Coulomb friction."""
     given, final = assessment.given, assessment.final
-    if given.continuous is None or final.continuous is None or not final.problem.has_energy or final.design:
+    problem = final.problem
+    has_energy = problem.has_energy and problem.origin is None and not final.design
+    if given.continuous is None or final.continuous is None or not has_energy:
         return ReducedError()
     reduction, finest = error_reduction(given.continuous, final.continuous, contact_solves)
     best = None

@@ -127,6 +127,15 @@ def mesh_table(meshes: Sequence[ByName]) -> Table:
     return table
 
 
+def step_table(steps: Sequence[ByName]) -> Table:
+    """What each contact boundary carries after each load step."""
+    names = [(boundary, f"{kind}_force") for boundary in steps[0] for kind in ("normal", "tangential")]
+    table = Table("step", *(f"{boundary}: {name.replace('_', ' ')}" for boundary, name in names))
+    for number, results in enumerate(steps, 1):
+        table.add_row(f"{number}", *(figure(results[boundary][name]) for boundary, name in names))
+    return table
+
+
 def contact_rows(solution: Relocated) -> Rows:
     """What each contact boundary carries, on the given mesh, the relocated one and its refinement."""
     rows, units = [], solution.problem.units if solution.problem.components == 2 else NO_UNITS

@@ -286,3 +286,31 @@ def test_a_design_from_its_file_to_tables_and_figures(rmesh) -> None:
     assert "| bow  | -0.02 to 0.03 |" in said.out
     assert any(path.name.endswith("-design.png") for path in Path("c/figures").iterdir())
     assert rmesh("report c").code == 0
+
+
+def test_tool_is_pressed_step_by_step(rmesh) -> None:
+    """What a step leaves out stays: the line, its friction, and what the body is held by."""
+    Path("my.toml").write_text("""
+mesh = { shape = "rectangle", nx = 8, ny = 4, x = [0, 2] }
+material = { law = "plane-strain", young = 1000, poisson = 0.3 }
+dirichlet = { bottom = [0, 0] }
+[contact]
+boundary = "top"
+line = { point = [0, 1], normal = [0, -1] }
+coulomb = 0.5
+force = [0, -2]
+[[steps]]
+tools = { top = [0, -4] }
+[[steps]]
+tractions = { right = [0.3, 0] }
+""")
+    said = rmesh("solve my.toml --no-figures --out one")
+    assert said.code == 0
+    assert "top: tangential force" in said.out
+    forces = [step["top"]["normal_force"] for step in record()["steps"]]
+    assert forces == pytest.approx([2.0, 4.0, 4.0])
+    assert record()["steps"][-1]["top"]["force_x"] < -1e-3  # it opposes the pull
+    Path("my.toml").write_text(Path("my.toml").read_text().replace("top = [0, -4]", "left = [0, -4]"))
+    said = rmesh("check my.toml")
+    assert said.code == 2
+    assert "steps[1].tools = {'left': [0, -4]}: no tool under a force meets 'left'" in said.err
