@@ -25,7 +25,7 @@ from rmesh_nlp.evaluation import Array, Expression, Kind, cross, kind_of
 from rmesh_nlp.fem.bernstein import SIDES, size, slopes
 from rmesh_nlp.meshes.curves import Curve
 from rmesh_nlp.problem.coefficients import OPEN, Coefficient, at
-from rmesh_nlp.problem.quadrature import MIDPOINT, line_rule, triangle_rule
+from rmesh_nlp.problem.quadrature import CORNER, MIDPOINT, line_rule, triangle_rule
 from rmesh_nlp.problem.switches import polynomial_degree
 
 Density = Callable[[Expression, Expression, Expression, Expression], Expression]
@@ -229,7 +229,7 @@ def measured_rule(corners: int, degree: int | str, measure: Coefficient) -> tupl
 
     Barycentric coordinates (corners, points) and weights (points,), summing to 1.
     """
-    if degree == MIDPOINT:
+    if isinstance(degree, str):
         return triangle_rule(degree)
     more = polynomial_degree(measure)
     degree = int(degree) + (SMOOTH_DEGREE if more is None else more)
@@ -237,7 +237,7 @@ def measured_rule(corners: int, degree: int | str, measure: Coefficient) -> tupl
 
 
 def _along_curves(degree: int | str) -> int:
-    return DEGREE if isinstance(degree, str) else max(degree, DEGREE)
+    return 13 if degree == CORNER else DEGREE if degree == MIDPOINT else max(int(degree), DEGREE)
 
 
 def shape_functions(order: int, shares: Expression) -> Expression:

@@ -122,8 +122,9 @@ class ReducedEnergy:
         """Value and gradient where the contact solution is known."""
         q, equilibrium = inner.q, inner.equilibrium
         friction = equilibrium.tangential_force[self.relocation.parts.friction_rows]
-        gradient = self.gradient(self.unknowns(q, equilibrium.u), equilibrium.normal_force, friction)
-        value = equilibrium.energy + self.of_positions(q)
+        # by strains: u K u of a body that moves by far more than it deforms is mostly rounding
+        x = self.unknowns(q, equilibrium.u)
+        value, gradient = self.lagrangian(x, equilibrium.normal_force, friction)
         return ReducedPoint(q, inner.system, equilibrium, value, gradient, True)
 
     @cached_property
@@ -134,14 +135,14 @@ class ReducedEnergy:
         """L'' at a contact solution."""
         return self._curvature.at(self.unknowns(point.q, point.equilibrium.u), point)
 
-    def gradient(self, x: Array, normal_force: Array, friction: Array) -> Array:
-        """Derivative by q of the inner Lagrangian at unknowns ``x = (q, u, s)`` and contact forces.
+    def lagrangian(self, x: Array, normal_force: Array, friction: Array) -> tuple[float, Array]:
+        """The energy, and the derivative by q of the inner Lagrangian, at ``x = (q, u, s)`` and forces.
 
         ``friction`` (n_s,) has the tangential forces where friction may act.
         """
-        _, gradient, _, rows = self.relocation.assembled.first(x, None)
+        value, gradient, _, rows = self.relocation.assembled.first(x, None)
         forces = self.relocation.multipliers(normal_force, friction)
-        return gradient[: self.relocation.parts.n_q] - self._rows(rows).T @ forces
+        return float(value[0]), gradient[: self.relocation.parts.n_q] - self._rows(rows).T @ forces
 
     def unknowns(self, q: Array, u: Array) -> Array:
         """The unknowns ``(q, u, s)`` of the energy NLP at q and displacements (n_u,)."""

@@ -58,7 +58,7 @@ class OuterResidual:
         It costs no contact solve, and is that of :meth:`__call__` where equilibrium and contact law hold.
         """
         q = self._energy.relocation.parts.mesh_map.clipped(q)  # an interior point may leave them by rounding
-        return self.at(q, self._energy.gradient(self._energy.unknowns(q, u), normal_force, friction))
+        return self.at(q, self._energy.lagrangian(self._energy.unknowns(q, u), normal_force, friction)[1])
 
     def at(self, q: Array, gradient: Array) -> float:
         """The residual at ``q`` with a gradient; infinite if that is not finite."""

@@ -73,9 +73,14 @@ class Law(ABC):
         return gradient
 
     @property
+    def takes_displacement(self) -> bool:
+        """Whether the energy depends on more than the gradient of the displacement."""
+        return type(self).extended is not Law.extended
+
+    @property
     def varies(self) -> bool:
-        """Whether the energy depends on the place, or on more than the gradient of the displacement."""
-        return callable(self.measure) or type(self).extended is not Law.extended
+        """Whether it does, or depends on the place."""
+        return callable(self.measure) or self.takes_displacement
 
     @abstractmethod
     def energy_density(self, gradient: Expression) -> Expression:

@@ -20,6 +20,9 @@ higher one of the load is taken for tractions too."""
 MIDPOINT = "midpoint"
 """The three edge midpoints, exact to degree 2."""
 
+CORNER = "corner"
+"""Of functions that are rational in the distance from the second corner, as u_r^2 / r with r = 0 there."""
+
 MOST_POINTS = 400
 """A cell is left whole where rules on the pieces between jumps of its load would have more points."""
 
@@ -76,15 +79,14 @@ def line_rule(degree: int) -> tuple[Array, Array]:
 def triangle_rule(quadrature: str | int) -> tuple[Array, Array]:
     """Barycentric coordinates (3, points) and weights (points,), summing to 1.
 
-    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree.
+    "midpoint" is the three edge midpoints, exact to degree 2; a number asks for that degree; "corner" has
+    degree 10, also times powers of the distance from the second corner.
     """
     if quadrature == MIDPOINT:
         return (np.ones((3, 3)) - np.eye(3)) / 2, np.full(3, 1 / 3)
-    assert isinstance(quadrature, int)
-    if quadrature <= 19:  # the highest degree of scikit-fem's
-        points, weights = get_quadrature_tri(quadrature)
-    else:
-        points, weights = _conical_product_rule(quadrature)
+    degree = 10 if quadrature == CORNER else int(quadrature)
+    conical = quadrature == CORNER or degree > 19  # the highest degree of scikit-fem's
+    points, weights = (_conical_product_rule if conical else get_quadrature_tri)(degree)
     return np.vstack([1 - points.sum(axis=0), points]), 2 * weights
 
 

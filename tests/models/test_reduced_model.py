@@ -14,12 +14,13 @@ from rmesh_nlp.evaluation import Array
 from rmesh_nlp.examples import EXAMPLES
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.objectives import ENERGY
+from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models import reduced_nlp as module
 from rmesh_nlp.models import second_derivatives
 from rmesh_nlp.models.energy_nlp import ElementConstraints, relocation
 from rmesh_nlp.models.reduced_model import ReducedEnergy, ReducedObjective
 from rmesh_nlp.models.reduced_nlp import STIFF, reduced_nlp
-from rmesh_nlp.problem import ContactProblem, ExactSolution, Motion
+from rmesh_nlp.problem import ContactProblem, Dirichlet, ExactSolution, Motion, Obstacle, PlaneStress
 from rmesh_nlp.solving.outer import Outer
 from support.curved import CURVES, HOLE, disc, plate
 from support.orders import slow_but
@@ -277,6 +278,20 @@ def test_entries_outside_the_pattern_are_errors(monkeypatch: pytest.MonkeyPatch)
     larger = reduced_nlp(Outer.of(bumpy(0.0)).energy)
     with pytest.raises(RuntimeError, match="outside its pattern"):
         larger.derivatives.hess_lag(np.zeros(larger.n_x), [], 1.0, np.zeros(larger.n_g))
+
+
+def test_energy_has_the_digits_of_its_strains_however_far_the_body_moves() -> None:
+    """A square that falls by 1000 and is then compressed by 1e-4: E (1e-4)^2 / 2, E = 1 in plane stress."""
+    problem = ContactProblem(
+        mesh=rectangle(4, 4),
+        law=PlaneStress.from_young(1.0, 0.3),
+        dirichlet=(Dirichlet("left", (0.0, None)), Dirichlet("top", (None, -1000.0001))),
+        obstacle=Obstacle.line("bottom", point=(0.0, -1000.0), normal=(0.0, 1.0)),
+        order=2,
+    )
+    outer = Outer.of(problem, ENERGY)
+    values = [outer.function(0.02 * q).value for q in np.random.default_rng(0).uniform(-1, 1, (3, outer.n))]
+    assert values == pytest.approx([5e-9] * 3, rel=1e-6)
 
 
 def test_meshes_with_inverted_elements_have_no_energy() -> None:
