@@ -118,10 +118,29 @@ def _without_duplicates(p: NDArray, t: Index, apart: list[list[Any]]) -> tuple[N
 
 
 def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index) -> MeshTri:
+    size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
+    keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
+    order = np.argsort(keys)
+
+    def facets_of(name: str, edges: NDArray) -> Index:
+        """Numbers of the facets between pairs of nodes (edges, 2), these by their old numbers."""
+        if edges.size and (edges.ndim != 2 or edges.shape[1] != 2):
+            raise BadInputError(
+                f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}"
+            )
+        ends = number[edges.reshape(-1, 2).T.astype(np.int64)]
+        wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
+        found = order[np.searchsorted(keys, wanted, sorter=order) % keys.size]
+        for a, b in edges[keys[found] != wanted]:
+            raise BadInputError(
+                f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle"
+            )
+        return np.unique(found)
+
     facets = {
         name: _chosen(mesh.p[:, mesh.facets], value, mesh.boundary_facets())
         if callable(value)
-        else _facets(mesh, name, np.asarray(value), number)
+        else facets_of(name, np.asarray(value))
         for name, value in boundaries.items()
     }
     elements = {
@@ -144,20 +163,6 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
 def _chosen(corners: NDArray, predicate: Callable[[Any], Any], among: Index) -> Index:
     inside = np.asarray(predicate(corners.mean(axis=1)[:, among]), dtype=bool)
     return np.asarray(among[np.broadcast_to(inside, among.shape)], dtype=np.int64)
-
-
-def _facets(mesh: MeshTri, name: str, edges: NDArray, number: Index) -> Index:
-    """Numbers of the facets between pairs of nodes (edges, 2), these by their old numbers."""
-    if edges.size and (edges.ndim != 2 or edges.shape[1] != 2):
-        raise BadInputError(f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}")
-    edges = edges if edges.size else np.zeros((0, 2), dtype=np.int64)
-    ends = number[edges.T]
-    size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
-    keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
-    wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
-    for a, b in edges[~np.isin(wanted, keys)]:
-        raise BadInputError(f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle")
-    return np.flatnonzero(np.isin(keys, wanted))
 
 
 def _warn(message: str) -> None:

@@ -20,9 +20,7 @@ from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, lengths, sides
 TITLES = ("point", "boundary", "subdomain")
 """What groups of dimension 0, 1, 2 are called without a name: this and their number."""
 
-USABLE = (
-    "only points, lines, triangles and quadrilaterals of order 1 or 2 can be used: mesh the plane section"
-)
+USABLE = "only points, lines, triangles and quadrilaterals can be used: mesh the plane section"
 """What a file with other cells is told."""
 
 
@@ -34,7 +32,7 @@ class Block(NamedTuple):
     corners : int
         1 for points, 2 for lines, 3 for triangles, 4 for quadrilaterals.
     nodes : integers (cells, nodes per cell)
-        The corners in their order, then of order 2 the middles of the sides in the order of gmsh.
+        The corners in their order, then of higher orders further nodes.
     groups : mapping
         Names, and the cells of this block that have them: a mask, or ``...`` for all.
     """
@@ -58,10 +56,9 @@ def positions(tags: NDArray) -> Callable[[NDArray], Index]:
     order = np.argsort(tags, kind="stable")
 
     def found(wanted: NDArray) -> Index:
-        at = order[np.searchsorted(tags, wanted, sorter=order) % tags.size]
-        for missing in wanted[tags[at] != wanted][:1]:
+        for missing in wanted[~np.isin(wanted, tags)][:1]:
             raise BadInputError(f"the node {missing} of an element is missing in it")
-        return at
+        return order[np.searchsorted(tags, wanted, sorter=order)]
 
     return found
 
@@ -156,7 +153,7 @@ def _cut(p: Array, block: Block) -> tuple[Index, Index]:
 def _outer_edges(triangles: Index, sets: Mapping[str, Index]) -> dict[str, NDArray]:
     """The outer edges between the nodes of each set, as pairs of nodes; sets without any are left out."""
     edges = sides(triangles.T).T
-    outer = edges[~repeated(edges)]
+    outer = edges[~repeated(edges)] if sets else edges
     named = {name: outer[np.all(np.isin(outer, nodes), axis=1)] for name, nodes in sets.items()}
     return {name: edges for name, edges in named.items() if len(edges)}
 
