@@ -38,7 +38,7 @@ class MeshState:
 
     nodes: Array  # (2, nodes) positions
     displacement: Array  # (components, nodes)
-    pressure: Array  # (nodes,) in N/m^2, zero off the contact nodes, as are the next two
+    pressure: Array  # (nodes,) stress, on both sides of a pair; zero off contact nodes, as are the next two
     tangential_stress: Array
     friction_bound: Array
     gap: Array  # (nodes,) along the contact normal after the displacement; NaN off the contact nodes
@@ -52,6 +52,7 @@ def state_of(
     """The state of a problem with its vertices at X (2, vertices), from values at the nodes."""
     space = DisplacementSpace(problem)
     nodes = points_of(space, X)
+    pressure, tangential = np.array(pressure), np.array(tangential_stress)
     bound, gap, feet = np.zeros(space.n_nodes), np.full(space.n_nodes, np.nan), dict[str, Array]()
     for part in space.contact_sets:
         which, obstacle = part.nodes, part.obstacle
@@ -62,12 +63,15 @@ def state_of(
         gap[which] = np.fmin(gap[which], along + obstacle.distances(points))
         if obstacle.boundary is Place.INTERIOR:
             continue
-        name, own = obstacle.boundary, np.unique(space.nodes_of(contact_edges(problem, obstacle)))
+        if obstacle.other and part.partner is not None:
+            for values in (pressure, tangential, bound, gap):
+                values[part.partner[which]] = values[which]
+        name, own = obstacle.place, np.unique(space.nodes_of(contact_edges(problem, obstacle)))
         while name in feet:  # another foundation of the same boundary
             name += "'"
         feet[name] = np.full_like(nodes, np.nan)
         feet[name][:, own] = obstacle.feet(nodes[:, own]) if problem.components == 2 else nodes[:, own]
-    return MeshState(nodes, u, pressure, tangential_stress, bound, gap, feet, size_of_stress(problem, X, u))
+    return MeshState(nodes, u, pressure, tangential, bound, gap, feet, size_of_stress(problem, X, u))
 
 
 @dataclass(frozen=True)

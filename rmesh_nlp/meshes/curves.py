@@ -21,7 +21,7 @@ from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, is_finite, magnitude, slope_of
-from rmesh_nlp.meshes.geometry import members_of
+from rmesh_nlp.meshes.geometry import lines_of, members_of
 from rmesh_nlp.settings import Number
 from rmesh_nlp.vectorised import Vectorised, is_vectorisable
 
@@ -240,19 +240,11 @@ def fitted_circle(points: Array) -> Circle:
 
 def spline_through(points: Array, edges: NDArray) -> Spline:
     """The spline through the nodes of a boundary, its edges (2, edges) between columns of ``points``."""
-    neighbours: dict[int, list[int]] = {}
-    for a, b in edges.T.tolist():
-        neighbours.setdefault(a, []).append(b)
-        neighbours.setdefault(b, []).append(a)
-    ends = [node for node, near in neighbours.items() if len(near) == 1]
-    if any(len(near) > 2 for near in neighbours.values()) or len(ends) not in (0, 2):
+    line, *others = lines_of(edges, points)
+    if others or np.max(np.bincount(edges.ravel())) > 2:
         raise BadInputError("a spline needs a boundary of one piece without branches")
-    order = [min(ends or neighbours)]
-    while further := [node for node in neighbours[order[-1]] if node not in (*order[-2:-1], order[0])]:
-        order.append(further[0])
-    if len(order) < len(neighbours):
-        raise BadInputError("a spline needs a boundary of one piece")
-    return Spline(tuple((float(a), float(b)) for a, b in points[:, order].T), not ends)
+    closed = bool(line[0] == line[-1])
+    return Spline(tuple((float(a), float(b)) for a, b in points[:, line[: line.size - closed]].T), closed)
 
 
 FITTED = ("circle", "spline")

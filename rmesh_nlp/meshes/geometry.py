@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import depth_first_order
 from skfem import MeshTri
 
 from rmesh_nlp.errors import BadInputError, Place, ProblemError, unknown
-from rmesh_nlp.evaluation import Index, cross, largest_side
+from rmesh_nlp.evaluation import Array, Index, cross, largest_side
 from rmesh_nlp.settings import ByName, Values
 
 NAMELESS = (
@@ -110,3 +112,20 @@ def sides(triangles: NDArray) -> NDArray:
 def named_by_user(groups: ByName | None) -> Values:
     """Boundaries or subdomains without those that gmsh makes of itself."""
     return {name: part for name, part in (groups or {}).items() if not name.startswith("gmsh:")}
+
+
+def lines_of(edges: Index, points: Array) -> list[Index]:
+    """Numbers (k,) of points (2, n) along each of the lines that edges (2, m) between them form.
+
+    A line begins at its end at the left; a closed one ends where it begins. Where lines meet, one goes on.
+    """
+    edges = np.unique(np.sort(edges, axis=0), axis=1)
+    times = np.bincount(edges.ravel(), minlength=points.shape[1])
+    joined = csr_matrix((np.ones(edges.shape[1]), edges), shape=(times.size, times.size))
+    lines, seen = list[Index](), times == 0
+    for start in np.lexsort((*points[::-1], times != 1)).tolist():  # ends come first
+        if not seen[start]:
+            line = depth_first_order(joined, start, directed=False, return_predecessors=False)
+            seen[line] = True
+            lines.append(np.append(line, line[: int(times[start] > 1)]).astype(np.int64))
+    return lines

@@ -33,6 +33,9 @@ Centre = tuple[float | ca.SX, float | ca.SX]
 MOVES = ("x", "y", "xy")
 """Coordinates along which a tool may move."""
 
+BEHIND = "'s other side"
+"""What follows the name of an interface in that of its second boundary."""
+
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
 
@@ -253,10 +256,15 @@ class Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
         return cls(Place.INTERIOR, (1.0,), partial(_minus, psi))
 
+    @property
+    def place(self) -> str:
+        """The name of its boundary or interface, or both names of a pair."""
+        name = self.boundary.value if isinstance(self.boundary, Place) else self.boundary
+        return name if self.other in ("", name, name + BEHIND) else f"{name} and {self.other}"
+
     def in_words(self) -> str:
         """Where contact is, along which normal and with which friction."""
-        where = "in the interior" if self.boundary is Place.INTERIOR else f"on {self.boundary}"
-        where += f" and {self.other}" if self.other else ""
+        where = "in the interior" if self.boundary is Place.INTERIOR else f"on {self.place}"
         normal = f"normal ({', '.join(figure(v) for v in self.normal)})"
         if self.level is not None:
             normal = "the normal of the curve at each undeformed node"

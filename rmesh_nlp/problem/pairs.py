@@ -20,10 +20,7 @@ from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
-from rmesh_nlp.problem.obstacle import Obstacle, off_circle
-
-BEHIND = "'s other side"
-"""What follows the name of an interface in that of its second boundary."""
+from rmesh_nlp.problem.obstacle import BEHIND, Obstacle, off_circle
 
 Curves = Mapping[str, Curve]
 

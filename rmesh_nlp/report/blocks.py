@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeVar
@@ -170,9 +170,8 @@ def variants_of(records: Records) -> list[str]:
     return list(dict.fromkeys(variant(r) for r in records if r["formulation"] != RELOCATING_NOTHING))
 
 
-def names_of_solves(records: Records) -> list[str]:
-    """Example and formulation of each record, by blocks, with the settings that tell blocks apart."""
-    groups = blocks(records)
+def names_of_blocks(groups: Sequence[Case]) -> list[str]:
+    """Example of each block, with the settings that tell blocks of one example apart."""
     names = []
     for block in groups:
         told, rivals = [block.example], [other for other in groups if other.example == block.example]
@@ -180,8 +179,15 @@ def names_of_solves(records: Records) -> list[str]:
             alike = [other for other in rivals if other.settings[place] == text]
             told += [text] if len(alike) < len(rivals) or (place == 1 and text != LINEAR) else []
             rivals = alike
-        names += [", ".join([*told, label(record)]) for record in block.records]
+        names.append(", ".join(told))
     return names
+
+
+def names_of_solves(records: Records) -> list[str]:
+    """Name of its block and formulation of each record, by blocks."""
+    groups = blocks(records)
+    named = zip(groups, names_of_blocks(groups), strict=True)
+    return [f"{name}, {label(record)}" for block, name in named for record in block.records]
 
 
 def in_common_units(records: Records) -> list[Record]:

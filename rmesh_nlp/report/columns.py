@@ -9,7 +9,7 @@ from typing import Any
 
 from rmesh_nlp.io.records import Record, Records, ends_of, gain_of, objective_of
 from rmesh_nlp.report.blocks import Case, contact_units, label
-from rmesh_nlp.report.table import MISSING, Groups, Table
+from rmesh_nlp.report.table import MISSING, Rows, Table
 from rmesh_nlp.solving.entries import ENTRIES
 from rmesh_nlp.solving.entry import Digits
 
@@ -55,31 +55,31 @@ RESULTS = ("normal_force", "tangential_force", "peak_pressure", "contact_length"
 OF_ALL = ("resultant", "peak_pressure")  # of all contact boundaries together: shown where there is one
 
 
-def of_boundaries(records: Records) -> list[Record]:
-    """A row for each of several contact boundaries, with its results on the final mesh."""
+def of_boundaries(records: Records, least: int = 2) -> list[Record]:
+    """A row for each contact boundary where there are ``least`` or more, with its results at the end."""
     return [
-        {**record, **results, "boundary": name, "contact": None}
+        {**record, **results, "boundary": " and ".join(pairs.get(name, [name])), "contact": None}
         for record in records
-        for name, results in _several(record).items()
+        for contact, pairs in [(record.get("contact") or {}, record.get("pairs") or {})]
+        for name, results in contact.items()
+        if len(contact) >= least
     ]
-
-
-def _several(record: Record) -> Record:
-    contact = record.get("contact") or {}
-    return contact if len(contact) > 1 else {}
 
 
 def cells(columns: Sequence[Column], records: Records) -> list[list[str]]:
     """A row for each record; of several contact boundaries none has what is of all."""
-    rows = [{**record, **dict.fromkeys(OF_ALL if _several(record) else ())} for record in records]
+    rows = [{**record, **dict.fromkeys(OF_ALL if _of_several(record) else ())} for record in records]
     return [[column.cell(row) for column in columns] for row in rows]
 
 
-def table_of(columns: Sequence[Column], groups: Groups, **options: Any) -> Table:
+def _of_several(record: Record) -> bool:
+    return len(record.get("contact") or ()) > 1
+
+
+def table_of(columns: Sequence[Column], rows: Rows, **options: Any) -> Table:
     """A table of rows that :func:`cells` made, without the columns that none of them fills."""
-    rows = [row for _, own in groups for row in own]
     filled = [place for place in range(len(columns)) if {row[place] for row in rows} != {MISSING}]
-    kept = [(title, [[row[place] for place in filled] for row in own]) for title, own in groups]
+    kept = [[row[place] for place in filled] for row in rows]
     return Table([columns[place].heading for place in filled], kept, **options)
 
 
@@ -244,13 +244,13 @@ KINDS = (
         "Contact boundaries",
         CONTACT,
         "Results of each contact boundary on the relocated mesh.",
-        lambda block: any(map(_several, block.records)),
+        lambda block: any(map(_of_several, block.records)),
         is_detail=False,
     ),
     Kind(
         "Outcome",
         (
-            Column("formulation", short_label),
+            FORMULATION,
             *ENDS,
             GAIN_OF_OBJECTIVE,
             LEFT,
@@ -267,7 +267,7 @@ KINDS = (
     Kind(
         "Work",
         (
-            Column("formulation", short_label),
+            FORMULATION,
             *of("iterations", "contact_solves", "kkt_factorisations", "wall_time_s", "stationarity_residual"),
             BIACTIVE,
         ),

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter, LogLocator, MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator, StrMethodFormatter
 
 from rmesh_nlp.io.records import Record, Records, objective_of
 from rmesh_nlp.problem.units import bracketed, units_of
@@ -61,6 +61,7 @@ def convergence_figure(
     drawn_to += "of the largest" if ends_at_zero else f"|{symbol}*|"
     if not all(one["feasible"].all() for _, one in curves):
         drawn_to += f"\n{UNMET}"
+    axes[0].xaxis.set_major_locator(MaxNLocator(5, integer=True))
     axes[-1].set(xscale="log", xlabel="cost: time of build and solve\nover that of one contact solve")
     axes[0].set(yscale="log", ylabel=f"|{symbol} − {symbol}*|{unit}")
     axes[0].set_xlabel(f"{'iteration' if len(axes) > 1 else 'cost [contact solves]'}\n{drawn_to}")
@@ -85,9 +86,10 @@ def _draw(
 
 
 def _label_in_numbers(axis: Axes) -> None:
-    """Labels 1, 2, 5, 10 where an axis spans few decades: powers of ten would leave it without any."""
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.xaxis.set_major_formatter(LogFormatter(minor_thresholds=(2.0, 1.5)))
+    """Labels 1, 2, 5, 10 where an axis spans few decades, and even ones where it spans less than one."""
+    low, high = axis.get_xlim()
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)) if high > SPREAD * low else MaxNLocator(5))
+    axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
 
 
 def design_figure(
@@ -176,6 +178,8 @@ def bracket_figure(records: Records, page: Page) -> Figure:
         axis.plot(nodes, high, **{**look, "linestyle": "-"}, label=name)
         axis.plot(nodes, low, **{**look, "linestyle": "--"})
     axis.set(xscale="log", xlabel=size, ylabel="bounds of the least energy")
+    axis.minorticks_off()
+    _label_in_numbers(axis)
     axis.legend()
     return figure
 

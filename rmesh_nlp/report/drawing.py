@@ -17,7 +17,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from rmesh_nlp.evaluation import Array, Index, largest_side, magnitude
-from rmesh_nlp.fem.sampling import along, edges_of
+from rmesh_nlp.fem.sampling import along, edges_of, lines_along
 from rmesh_nlp.io.vtu import MeshState
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem.units import Units, bracketed
@@ -36,16 +36,18 @@ MARGIN = 0.02  # stays free around everything
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A contact boundary: its name, nodes that may meet a foundation, the nodes (2 or 3, edges) of its edges.
+    """A contact boundary: its name, nodes that may meet a foundation, and ``along`` it lines of nodes.
 
-    Points ``starts`` (2, edges, points) of its edges would meet ``lines`` of a rigid foundation.
+    Points ``starts`` (2, edges, points) of its edges would meet ``lines`` of a foundation that ``is_rigid``,
+    or the other side of a pair.
     """
 
     name: str
     nodes: Index
-    edges: Index
+    along: list[Index]
     starts: Array
     lines: Array
+    is_rigid: bool
 
     def displaced(self, factor: float) -> Array:
         """The foundation (2, edges, points) beside a body whose displacement is drawn ``factor`` times."""
@@ -84,19 +86,24 @@ class DrawnBody:
     def contacts(self) -> tuple[Contact, ...]:
         """The contact boundaries; none for an obstacle in the interior."""
         outer, found = edges_of(self.triangles, outer=True), []
+        _, place, times = np.unique(self.nodes, axis=1, return_inverse=True, return_counts=True)
+        doubled = times[place.ravel()] > 1
         for name, feet in self.state.feet.items():
             on = np.isfinite(feet[0])
             edges = outer[:, np.all(on[outer], axis=0)]
             lines = along(edges, self.nodes), along(edges, feet)
-            may_meet = np.flatnonzero(on & np.isfinite(self.state.gap))  # not those that are given
-            found.append(Contact(name, may_meet, edges, *lines))
+            meets = on & np.isfinite(self.state.gap)  # not those that are given
+            paths = lines_along(edges[:, np.any(meets[edges], axis=0)], self.nodes)
+            is_rigid = not np.all(doubled[meets])  # two nodes at one place are a pair
+            found.append(Contact(name, np.flatnonzero(meets), paths, *lines, is_rigid))
         return tuple(found)
 
     @property
     def near(self) -> list[Contact]:
         """Those whose foundations are drawn: none for scalar problems."""
         reach = REACH * largest_side(self.nodes)
-        return [one for one in self.contacts if self.elastic and one.distance <= reach]
+        rigid = (one for one in self.contacts if self.elastic and one.is_rigid)
+        return [one for one in rigid if one.distance <= reach]
 
     @property
     def closed(self) -> Index:
@@ -209,7 +216,9 @@ def side_by_side(
             draw_foundations(column[0], body, linewidth=4.0)  # a boundary may lie on it
             plotting.draw_mesh(column[1], body.moved(factor), body.triangles)
             draw_foundations(column[1], body, factor, linewidth=2.2)
-            scale = f", $u$ and gap × {factor:g}" if factor > 1 else ", true scale"
+            paired = any(not one.is_rigid for one in body.contacts)
+            with_u = " with its jump at pairs" if paired else " and gap" if body.near else ""
+            scale = f", $u${with_u} × {factor:g}" if factor > 1 else ", true scale"
             column[1].set_title(f"deformed{scale}")
     if label:
         plotting.share_colours(painted)
@@ -252,11 +261,14 @@ def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Fig
             bound: Any = {"color": "0.5", "linewidth": 0.9, "linestyle": (0, (6, 2))}
             ends = first.state.friction_bound, -first.state.friction_bound
             curves += [(first, values, bound, "friction bound ±g") for values in ends]
-        coordinate = plotting.direction(first.nodes[:, first.contacts[place].nodes])
+        points = first.nodes[:, np.concatenate(first.contacts[place].along)]
+        where, over = plotting.course(points, units.length)
         for body, values, look, title in curves:
-            where = body.contacts[place].nodes, body.contacts[place].edges
-            plotting.draw_along(axis, body.nodes, where, values, coordinate, **look, label=title)
-        along_name = f"$x_{coordinate + 1}${bracketed(units.length)} on {first.contacts[place].name}"
-        axis.set(xlabel=along_name, ylabel=kinds[name])
+            lines = body.contacts[place].along
+            plotting.draw_along(axis, body.nodes, lines, values, over, **look, label=title)
+        axis.set(xlabel=f"{where} on {first.contacts[place].name}", ylabel=kinds[name])
+        if name == "pressure":  # with zero, so that a uniform one is seen as such
+            low, high = axis.get_ylim()
+            axis.set_ylim(bottom=min(low, -0.05 * high))
     add_legend(figure, list(axes))
     return figure

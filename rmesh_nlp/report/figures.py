@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from rmesh_nlp.io.records import Record
+from rmesh_nlp.io.records import Record, objective_of
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import SolutionFields, read_vtu
 from rmesh_nlp.meshes.geometry import signed_areas
@@ -56,39 +57,50 @@ def figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure
 
 def block_figures(block: Case, results: Sequence[Result], page: Page) -> Iterator[tuple[str, Figure]]:
     """Names and figures of one block: grids, stresses, convergence and designs, beside the given grid."""
-    drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
     first = block.records[0]
     units, size = units_of(first.get("units")), f"{block.example}-{first['n']}"
     stem = size if order_of(first) == 1 else f"{size}-order{order_of(first)}"
-    moved = [(record, fields) for record, fields in drawn if record["formulation"] != RELOCATING_NOTHING]
-    designs = any(record.get("design") for record, _ in drawn)
-    given = [
-        DrawnBody("first design" if designs else "given grid", fields.triangles, fields.given)
-        for record, fields in drawn
-        if not record.get("remeshed_nodes")
-    ][:1]
+    given, moved = _bodies(results)
     grids = partial(displacement_figure, page=page, units=units)
-    for record, fields in moved:
-        key, made = record.get("key", stem), "design" if designs else "relocated"
-        body = DrawnBody(f"{made} by {short_label(record)}", fields.triangles, fields.final)
-        yield f"{key}-grid", grids([*given, body], deformed=body.elastic)
+    for record, fields, body in moved:
+        made = replace(body, title=f"{'design' if record.get('design') else 'relocated'} by {body.title}")
+        key = str(record.get("key", stem)).removesuffix(f"-{record.get('regularisation')}")
+        yield f"{key}-grid", grids([*given, made], deformed=body.elastic)
         if fields.error_bound is not None and fields.error_bound_initial is not None:
             yield f"{key}-error", error_figure(fields, record, page)
     if given and not moved:
         yield f"{stem}-grid", grids(given, deformed=given[0].elastic)
-    for objective in block.objectives:
-        name = stem if objective == "energy" else f"{stem}-{objective}"
-        bodies = [
-            DrawnBody(short_label(record), fields.triangles, fields.final)
-            for record, fields in moved
-            if record["objective"] == objective
-        ]
-        if (bodies or (given and not moved)) and (
-            stresses := contact_figure([*given, *bodies], page, units)
-        ) is not None:
-            yield f"{name}-stress", stresses
-    for objective, what, figure in progress_figures(block, results, page):
-        yield f"{stem if objective == 'energy' else f'{stem}-{objective}'}-{what}", figure
+    stresses, progress = stress_figures(results, page), progress_figures(block, results, page)
+    for objective, what, figure in (*stresses, *progress):
+        asked = objective_of(block.objectives[objective][0])  # without the weight of a distortion
+        told = [] if objective == "energy" else ["regularised" if asked == "energy" else asked]
+        yield "-".join([stem, *told, what]), figure
+
+
+def _bodies(
+    results: Sequence[Result],
+) -> tuple[list[DrawnBody], list[tuple[Record, SolutionFields, DrawnBody]]]:
+    """The given grid of a block, if it is known, and what its solves made of it."""
+    drawn = [(one.record, read_vtu(one.vtu)) for one in results if one.record["energy"] is not None]
+    title = "first design" if any(record.get("design") for record, _ in drawn) else "given grid"
+    of_given = (fields for record, fields in drawn if not record.get("remeshed_nodes"))
+    given = [DrawnBody(title, fields.triangles, fields.given) for fields in of_given][:1]
+    return given, [
+        (record, fields, DrawnBody(short_label(record), fields.triangles, fields.final))
+        for record, fields in drawn
+        if record["formulation"] != RELOCATING_NOTHING
+    ]
+
+
+def stress_figures(results: Sequence[Result], page: Page) -> Iterator[tuple[str, str, Figure]]:
+    """For each objective of a block it, "stress" and the figure of contact stresses, where there are any."""
+    given, moved = _bodies(results)
+    for objective in dict.fromkeys(str(result.record["objective"]) for result in results):
+        ends = [body for record, _, body in moved if record["objective"] == objective]
+        bodies = [*given, *ends] if ends or not moved else []
+        units = units_of(results[0].record.get("units"))
+        if bodies and (figure := contact_figure(bodies, page, units)) is not None:
+            yield objective, "stress", figure
 
 
 def progress_figures(

@@ -21,6 +21,7 @@ from matplotlib.figure import Figure
 
 from rmesh_nlp import __version__
 from rmesh_nlp.evaluation import Array
+from rmesh_nlp.examples import PAPER
 from rmesh_nlp.io.folder import Manifest, read_text, write_text
 from rmesh_nlp.io.records import Record, Records, has_energy, objective_of, parse_json, to_json
 from rmesh_nlp.io.results import ROWS, Result, Results
@@ -36,7 +37,7 @@ from rmesh_nlp.report.blocks import (
 )
 from rmesh_nlp.report.columns import CONTACT, KINDS, Column, cells, of, of_boundaries, table_of
 from rmesh_nlp.report.curves import profile_figure
-from rmesh_nlp.report.figures import progress_figures
+from rmesh_nlp.report.figures import progress_figures, stress_figures
 from rmesh_nlp.report.notes import block_notes, shared_notes, stopped_early, units_notes
 from rmesh_nlp.report.study_summary import charts, family, is_study, study_notes, summary_table
 from rmesh_nlp.report.style import Page, lay_out
@@ -50,6 +51,7 @@ from rmesh_nlp.study.worker import environment
 REPORT = "report.html"
 CHART = Page(1)  # legible on a phone, where charts are three inches wide
 CONVERGENCE, MESHES = 12, 60  # most problems, and solves with meshes, on the page
+MANY = 10  # problems from which on profiles tell something
 
 # what tells solves apart
 WHICH = (
@@ -81,10 +83,12 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
     """The page as text."""
     records = [result.record for result in results]
     failed = [i for i, r in enumerate(records) if not r["success"] and r["status"] != "refused"]
+    is_own = not is_study(records) and any(record["example"] not in PAPER for record in records)
     remarks = study_notes(records) if is_study(records) else shared_notes(records) + block_notes(records)
     with rc_context(CHART.settings):
-        profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results)]
-        convergence, not_drawn = _convergence(results)
+        many = len({*map(TEMPLATES.filters["problem"], records)}) >= MANY
+        profiles = [(one.title, svg(profile_figure(one, CHART))) for one in charts(results) if many]
+        drawn, not_drawn = _charts(results)
     meshes, meshes_left = _meshes(results)
     printed = [
         column
@@ -103,16 +107,21 @@ def page(folder: Path, results: Sequence[Result], question: str, title: str) -> 
         bad=len(failed),
         summary=summary_table(records),
         profiles=profiles,
-        convergence=convergence,
+        convergence=[chart for what, *chart in drawn if what != "stress"],
+        pressures=[chart for what, *chart in drawn if what == "stress" and is_own],
         not_drawn=not_drawn,
         meshes=meshes,
         meshes_left=meshes_left,
         solves=_solves(comparable, [*printed, *_design_columns(records)], failed={*failed}),
-        boundaries=_solves(of_boundaries(records), CONTACT[1:], texts=4),
+        forces=_solves(of_boundaries(records, 1 if is_own else 2), CONTACT[1:], texts=4),
         more=_solves(comparable, others, failed={*failed}),
         failures=_solves([records[i] for i in failed], [*of("status"), MESSAGE], texts=6),
         remarks=[
-            *(kind.caption for kind in KINDS if any(map(kind.is_wanted, sections_of(records).values()))),
+            *(
+                kind.caption
+                for kind in KINDS
+                if any(kind.is_wanted(block) for _, block in sections_of(records))
+            ),
             *units_notes(records),
             *stopped_early(records),
             *remarks,
@@ -136,14 +145,17 @@ def svg(figure: Figure) -> str:
     return re.sub(r'<svg [^>]*(viewBox="[^"]*")[^>]*>', r'<svg class="chart" role="img" \1>', inside, count=1)
 
 
-def _convergence(results: Sequence[Result]) -> tuple[list[tuple[str, str]], str]:
-    """Titles and charts of the first problems, and a note about the others."""
+def _charts(results: Sequence[Result]) -> tuple[list[tuple[str, str, str]], str]:
+    """What is charted of the first problems, with title and chart, and a note about the others."""
     names = variants_of([result.record for result in results])
     every, positions = blocks_of(results), {name: place for place, name in enumerate(names, 1)}
     drawn = [
-        (block.title if objective == "energy" else f"{block.title}, {objective}", svg(figure))
+        (what, block.title if objective == "energy" else f"{block.title}, {objective}", svg(figure))
         for block, own in every[:CONVERGENCE]
-        for objective, _, figure in progress_figures(block, own, CHART, positions)
+        for objective, what, figure in (
+            *stress_figures([result for result in own if result.vtu.exists()], CHART),
+            *progress_figures(block, own, CHART, positions),
+        )
     ]
     rest = len(every) - CONVERGENCE
     return drawn, f"The first {CONVERGENCE} problems; {rest} more are not drawn." if rest > 0 else ""
@@ -167,7 +179,7 @@ def _design_columns(records: Records) -> tuple[Column, ...]:
 def _solves(records: Records, columns: Sequence[Column], **options: Any) -> Table:
     """A row for each solve, with the columns that are filled; of several with one heading the last."""
     shown = {column.heading: column for column in (*WHICH, *columns)}.values()
-    return table_of([*shown], [("", cells([*shown], records))], **{"texts": 2, **options})
+    return table_of([*shown], cells([*shown], records), **{"texts": 2, **options})
 
 
 def _meshes(results: Sequence[Result]) -> tuple[list[Values], str]:
@@ -223,7 +235,7 @@ def write_reproduction(folder: Path, statements: Sequence[Statement], quick: boo
     """Write ``reproduction.md`` and ``reproduction.html``; returns their paths."""
     Manifest(folder).claim(*REPRODUCTION)
     rows = [[value or MISSING for value in astuple(statement)] for statement in statements]
-    table, place = Table(HEAD, [("", rows)], texts=len(HEAD)), environment()
+    table, place = Table(HEAD, rows, texts=len(HEAD)), environment()
     paths = [folder / name for name in REPRODUCTION]
     for path in paths:
         text = _render(path.name, statements=table, quick=quick, machine=platform.machine(), place=place)

@@ -19,11 +19,12 @@ from rmesh_nlp.report.blocks import (
     contact_units,
     grouped,
     label,
+    names_of_blocks,
     seedless,
     with_order,
 )
 from rmesh_nlp.report.columns import Column, cells, short_label, table_of
-from rmesh_nlp.report.table import Groups, Table
+from rmesh_nlp.report.table import Rows, Table
 from rmesh_nlp.solving.parts import FEW
 
 STARTS = (
@@ -75,10 +76,10 @@ def joined_tables(records: Records) -> list[Table]:
             "errors of the former.",
         ),
     )
-    return [table for table in tables if table.groups]
+    return [table for table in tables if table.rows]
 
 
-def estimate_rows(records: Records) -> Groups:
+def estimate_rows(records: Records) -> Rows:
     """Where an accuracy was asked for, a row for each quantity of each solve."""
     is_asked = any("meshes" in record for record in records)
     rows = [
@@ -87,17 +88,16 @@ def estimate_rows(records: Records) -> Groups:
         for text, of in record.get("estimates", {}).items()
         if is_asked
     ]
-    return [("", cells(ESTIMATES, rows))] * bool(rows)
+    return cells(ESTIMATES, rows)
 
 
-def multistart_rows(records: Records) -> Groups:
-    """Per block, a row for each formulation and objective that was solved from two starts or more."""
-    tables = []
-    for block in blocks(records):
-        groups = grouped((r for r in block.records if r["status"] != "refused"), seedless)
-        starts = [row for name, group in groups.items() if (row := _starts(name, group))]
-        tables.append((block.title, cells(STARTS, starts)))
-    return [(title, rows) for title, rows in tables if rows]
+def multistart_rows(records: Records) -> Rows:
+    """A row for each formulation and objective of a block that was solved from two starts or more."""
+    starts, groups = list[Record](), blocks(records)
+    for block, name in zip(groups, names_of_blocks(groups), strict=True):
+        solves = grouped((r for r in block.records if r["status"] != "refused"), seedless)
+        starts += [row for of, group in solves.items() if (row := _starts(f"{name}, {of}", group))]
+    return cells(STARTS, starts)
 
 
 def _starts(name: str, group: Records) -> Record | None:
@@ -118,24 +118,21 @@ def _starts(name: str, group: Records) -> Record | None:
     }
 
 
-def refinement_rows(records: Records) -> Groups:
+def refinement_rows(records: Records) -> Rows:
     """Per example that was solved on several meshes, its rows: the given mesh first, then finer ones.
 
     Gains are those of the audited energy over the given mesh, the one of fewest nodes.
     """
-    tables = []
-    for name, own in _several_meshes(records).items():
-        given = own[0]
-        rows = [
-            {
-                **record,
-                "mesh": "as given" if record["nodes"] == given["nodes"] else "refined",
-                "gain": difference(given["energy_initial_audited"], record["energy_audited"]),
-            }
-            for record in own
-        ]
-        tables.append((name, cells(MESHES, rows)))
-    return tables
+    rows = [
+        {
+            **record,
+            "mesh": f"{name}, {'as given' if record['nodes'] == own[0]['nodes'] else 'refined'}",
+            "gain": difference(own[0]["energy_initial_audited"], record["energy_audited"]),
+        }
+        for name, own in _several_meshes(records).items()
+        for record in own
+    ]
+    return cells(MESHES, rows)
 
 
 def refinement_notes(records: Records) -> list[str]:
@@ -197,8 +194,8 @@ def named_tables(title: str, records: Records, entry: str) -> Iterator[Table]:
     ]
     names = list(dict.fromkeys(name for own in values for name in own))
     columns = [Column("", ""), *(Column(name, name, ".5g") for name in names)]
-    said = f"{NAMED[entry]}: bounds, where there is one the start, and the end of each solve."
+    said = f"{NAMED[entry]}, {title}: bounds, where there is one the start, and the end of each solve."
     for first in range(0, max(len(solves), 1), FEW):
         some = cells(columns, rows + solves[first : first + FEW])
         head, *body = zip(["name", *names], *some, strict=True)
-        yield Table(head, [(title, body)], said, NAMED[entry], is_detail=len(names) > FEW)
+        yield Table(head, body, said, NAMED[entry], is_detail=len(names) > FEW)

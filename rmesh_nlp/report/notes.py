@@ -29,6 +29,11 @@ def block_notes(records: Records) -> list[str]:
     return [note for block in blocks(records) for note in below_infimum(block)]
 
 
+def settings_notes(records: Records) -> list[str]:
+    """Size, order, move limits and rule of each block."""
+    return [f"{block.title}." for block in blocks(records)]
+
+
 def paper_notes(records: Records) -> list[str]:
     """Which energies of the paper were never reached."""
     return [

@@ -129,14 +129,14 @@ def summary_table(records: Records) -> Table:
         converged = (good["status"] == Status.CONVERGED.value).sum()
         figures = [_range(good[column], form) for column, form in FIGURES.items()]
         rows.append([name, method, str(len(own)), str(len(good)), str(converged), *figures])
-    return Table(HEAD, [("", rows)], RANGES, "Medians with their ranges", is_detail=True, texts=2)
+    return Table(HEAD, rows, RANGES, "Medians with their ranges", is_detail=True, texts=2)
 
 
 def median_table(records: Records) -> Table:
     """The columns of :func:`summary_table` that a first reader needs, without ranges."""
     places = [place for place, name in enumerate(HEAD) if name not in FURTHER]
     rows = [[row[place].split(" [")[0] for place in places] for row in summary_table(records).rows]
-    return Table([HEAD[place] for place in places], [("", rows)], MEDIANS, notes=study_notes(records))
+    return Table([HEAD[place] for place in places], rows, MEDIANS, notes=study_notes(records))
 
 
 def _range(values: pd.Series, form: str) -> str:

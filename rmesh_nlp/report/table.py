@@ -1,21 +1,18 @@
-"""One table: headings, rows of cells in groups, and what Markdown, LaTeX and HTML make of them."""
+"""One table: headings, rows of cells, and what Markdown, LaTeX and HTML make of them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence, Set
-from dataclasses import dataclass, replace
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 Rows = Sequence[Sequence[str]]
-Groups = Sequence[tuple[str, Rows]]
 
 MISSING = "-"  # what stands for a figure that is not known
 COLUMN, PAGE = 229.0, 345.0  # points of a column of the class ``article`` with two columns, and with one
-LINES = (
-    36  # most lines of one table, so that it fits a page with its caption and notes; a title counts as two
-)
+LINES = 34  # most rows of one table, so that it fits a page with its caption and notes
 GAP = 5.0  # points between two columns of a table
 LABEL = 60.0  # points that the first column keeps at least; longer labels are set in several lines
 
@@ -43,8 +40,8 @@ class Table:
     ----------
     head : sequence of str
         Headings, whose lines are separated by a bar.
-    groups : sequence of (title, rows)
-        Rows of cells, one for each heading.
+    rows : sequence of sequences of str
+        Cells, one for each heading.
     caption : str
         What it shows and how to read it.
     title : str
@@ -60,18 +57,13 @@ class Table:
     """
 
     head: Sequence[str]
-    groups: Groups
+    rows: Rows
     caption: str = ""
     title: str = ""
     notes: Sequence[str] = ()
     is_detail: bool = False
     texts: int = 1
     failed: Set[int] = frozenset()
-
-    @property
-    def rows(self) -> Rows:
-        """Those of all groups."""
-        return [row for _, rows in self.groups for row in rows]
 
     @property
     def headings(self) -> list[str]:
@@ -90,12 +82,9 @@ class Table:
         return "".join([lines[0], f"|{'|'.join(marks)}|\n", *lines[1:]])
 
     def section(self) -> str:
-        """Markdown with the title, a table for each group below the group's own, and the caption."""
-        parts = [f"## {self.title}\n"] if self.title else []
-        for title, rows in self.groups:
-            parts += [f"### {title}\n"] if title else []
-            parts.append(replace(self, groups=[("", rows)]).markdown())
-        return "\n".join([*parts, f"{self.caption}\n"])
+        """Markdown with the title and the caption."""
+        heading = [f"## {self.title}\n"] if self.title else []
+        return "\n".join([*heading, self.markdown(), f"{self.caption}\n"])
 
     def latex(self) -> str:
         r"""Tables with booktabs rules, as wide as a column of the page if they fit, else as the text.
@@ -106,33 +95,16 @@ class Table:
         columns = [*zip(self.head, *self.rows, strict=True)]
         widths = [max(map(_width, (*head.split("|"), *cells))) for head, *cells in columns]
         room = PAGE - sum(widths[1:]) - GAP * (len(widths) - 1)
-        first = max(LABEL, room)
-        whole = min(widths[0], first) + PAGE - room
+        label = max(LABEL, room)
+        whole = min(widths[0], label) + PAGE - room
         return LATEX.get_template("table.tex").render(
             table=self,
-            parts=_parts(self.groups),
+            parts=[self.rows[first : first + LINES] for first in range(0, len(self.rows), LINES)],
             place="table" if whole <= COLUMN else "table*",
             size="footnotesize" if whole <= PAGE else "scriptsize",
             gap=GAP,
-            first=first,  # longer labels are set in several lines
+            first=label,  # longer labels are set in several lines
         )
-
-
-def _parts(groups: Groups) -> Iterator[list[tuple[str, Rows]]]:
-    """The groups in parts of at most ``LINES`` lines; a longer group is continued."""
-    part: list[tuple[str, Rows]] = []
-    room = LINES
-    for title, rows in groups:
-        rest = list(rows)
-        while rest:
-            if part and room < 2 + min(len(rest), LINES - 2):
-                yield part
-                part, room = [], LINES
-            taken, rest = rest[: room - 2], rest[room - 2 :]
-            part.append((title if len(taken) + len(rest) == len(rows) else f"{title} (continued)", taken))
-            room -= 2 + len(taken)
-    if part:
-        yield part
 
 
 def _width(text: str) -> float:

@@ -12,10 +12,17 @@ from rmesh_nlp.display import for_spreadsheet
 from rmesh_nlp.io.folder import write_text
 from rmesh_nlp.io.records import Records
 from rmesh_nlp.io.results import TABLES, Results
-from rmesh_nlp.report.blocks import Case, blocks, contact_units, grouped, names_of_solves, order_of
-from rmesh_nlp.report.columns import KINDS, MAIN, RESULTS, body, of_boundaries, table_of
+from rmesh_nlp.report.blocks import Case, blocks, contact_units, names_of_blocks, order_of
+from rmesh_nlp.report.columns import KINDS, RESULTS, body, of_boundaries, table_of
 from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
-from rmesh_nlp.report.notes import block_notes, main_notes, paper_notes, stopped_early, units_notes
+from rmesh_nlp.report.notes import (
+    block_notes,
+    main_notes,
+    paper_notes,
+    settings_notes,
+    stopped_early,
+    units_notes,
+)
 from rmesh_nlp.report.study_summary import is_study, median_table, study_notes, summary_table
 from rmesh_nlp.report.table import Table
 from rmesh_nlp.solving.parts import DESIGN
@@ -23,41 +30,39 @@ from rmesh_nlp.solving.parts import DESIGN
 DETAILS = "# Details"  # what stands below it is in ``table.md``, and printed with ``--verbose`` only
 
 
-def sections_of(records: Records) -> dict[str, Case]:
-    """Blocks by their titles, one for each objective where energies do not compare."""
-    sections: dict[str, Case] = {}
-    for block in blocks(records):
-        parts = {"": list(block.records)} if block.has_energy else block.objectives
-        for objective, own in parts.items():
-            sections[f"{block.title}: {objective}" if objective else block.title] = Case(tuple(own))
-    return sections
+def sections_of(records: Records) -> list[tuple[str, Case]]:
+    """Blocks with their names, one for each objective where energies do not compare."""
+    groups = blocks(records)
+    return [
+        (name, Case(tuple(own)))
+        for block, name in zip(groups, names_of_blocks(groups), strict=True)
+        for own in ([block.records] if block.has_energy else block.objectives.values())
+    ]
 
 
-def tables(records: Records, *, named: bool = False) -> list[Table]:
-    """The tables of a comparison; ``named`` solves of all blocks stand in one main table."""
+def tables(records: Records) -> list[Table]:
+    """The tables of a comparison: those of :data:`KINDS` with the solves of all blocks, and joined ones."""
     sections = sections_of(records)
-    units, early = units_notes(records), stopped_early(records)
+    notes = [*settings_notes(records), *units_notes(records)]
     made = []
     for kind in KINDS:
-        wanted = {title: block for title, block in sections.items() if kind.is_wanted(block)}
-        if not wanted:
-            continue
-        table = table_of(
-            kind.columns,
-            [(title, body(kind.columns, block)) for title, block in wanted.items()],
-            title=kind.title,
-            caption=kind.caption,
-            notes=units if kind.is_detail else [*units, *early],
-            is_detail=kind.is_detail,
-        )
-        if kind is MAIN and named:
-            names = names_of_solves([record for block in wanted.values() for record in block.records])
-            rows = [[name, *row[1:]] for name, row in zip(names, table.rows, strict=True)]
-            table = replace(table, head=["solve", *table.head[1:]], groups=[("", rows)])
-        made.append(table)
-    for title, block in sections.items():
+        wanted = [(name, block) for name, block in sections if kind.is_wanted(block)]
+        rows = [
+            [f"{name}, {row[0]}", *row[1:]] for name, block in wanted for row in body(kind.columns, block)
+        ]
+        if rows:
+            table = table_of(
+                kind.columns,
+                rows,
+                title=kind.title,
+                caption=kind.caption,
+                notes=notes if kind.is_detail else [*notes, *stopped_early(records)],
+                is_detail=kind.is_detail,
+            )
+            made.append(replace(table, head=["solve", *table.head[1:]]))
+    for name, block in sections:
         for entry in () if block.has_energy else NAMED:
-            made += named_tables(title, block.records, entry)
+            made += named_tables(name, block.records, entry)
     return made + joined_tables(records)
 
 
@@ -67,7 +72,7 @@ def markdown(records: Records, *, short: bool = False) -> str:
     A ``short`` one ends before the details.
     """
     study = is_study(records)
-    every = [median_table(records), summary_table(records)] if study else tables(records, named=True)
+    every = [median_table(records), summary_table(records)] if study else tables(records)
     parts = ["# Study\n" if study else "# Comparison of formulations\n"]
     parts += [table.section() for table in every if not table.is_detail]
     notes = study_notes(records) if study else main_notes(records)
@@ -75,7 +80,8 @@ def markdown(records: Records, *, short: bool = False) -> str:
         parts.append(_items(notes) if records else "No solve has ended yet.\n")
     if not short:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
-    if not short and not study and (remarks := block_notes(records) + paper_notes(records)):
+    if not short and not study:
+        remarks = [*settings_notes(records), *block_notes(records), *paper_notes(records)]
         parts.append(f"## Notes\n\n{_items(remarks)}")
     return "\n".join(parts).replace("<", "&lt;")
 
@@ -85,14 +91,8 @@ def _items(notes: Sequence[str]) -> str:
 
 
 def latex(records: Records) -> str:
-    r"""Tables of at most eight columns, examples below each other; needs ``\usepackage{booktabs}``."""
-    if not is_study(records):
-        every = tables(records)
-    else:
-        medians = median_table(records)
-        families = grouped(medians.rows, lambda row: row[0])
-        groups = [(name, [row[1:] for row in own]) for name, own in families.items()]
-        every = [replace(medians, head=medians.head[1:], groups=groups)]
+    r"""Tables of at most eight columns, of all examples; needs ``\usepackage{booktabs}``."""
+    every = [median_table(records)] if is_study(records) else tables(records)
     return "\n".join(
         ["% made by rmesh table; needs \\usepackage{booktabs}\n", *(table.latex() for table in every)]
     )

@@ -216,6 +216,8 @@ SECTIONS: dict[str, tuple[Entry, ...]] = {
               "final mesh, with `_initial` on the given one, and with "
               "`_refined` where its refinement was solved ([how](theory.md#contact-results)).",
               lambda s: s.contact or None),
+        Entry("pairs", dict[str, list[str]], "By the first of two boundaries in contact with each other the "
+              "names of both; the second one bears the opposite force.", lambda s: s.pairs or None),
         Entry("tools", dict[str, dict[str, list[Number]]],
               "By contact boundary of a [foundation that moves](own_problems.md#tools): its `displacement`, "
               "and its `force` on the body, each along x and y.", lambda s: s.tools or None),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -10,16 +12,19 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError, unknown
-from rmesh_nlp.evaluation import Array, Index
-from rmesh_nlp.fem.sampling import ALONG, along, edges_of, pieces, points_of, sampled
+from rmesh_nlp.evaluation import ROUNDING, Array, Index
+from rmesh_nlp.fem.sampling import along, edges_of, lines_along, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
+from rmesh_nlp.meshes.curves import fitted_circle
 from rmesh_nlp.problem import ContactProblem, Place
+from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.settings import Values
 
 MAP, GRID_LINE = "viridis", "0.25"
 FINE = 10_000  # elements above which lines are rasterised: as vectors they would fill tens of megabytes
 WIDE = 1.6  # width over height of a body from which on its colour bar stands below it
+STRAIGHT, FEWEST = 1e-4, 5  # deviation from a line or a circle, over the extent; points that tell a circle
 PICTURES = ("mesh", "displacement", "stress", "pressure")
 
 
@@ -45,8 +50,9 @@ def plot(
         from matplotlib import pyplot  # the windows that it can open are for this alone
 
         _, axes = pyplot.subplots(layout="constrained")
-    space, scalar = DisplacementSpace(problem), problem.components == 1
+    space, scalar, units = DisplacementSpace(problem), problem.components == 1, problem.units
     nodes, cells = points_of(space, X), space.elements
+    length, stress = bracketed(units.length), bracketed("" if scalar else units.stress)
     title = "flux" if scalar and what == "stress" else what
     if what == "mesh":
         if np.any(problem.mesh.p != X):
@@ -55,17 +61,18 @@ def plot(
         draw_mesh(axes, nodes, cells, **{"color": "0.2", "linewidth": 0.7, **style})
     elif what == "stress":
         painted = draw_elements(axes, nodes, cells, size_of_stress(problem, X, u), **style)
-        _bar(axes, painted, X, "|flux|" if scalar else "von Mises stress")
+        _bar(axes, painted, X, "|flux|" if scalar else f"von Mises stress{stress}")
     elif what == "displacement":
         painted = draw_nodal(axes, nodes, cells, u, **style)
-        _bar(axes, painted, X, "$u$" if scalar else "$|u|$")
+        _bar(axes, painted, X, "$u$" if scalar else f"$|u|${length}")
     else:
         title = "contact pressure"
         if all(part.obstacle.boundary is not Place.INTERIOR for part in space.contact_sets):
             _plot_pressures(axes, space, nodes, pressure, style)
+            axes.set(ylabel=f"{title}{stress}", title=title)
             return axes
         _bar(axes, draw_nodal(axes, nodes, cells, pressure, **style), X, title)
-    axes.set(aspect="equal", xlabel="$x_1$", ylabel="$x_2$", title=title)
+    axes.set(aspect="equal", xlabel=f"$x_1${length}", ylabel=f"$x_2${length}", title=title)
     return axes
 
 
@@ -73,14 +80,17 @@ def _plot_pressures(
     axes: Axes, space: DisplacementSpace, nodes: Array, pressure: Array, style: Values
 ) -> None:
     """The pressure along each contact boundary."""
-    coordinate = direction(nodes[:, space.contact_nodes])
+    names = dict[str, None]()
     for part in space.contact_sets:
-        look = {"marker": "o", "ms": 3, "label": str(part.obstacle.boundary), **style}
         edges = space.nodes_of(contact_edges(space.problem, part.obstacle))
-        draw_along(axes, nodes, (part.nodes, edges), pressure, coordinate, **look)
+        lines = lines_along(edges[:, np.any(np.isin(edges, part.nodes), axis=0)], nodes)
+        name, over = course(nodes[:, np.concatenate(lines)], space.problem.units.length)
+        names[name] = None
+        look = {"marker": "o", "ms": 3, "label": part.obstacle.place, **style}
+        draw_along(axes, nodes, lines, pressure, over, **look)
     if len(space.contact_sets) > 1:
         axes.legend()
-    axes.set(xlabel=f"$x_{coordinate + 1}$", ylabel="contact pressure", title="contact pressure")
+    axes.set(xlabel=" or ".join(names))
 
 
 def _bar(axes: Axes, painted: Any, X: Array, label: str) -> None:
@@ -140,32 +150,46 @@ def draw_elements(axis: Axes, nodes: Array, cells: NDArray, values: Array, **opt
     return axis.tripcolor(triangulation(nodes, cells), facecolors=of_pieces, **look)
 
 
-def direction(points: Array) -> int:
-    """The coordinate along which points (2, n) run."""
-    return int(np.argmax(np.ptp(points, axis=1)))
+def course(points: Array, length: str) -> tuple[str, Callable[[Array], Array]]:
+    """Over what values along a boundary are drawn: its name, and it at points (2, n) in their order.
+
+    The coordinate where ``points`` are parallel to an axis, the angle where they are on an arc, else the arc
+    length; in the unit ``length``.
+    """
+    extent, unit = np.ptp(points, axis=1), bracketed(length)
+    if np.min(extent) <= STRAIGHT * np.max(extent):
+        k = int(np.argmax(extent))
+        return f"$x_{k + 1}${unit}", lambda line: line[k]
+    with suppress(BadInputError):  # too few points, or a line
+        circle, size = fitted_circle(points), max(extent)
+        centre = np.array(circle.centre)[:, None]
+        is_arc = np.ptp(np.hypot(*(points - centre))) <= STRAIGHT * size and circle.radius <= 2 * size
+        if is_arc and points.shape[1] >= FEWEST:
+            x, y = np.round(centre[:, 0] / size, 4) * size + 0.0
+            return f"angle about ({x:.3g}, {y:.3g}) [°]", lambda line: _angles(line - centre)
+    x, y = points[:, 0]
+    return f"arc length from ({x:.3g}, {y:.3g}){unit}", _lengths
+
+
+def _lengths(line: Array) -> Array:
+    return np.cumsum(np.append(0.0, np.hypot(*np.diff(line))))
+
+
+def _angles(arms: Array) -> Array:
+    """Angles of arms (2, n) without jumps, from -180 degrees on."""
+    angles = np.degrees(np.unwrap(np.arctan2(*arms[::-1])))
+    return angles - 360 * np.floor((np.min(angles) + 180) / 360 + ROUNDING)
 
 
 def draw_along(
     axis: Axes,
     nodes: Array,
-    where: tuple[Index, Index],
+    lines: Sequence[Index],
     values: Array,
-    coordinate: int,
+    over: Callable[[Array], Array],
     **pen: Any,
 ) -> None:
-    """Values (nodes,) along a part of the boundary as a curve over one coordinate, with marks at its nodes.
-
-    ``where`` are its nodes and the nodes (2 or 3, edges) of edges. Along an edge whose nodes are all there
-    the curve is the polynomial through them, cut off at the largest and the least of their values: a pressure
-    is nowhere negative, and friction within its bound.
-    """
-    which, edges = where
-    whole = edges[:, np.all(np.isin(edges, which), axis=0)]
-    parts, degree = ALONG[len(edges)], len(edges) - 1
-    inside = [k for k in range(parts + 1) if k * degree % parts]  # between the nodes
-    at_nodes, curve, places = values[whole], along(whole, values), along(whole, nodes[coordinate])
-    curve = np.clip(curve.T, at_nodes.min(axis=0), at_nodes.max(axis=0)).T
-    x = np.concatenate([nodes[coordinate, which], places[:, inside].ravel()])
-    y = np.concatenate([values[which], curve[:, inside].ravel()])
-    order = np.argsort(x)
-    axis.plot(x[order], y[order], **{"markevery": np.flatnonzero(order < which.size).tolist(), **pen})
+    """Values (nodes,) along lines, each by its nodes in their order, over a :func:`course`."""
+    line = np.concatenate(lines)
+    breaks = np.cumsum([each.size for each in lines])[:-1]
+    axis.plot(*(np.insert(each, breaks, np.nan) for each in (over(nodes[:, line]), values[line])), **pen)

@@ -166,6 +166,12 @@ class Relocated:
         }
 
     @property
+    def pairs(self) -> dict[str, list[str]]:
+        """By the first of two boundaries in contact with each other the names of both."""
+        pairs = [one for one in self.problem.obstacles if one.other and one.place != one.boundary]
+        return {str(one.boundary): [str(one.boundary), one.other] for one in pairs}
+
+    @property
     def tools(self) -> dict[str, dict[str, list[float]]]:
         """Displacement of each foundation that moves, and its force on the body, by contact boundary."""
         return {

@@ -143,6 +143,7 @@ def contact_rows(solution: Relocated) -> Rows:
     estimates = dict(solution.details.get("estimates", {}))
     meshes = {"_initial": "given", "": "relocated", "_refined": "refined"}
     for boundary, results in solution.contact.items():
+        place = " and ".join(solution.pairs.get(boundary, [boundary]))
         for name in ("normal_force", "tangential_force", "peak_pressure", "contact_length"):
             if f"{name}_initial" not in results:
                 continue
@@ -155,12 +156,12 @@ def contact_rows(solution: Relocated) -> Rows:
                 if (of := estimates.pop(f"{QUANTITIES.get(name, name)}({boundary})", None)) is not None:
                     said = estimate_in_words(of) + f"; {each}" * differ
                 unit = bracketed(named.get(name, units.line_force))
-                rows.append((f"{boundary}: {name.replace('_', ' ')}{unit}", said))
+                rows.append((f"{place}: {name.replace('_', ' ')}{unit}", said))
         if "force_x" in results:
             least = ROUNDING * results["normal_force"]
             vector = (results[name] for name in ("force_x", "force_y", "moment"))
             x, y, moment = (figure(value if abs(value) > least else 0.0) for value in vector)
-            label = f"{boundary}: force on the body{bracketed(units.line_force)}"
+            label = f"{place}: force on the {'first ' * (place != boundary)}body{bracketed(units.line_force)}"
             rows.append((label, f"({x}, {y}), moment {moment}"))
         if boundary in solution.tools:
             moved = ", ".join(map(figure, solution.tools[boundary]["displacement"]))

@@ -48,7 +48,7 @@ def test_a_comparison_holds_solutions_records_and_tables(comparison: rm.Comparis
     summary = comparison.summary()
     assert summary.loc["joint", "gain_audited"] > summary.loc["fixed", "gain_audited"] == 0
     assert "joint" in repr(comparison)
-    assert "| joint" in comparison.markdown()
+    assert ", joint |" in comparison.markdown()
 
 
 @pytest.mark.slow
@@ -87,7 +87,9 @@ def test_pictures_are_on_axes_of_ones_own_and_have_pressure_stress_and_both_mesh
     where = solution.problem.contact_nodes
     assert np.ptp(np.diff(line.get_xdata())) > 0
     assert np.all(np.diff(line.get_xdata()) > 0)
-    assert sorted(line.get_ydata()) == sorted(solution.final.pressure[where])
+    assert {*solution.final.pressure[where]} <= {*line.get_ydata()}
+    (contact,) = solution.contact.values()
+    assert np.max(line.get_ydata()) == contact["peak_pressure"]
     (painted,) = solution.plot("stress").collections
     stress = stresses(solution.problem, solution.mesh.p, solution.displacement)
     np.testing.assert_array_equal(painted.get_array(), von_mises(stress))

@@ -170,7 +170,7 @@ def test_a_spline_is_laid_through_the_nodes_of_a_boundary_in_their_order() -> No
     assert spline.points == ((0, 0), (1, 1), (2, 1), (3, 0))
     around = spline_through(points, np.array([[1, 0, 2, 0], [3, 2, 3, 1]]))
     assert around.closed
-    assert around.points == ((0, 0), (1, 1), (2, 1), (3, 0))
+    assert around.points == ((0, 0), (3, 0), (2, 1), (1, 1))
 
 
 TWO_LINES, TWO_LOOPS = [[0, 1, 4, 5], [1, 2, 5, 6]], [[0, 1, 2, 4, 5, 6], [1, 2, 0, 5, 6, 4]]

@@ -16,13 +16,14 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from rmesh_nlp.errors import BadInputError
+from rmesh_nlp.fem.sampling import lines_along
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import MeshState, SolutionFields, read_vtu, state_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
-from rmesh_nlp.report.blocks import blocks
+from rmesh_nlp.report.blocks import Case, blocks
 from rmesh_nlp.report.curves import bracket_figure, convergence_figure
 from rmesh_nlp.report.drawing import (
     DrawnBody,
@@ -34,7 +35,7 @@ from rmesh_nlp.report.figures import block_figures, error_figure
 from rmesh_nlp.report.figures import figures as figures_of
 from rmesh_nlp.report.pictures import pictures
 from rmesh_nlp.report.style import SETTINGS, Page, add_legend, new_figure, write
-from rmesh_nlp.solving.plotting import draw_along, draw_elements, draw_mesh, draw_nodal
+from rmesh_nlp.solving.plotting import course, draw_along, draw_elements, draw_mesh, draw_nodal
 from rmesh_nlp.solving.solution import Solution
 from rmesh_nlp.study.comparison import plan_comparison, run
 from support.formulations import fixed
@@ -136,7 +137,7 @@ def test_legend_is_not_wider_than_its_figure() -> None:
 
 def state(friction: float, components: int = 2, upright: bool = False) -> MeshState:
     """Three contact nodes out of order, and one that is none."""
-    nodes = np.array([[2.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.1, 3.0]])
+    nodes = np.array([[2.0, 0.0, 1.0, 0.5], [0.0, 0.0, 0.0, 3.0]])
     nodes = nodes[::-1] if upright else nodes
     contact = np.array([True, True, True, False])
     return MeshState(
@@ -144,16 +145,16 @@ def state(friction: float, components: int = 2, upright: bool = False) -> MeshSt
         tangential_stress=np.array([2.0, 0.0, -1.0, 99.0]),
         friction_bound=np.array([friction, friction, 2 * friction, 0.0]),
         gap=np.where(contact, 0.0, np.nan), feet={"low": np.where(contact, nodes, np.nan)},
-        stress=np.zeros((1, 1)),
+        stress=np.zeros((2, 1)),
     )  # fmt: skip
 
 
-TRIANGLE = np.array([[0], [1], [2]])
+CELLS = np.array([[1, 2], [2, 0], [3, 3]])
 
 
 def stress_figure(curves: dict[str, MeshState], units: Units = Units()) -> Figure:  # noqa: B008
     """Contact stresses of states by name."""
-    figure = contact_figure([DrawnBody(name, TRIANGLE, one) for name, one in curves.items()], PAGE, units)
+    figure = contact_figure([DrawnBody(name, CELLS, one) for name, one in curves.items()], PAGE, units)
     assert figure is not None
     return figure
 
@@ -187,9 +188,9 @@ def test_with_friction_a_second_panel_has_the_bounds() -> None:
 
 def test_error_is_drawn_per_root_of_area_on_each_mesh() -> None:
     record = {"relative_error_bound": 0.25, "guaranteed_lower": True}
-    bounds = {"error_bound_initial": np.array([0.2]), "error_bound": np.array([0.05])}
-    fields = SolutionFields(TRIANGLE, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
-    figure = error_figure(fields, record, PAGE)  # of area 0.1
+    bounds = {"error_bound_initial": np.array([3.0, 3.0]), "error_bound": np.array([0.75, 0.75])}
+    fields = SolutionFields(CELLS, state(0.0), state(0.0), np.zeros(4, np.int32), **bounds)
+    figure = error_figure(fields, record, PAGE)  # of areas 1.5
     before, after = figure.axes[:2]
     assert [float(axis.collections[0].get_array()[0]) for axis in (before, after)] == pytest.approx([2, 1])
     assert (before.get_title(), after.get_title()) == ("given, ", "relocated, error estimated at 25 %")
@@ -203,6 +204,7 @@ def test_convergence_is_drawn_down_to_a_part_of_the_best() -> None:
     np.testing.assert_allclose(iterations.lines[0].get_xydata(), [[0, 1], [1, 0.5], [2, 2e-8]])
     np.testing.assert_allclose(costs.lines[0].get_xdata(), way["cost"])
     assert iterations.get_ylabel() == "|J − J*|"
+    assert not np.any(iterations.get_xticks() % 1)  # iterations are whole
 
 
 def test_brackets_of_orders_are_over_unknowns() -> None:
@@ -333,20 +335,55 @@ def test_edges_of_quadratic_elements_are_bent_and_their_fields_drawn_in_pieces()
     assert flat.get_array().size == 16
 
 
-def test_a_curve_along_edges_stays_between_the_values_at_their_nodes() -> None:
-    nodes = np.array([[0.0, 2.0, 1.0, 4.0, 3.0, 5.0], [0.0] * 6])
-    edges = np.array([[0, 1], [1, 3], [2, 4]])
-    values = np.array([8.0, 0.0, 4.0, 0.0, 1.0, 9.0])
+def ring(n: int, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes on the unit circle about (2, 1), out of order, and its edges (2 or 3, n)."""
+    turns = np.arange(n * order) / (n * order)
+    number = np.random.default_rng(1).permutation(turns.size)
+    nodes = np.zeros((2, turns.size))
+    nodes[:, number] = [2 + np.cos(2 * np.pi * turns), 1 + np.sin(2 * np.pi * turns)]
+    first = order * np.arange(n)
+    ends = [first, (first + order) % turns.size, *([first + 1] if order == 2 else [])]
+    return nodes, number[np.array(ends)]
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("part", [8, 6])
+def test_pressure_on_a_bore_is_a_function_of_the_angle(order: int, part: int) -> None:
+    nodes, edges = ring(8, order)
+    (line,) = lines = lines_along(edges[:, :part], nodes)
+    assert line.size == part * order + 1
+    assert (line[0] == line[-1]) is np.bool_(part == 8)
+    name, over = course(nodes[:, line], "mm")
+    assert name == "angle about (2, 1) [°]"
     axis = new_figure(2, 2).subplots()
-    draw_along(axis, nodes, (np.array([3, 1, 0, 2, 4, 5]), edges), values, 0, marker="o")
-    (line,) = axis.lines
-    x, y = line.get_xydata().T
-    assert np.all(np.diff(x) > 0)
-    np.testing.assert_array_equal(x[line.get_markevery()], np.arange(6.0))  # marks at the nodes
-    np.testing.assert_allclose(y[x <= 2], 8 - 4 * x[x <= 2], atol=1e-12)  # a parabola through a line is one
-    inside = (x > 2) & (x < 4)
-    assert np.count_nonzero(inside) == 7  # six between the nodes, and the one in the middle
-    assert np.all((y[inside] > 0) & (y[inside] <= 1.0))
-    assert np.count_nonzero(x > 4) == 1  # no edge is known there
-    draw_along(axis, nodes, (np.array([0, 1, 2, 3, 4, 5]), edges), np.array([4.0, 0, 0, 0, 0, 0]), 0)
-    assert np.min(axis.lines[1].get_ydata()) == 0.0
+    draw_along(axis, nodes, lines, nodes[1], over)
+    angle, height = axis.lines[0].get_xydata().T
+    assert np.all(np.abs(np.diff(angle)) == pytest.approx(45 / order))
+    assert np.ptp(angle) == pytest.approx(45 * part)
+    np.testing.assert_allclose(height, 1 + np.sin(np.radians(angle)), atol=1e-12)
+
+
+def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> None:
+    nodes = np.array([[0.0, 3.0, 3.0, 6.0, 6.0, 5.0], [0.0, 4.0, 8.0, 0.0, 5.0, 5.0]])
+    lines = lines_along(np.array([[2, 0, 4], [1, 1, 3]]), nodes)
+    assert [line.tolist() for line in lines] == [[0, 1, 2], [3, 4]]
+    name, over = course(nodes[:, lines[0]], "")
+    assert name == "arc length from (0, 0)"
+    axis = new_figure(2, 2).subplots()
+    draw_along(axis, nodes, lines[:1], nodes[1], over)
+    np.testing.assert_allclose(axis.lines[0].get_xydata(), [[0, 0], [5, 4], [9, 8]])
+    name, over = course(nodes[:, lines[1]], "mm")
+    assert (name, over(nodes[:, lines[1]]).tolist()) == ("$x_2$ [mm]", [0, 5])
+    slanted = np.array([np.arange(9.0), np.arange(9.0)])
+    assert course(slanted, "m")[0] == "arc length from (0, 0) [m]"
+    draw_along(axis, nodes, lines, nodes[1], over)
+    assert np.isnan(axis.lines[1].get_ydata()[3])  # lines apart stay apart
+
+
+def test_names_of_figures_have_no_weight_of_a_distortion(tmp_path: Path) -> None:
+    result = saved(pressed(0.0), tmp_path)
+    known = {"formulation": "joint", "key": "a-joint-0.01", "objective": "energy + 0.0109 shape-size"}
+    record = {**result.record, **known, "example": "a", "n": "9", "regularisation": 0.01}
+    block, results = Case((record,)), [replace(result, record=record)]
+    names = [name for name, _ in block_figures(block, results, PAGE)]
+    assert names == ["a-joint-grid", "a-9-regularised-stress", "a-9-regularised-convergence"]

@@ -11,17 +11,21 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
+from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.io.results import Result
 from rmesh_nlp.io.vtu import read_vtu
 from rmesh_nlp.mapping import MeshMap
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Laplace, Motion, Obstacle, Relative
-from rmesh_nlp.report.curves import design_figure
+from rmesh_nlp.problem.units import Units
+from rmesh_nlp.report.curves import design_figure, estimates_figure
 from rmesh_nlp.report.drawing import DrawnBody
 from rmesh_nlp.report.figures import figure_of_designs
 from rmesh_nlp.report.pictures import Limit, limits, pictures
-from rmesh_nlp.report.style import Page
+from rmesh_nlp.report.style import Page, new_figure
+from rmesh_nlp.report.tables import markdown
 from rmesh_nlp.solving.parts import FEW
+from support.bodies import pressed, stacked
 from support.contact_geometry import block_between_two_foundations
 from support.designs import BOW, H0, E, block
 from support.formulations import fixed, joint, nested
@@ -169,3 +173,53 @@ def test_pictures_are_of_the_first_and_the_last_design(tmp_path: Path) -> None:
     expected = fixed.solve(problem.at_design(), objective="area").final.pressure
     assert np.max(first) == pytest.approx(expected.max(), rel=1e-9)
     assert np.max(first) != pytest.approx(np.max(last), rel=1e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_both_sides_of_a_pair_are_in_fields_pictures_record_and_tables(order: int, tmp_path: Path) -> None:
+    problem = replace(pressed(stacked(3), order=order), units=Units("mm", "N"))
+    solution = fixed.solve(problem)
+    result = saved(solution, tmp_path)
+    state = read_vtu(result.vtu).final
+    for part in DisplacementSpace(problem).contact_sets:
+        own, other = part.carriers
+        for name in ("pressure", "gap"):
+            values = getattr(state, name)
+            np.testing.assert_array_equal(values[own], values[other])
+        assert state.pressure[own] == pytest.approx(5)
+    drawn = dict(pictures(result, Page()))
+    labels = [axis.get_xlabel() for axis in drawn["pressure"].axes]
+    pairs = ["bottom-1 and top-0", "bottom-2 and top-1"]
+    assert labels == [f"$x_1$ [mm] on {name}" for name in pairs]
+    deformed = drawn["mesh"].axes[1]
+    assert "jump at pairs" in deformed.get_title()
+    assert not deformed.collections  # no foundation that would be rigid
+    assert result.record["pairs"] == {name[:8]: name.split(" and ") for name in pairs}
+    assert {f"{name}: normal force [N/mm]" for name in pairs} <= dict(solution.summary()).keys()
+    assert all(f"| {name} |" in markdown([result.record], short=True) for name in pairs)
+
+
+@pytest.mark.parametrize(
+    ("what", "labels"),
+    [
+        ("mesh", ["$x_1$ [mm]", "$x_2$ [mm]"]),
+        ("displacement", ["$|u|$ [mm]"]),
+        ("stress", ["von Mises stress [N/mm²]"]),
+        ("pressure", ["$x_1$ [mm]", "contact pressure [N/mm²]"]),
+    ],
+)
+def test_pictures_of_a_solution_have_the_units_of_its_problem(what: str, labels: list[str]) -> None:
+    axes = new_figure(4, 4).subplots()
+    fixed.solve(replace(pressed(stacked()), units=Units("mm", "N"))).plot(what, axes)
+    shown = [text.get_text() for text in axes.figure.findobj(Text)]
+    assert set(labels) <= set(shown)
+
+
+@pytest.mark.parametrize("nodes", [(30, 42), (30, 130, 900)])
+def test_sizes_of_few_meshes_have_labels(nodes: tuple[int, ...]) -> None:
+    of = {"value": 1.0, "error": 0.1}
+    meshes = [{"nodes": n, "seconds": 0.1 * n, "quantities": {"peak(a)": of}} for n in nodes]
+    figure = estimates_figure(meshes, Page())
+    figure.draw_without_rendering()
+    low, high = figure.axes[0].get_xlim()
+    assert sum(low <= tick <= high for tick in figure.axes[0].get_xticks()) >= 2
