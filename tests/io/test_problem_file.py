@@ -221,7 +221,7 @@ def test_missing_file_and_unreadable_mesh(write, tmp_path):
     path = write('mesh = { file = "body.msh" }\ndirichlet = { left = 0 }\n' + LAW)
     (tmp_path / "body.msh").write_text("$MeshFormat\nnonsense\n")
     (line,) = refused(path)
-    assert line.startswith("mesh.file = 'body.msh': body.msh: cannot be read as a mesh")
+    assert line.startswith("mesh.file = 'body.msh': body.msh: its $MeshFormat is missing or ends early")
 
 
 @pytest.mark.parametrize(
