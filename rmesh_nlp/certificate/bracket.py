@@ -30,6 +30,7 @@ import numpy as np
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
+from rmesh_nlp.certificate.hybrid import applied, jumps, turn_of
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
@@ -108,8 +109,9 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     dual = balance.reaction_work - strain - pressure_work
     lower = float(dual - np.sum(spread) - doubt - rounding)
     friction = _friction_work(skeleton, conditions, u)
-    upper = float(computed - load.work(u) - traction.work(u) + np.sum(friction))
-    through = _slack(skeleton, conditions, balance, u) * skeleton.lengths[conditions.contact] + friction
+    on_tools = sum(u[:, tool] @ force for tool, force in DisplacementSpace(problem).forces)
+    upper = float(computed - load.work(u) - traction.work(u) - on_tools + np.sum(friction))
+    through = _slack(balance, u) * skeleton.lengths[conditions.contact] + friction
     local = field.defect**2 / 2 + spread - load.unbalanced_work(u)
     local += np.bincount(skeleton.owner[conditions.contact], through, local.size)
     local -= np.bincount(skeleton.owner, traction.unbalanced_work(u), local.size)
@@ -131,39 +133,40 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
 
 def _friction_work(skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
     """(contact edges,) work of the friction bound on the slip of a displacement ``u`` (components, nodes)."""
-    work = np.zeros(conditions.contact.size)
+    work, sets = np.zeros(conditions.contact.size), DisplacementSpace(skeleton.body.problem).contact_sets
     for part in conditions.parts:
         if part.obstacle.friction_law:
-            along = u[:, skeleton.along(skeleton.order)[:, part.edges]]
-            work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, along)[0]
+            jump = sets[part.number].relative(u)[:, skeleton.along(skeleton.order)[:, part.edges]]
+            work[part.place] = friction_energy(Edges(skeleton.body, part.edges), part.obstacle, jump)[0]
     return work
 
 
-def _slack(skeleton: Skeleton, conditions: Conditions, balance: Balance, u: Array) -> Array:
+def _slack(balance: Balance, u: Array) -> Array:
     """(contact edges,) mean work of pressure on the gap and of friction on the slip."""
-    along = u[:, skeleton.along(skeleton.order)[:, conditions.contact]]
-    turned = np.einsum("eij,jme->ime", conditions.axes, moments(along, conditions.degree))
-    # there is no friction in a scalar problem
-    return np.sum(balance.pressure * (turned[-1] + conditions.offset) + balance.friction * turned[0], axis=0)
+    assembled = balance.assembled
+    traces, (offset, inside) = assembled.of_displacement(u), (assembled.conditions.offset, balance.inside)
+    gap = (assembled.normals @ traces)[inside.size :].reshape(offset.shape) + offset
+    slip = (assembled.tangents @ traces).reshape(offset.shape)  # a scalar problem has no friction
+    return np.sum(balance.pressure * gap + balance.friction * slip, axis=0)
 
 
 def edge_residual(skeleton: Skeleton, conditions: Conditions, field: EquilibratedField) -> float:
     """Largest violation of equilibrium on the edges and of the laws on the contact boundary.
 
     Relative to the largest force through an edge. Sums of tractions, less the applied ones and
-    those of contact, must vanish along every edge in every component that is not given;
+    those of contact, must vanish along every edge in every component that is not given, forces on tools too;
     contact must press and friction stay within its bound.
     """
     n, k = conditions.held.shape[0], conditions.degree + 1
-    total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel()).reshape(-1, k, n).T
-    scale = float(np.max(np.abs(field.forces), initial=1e-300))
-    total = total - conditions.traction.balanced * skeleton.lengths
-    contact, edge = conditions.contact, skeleton.lengths[conditions.contact]
+    held, edge = field.balance.assembled.held, skeleton.lengths[conditions.contact]
+    turn, scale = turn_of(skeleton, conditions), float(np.max(np.abs(field.forces), initial=1e-300))
+    total = turn @ np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel(), held.size)
+    total -= applied(skeleton, conditions, turn)
     pressure, friction = field.balance.pressure, field.balance.friction
-    stresses = np.stack([friction, pressure])[-n:]
-    total[:, :, contact] -= np.einsum("eij,ime->jme", conditions.axes, stresses) * edge
+    for rows, stress in zip(jumps(skeleton, conditions)[::-1], (pressure, friction), strict=False):
+        total -= rows.T @ (stress * edge).ravel()
     slipping = np.abs(friction) - conditions.friction
-    parts = (np.abs(np.where(conditions.held[:, None], 0.0, total)), -pressure * edge, slipping * edge)
+    parts = (np.abs(np.where(held, 0.0, total)), -pressure * edge, slipping * edge)
     return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
 
 

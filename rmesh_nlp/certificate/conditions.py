@@ -5,7 +5,9 @@ On every edge the tractions of the elements beside it must add up to
     g + p n + q t + R,
 
 g the given traction, p >= 0 the contact pressure along the obstacle's normal n, |q| <= s friction along its
-tangent t, and R the reaction in those components whose displacement is given.
+tangent t, and R the reaction in those components whose displacement is given. The other edge of a pair has
+the opposite of p n + q t, and a tool on which the force F acts the integral of it: that of p n + q t is F in
+each component along which the tool moves.
 """
 
 from __future__ import annotations
@@ -29,6 +31,7 @@ from rmesh_nlp.problem import ContactProblem, Obstacle, Place
 from rmesh_nlp.problem.body import Edges
 from rmesh_nlp.problem.coefficients import Coefficient, on_points
 from rmesh_nlp.problem.enclosures import resolved
+from rmesh_nlp.problem.pairs import edges_of_pair
 
 SAMPLED = np.clip(np.linspace(0, 1, 33), PROVED, 1 - PROVED)
 """Places (33,) along a piece of an edge at which coefficients are looked at."""
@@ -37,9 +40,12 @@ SAMPLED = np.clip(np.linspace(0, 1, 33), PROVED, 1 - PROVED)
 class ContactPart(NamedTuple):
     """The edges of one obstacle on the boundary, and where they stand among all contact edges."""
 
+    number: int
     obstacle: Obstacle
     edges: Index
     place: slice
+    others: Index  # of a pair the edge at the place of each
+    reversed: Mask  # whether that has its ends the other way round
 
 
 class Inside(NamedTuple):
@@ -88,7 +94,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     held, given, given_doubt, given_error, is_certain = _given_displacement(problem, skeleton, degree)
     traction, inside, inside_is_certain = tractions(problem, skeleton), *_inside(problem, skeleton, degree)
     is_certain &= traction.is_certain and inside_is_certain
-    parts = _contact_parts(problem, held)
+    parts = _contact_parts(problem, skeleton, held)
     contact = numbers_of(part.edges for part in parts)
     offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
@@ -165,29 +171,32 @@ def _is_seen_inside(offset: Coefficient, skeleton: Skeleton, elements: Index) ->
     return not np.any(is_narrow) and bool(np.all(resolved(offset, points, RULES[1])[0]))
 
 
-def _contact_parts(problem: ContactProblem, held: Mask) -> tuple[ContactPart, ...]:
+def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> tuple[ContactPart, ...]:
     """Of each boundary with contact the edges on which the gap is not given beforehand."""
     parts: list[ContactPart] = []
-    seen = np.zeros(held.shape[1], dtype=bool)
-    for obstacle in problem.obstacles:
+    seen, first = np.zeros(held.shape[1], dtype=bool), 0
+    for number, (obstacle, partner) in enumerate(zip(problem.obstacles, problem.partners, strict=True)):
         if isinstance(obstacle.boundary, Place):
             continue
-        if obstacle.other:
-            raise NotCertifiableError("two bodies are in contact, which has no proof yet")
         if obstacle.level is not None:
-            raise NotCertifiableError("the normal of a curved foundation turns along an edge")
+            raise NotCertifiableError("the normal of a curved foundation or pair turns along an edge")
         normal = np.array(obstacle.normal) != 0
-        edges = np.unique(problem.mesh.boundaries[obstacle.boundary])
-        edges = edges[np.any(~held[:, edges] & normal[:, None], axis=0)].astype(np.int64)
-        if np.any(seen[edges]):
+        both = np.unique(problem.mesh.boundaries[obstacle.boundary])[None]
+        if obstacle.other:
+            both = edges_of_pair(problem.mesh, obstacle.boundary, obstacle.other)
+        both = both[:, np.any(~held[:, both] & normal[:, None, None], axis=(0, 1))].astype(np.int64)
+        if np.any(seen[both]):
             raise NotCertifiableError("an edge is in contact with two obstacles")
-        if np.all(normal) and held.shape[0] == 2 and np.any(held[:, edges]):
+        if np.all(normal) and held.shape[0] == 2 and np.any(held[:, both]):
             raise NotCertifiableError(
                 "a displacement component is given on a contact edge whose contact normal is oblique"
             )
-        first = int(np.count_nonzero(seen))
-        seen[edges] = True
-        parts.append(ContactPart(obstacle, edges, slice(first, first + edges.size)))
+        seen[both] = True
+        edges, others = both[0], both[1:].ravel()
+        begin = skeleton.ends[0, edges[: others.size]]
+        is_reversed = (begin if partner is None else partner[begin]) != skeleton.ends[0, others]
+        place = slice(first, first := first + edges.size)
+        parts.append(ContactPart(number, obstacle, edges, place, others, is_reversed))
     return tuple(parts)
 
 

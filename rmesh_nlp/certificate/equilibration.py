@@ -34,14 +34,13 @@ from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True)
 class Guess:
     """What the computed solution knows: where the equilibration begins; vertices come first, then edges."""
 
-    displacement: Array  # (components, nodes) coefficients
+    displacement: Array  # (components, nodes and tools) coefficients
     pressure: Array  # (nodes,) coefficients, of contact
     friction: Array  # (nodes,)
 
@@ -60,7 +59,8 @@ class Guess:
             node[between] = coarse.nodes_at(first[between], second[between])
             node = node.reshape(4, -1)
         values = self.displacement, self.pressure, self.friction
-        return Guess(*(part[..., node].mean(axis=-2) for part in values))
+        displacement, *stresses = (part[..., node].mean(axis=-2) for part in values)
+        return Guess(np.hstack([displacement, self.displacement[:, coarse.n_nodes :]]), *stresses)
 
 
 def _ends(mesh: MeshTri) -> Index:
@@ -105,10 +105,6 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     """
     if any(law.varies for law in problem.laws):
         raise NotCertifiableError("of a body of revolution no stress in equilibrium is known")
-    if problem.tools:
-        raise NotCertifiableError("a force moves a foundation")
-    if rigid_motions(problem).size > 0:
-        raise NotCertifiableError("only contact holds the body")
     if problem.origin is not None:
         raise NotCertifiableError("friction counts slip from an earlier load step")
     if not problem.has_energy:
@@ -160,19 +156,23 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     force, friction = np.maximum(solved.normal_force, 0.0), solved.tangential_force
     u = solved.u
     if solved.status is not Status.CONVERGED:
+        if system.rigid is not None:
+            raise NotCertifiableError("no stress in equilibrium was found for what only contact holds")
         friction = np.clip(friction, -bound, bound)
         push = system.normals.T @ force + system.tangents.T @ friction
         u = factorised(system.stiffness)(system.load + push)
     edge, shape, held = skeleton.lengths[conditions.contact], conditions.offset.shape, assembled.held
     W = assembled.prescribed.copy()
     W[~held] = u - assembled.base
-    reaction = (assembled.matrix @ W - assembled.load)[held] @ (W + assembled.start)[held]
+    friction = np.pad(friction, (0, conditions.offset.size - friction.size))
+    push = assembled.normals.T @ force + assembled.tangents.T @ friction
+    reaction = (assembled.matrix @ W - assembled.load - push)[held] @ (W + assembled.start)[held]
     inside, pressure = np.split(force, [conditions.inside.offset.size])
     functions = len(conditions.inside.offset)
     return Balance(
         traces=assembled.by_element(W),
         pressure=pressure.reshape(shape) / edge,
-        friction=friction.reshape(shape) / edge if friction.size else np.zeros(shape),
+        friction=friction.reshape(shape) / edge,
         reaction_work=float(reaction),
         inside=inside.reshape(-1, functions).T / skeleton.areas[conditions.inside.elements],
         assembled=assembled,

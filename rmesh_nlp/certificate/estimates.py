@@ -130,13 +130,12 @@ class OnMesh:
 
     @cached_property
     def u(self) -> Array:
-        """(components, nodes) coefficients of the displacement of the body."""
-        return self.displacement.values(self.state.u)[:, : self.space.n_nodes]
+        """(components, nodes and tools) coefficients of the displacement."""
+        return self.displacement.values(self.state.u)
 
     def dual(self, gap: Array, push: Array) -> Array:
-        """(components, nodes) the displacement under a load (components, nodes) and offsets (gaps,)."""
+        """The displacement under a load, both as :attr:`u`, and offsets (gaps,)."""
         index, load, dual = self.displacement.index, np.zeros(self.system.load.size), np.zeros(push.shape)
-        index = index[:, : self.space.n_nodes]
         free = index >= 0
         load[index[free]] = push[free]
         dual[free] = self.system.response(self.state.active, load, gap)[index[free]]
@@ -244,8 +243,7 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             return Estimate(computed - np.nan_to_num(lacking), lacking, computed, defect**2)
         push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
         if load is not None:
-            inside = np.zeros(assembled.conditions.inside.offset.shape)
-            push = turned(assembled.turn, load.balanced * skeleton.lengths, inside)[free]
+            push = turned(assembled.turn, load.balanced * skeleton.lengths)[free]
         elif part is not None:
             nodes, raised, along = on.space.nodes_of(contact_edges(problem, part.obstacle)), 0 * w, w.copy()
             raised[:, nodes] = np.multiply.outer(part.obstacle.normal, weights[nodes])[: len(w)]

@@ -33,7 +33,7 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
     """Lower and upper bounds of the normal force by contact boundary, infinite where there is none.
 
     ``exact`` is an admissible displacement of a problem without level functions, ``lower`` a bound of the
-    least energy.
+    least energy. That of a tool is known if it moves along its normal.
     """
     if not exact.problem.obstacles:
         return {}
@@ -43,6 +43,11 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
     gaps = exact.system.normals @ exact.state.u + exact.system.offset
     for contact in continuous.space.contact_sets:
         if not contact.rows.size:  # every gap is given
+            continue
+        obstacle = contact.obstacle
+        name = obstacle.boundary.value if isinstance(obstacle.boundary, Place) else obstacle.boundary
+        if obstacle.force is not None and np.all(np.array(obstacle.moves) | (np.array(obstacle.normal) == 0)):
+            bounds[name] = (float(np.dot(obstacle.force, obstacle.normal)),) * 2  # it is in equilibrium
             continue
 
         def upper(by: float, contact: ContactSet = contact) -> float:
@@ -54,8 +59,6 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
         force = exact.system.with_offset(raised).equilibrium(active).normal_force
         bend = float(np.sum((force - exact.state.normal_force)[contact.rows]))
         flat = max(size, np.min(gaps[contact.rows]))
-        boundary = contact.obstacle.boundary
-        name = boundary.value if isinstance(boundary, Place) else boundary
         low, high = slope_bounds(upper, lower, gap, bend, flat, continuous.room(contact))
         bounds[name] = max(low, 0.0), high
     return bounds

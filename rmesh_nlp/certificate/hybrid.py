@@ -10,7 +10,8 @@ a contact problem of the same form as that of the nodes; its multipliers are the
 On each edge the traces are the moments of each component of the displacement against Bernstein's
 polynomials, those of its ends first, divided by the length. On contact edges the components are those along
 the obstacle's tangent and normal, elsewhere x and y. The multiplier of such a moment is a coefficient of the
-contact pressure times the length: where none is negative the pressure is nowhere negative.
+contact pressure times the length: where none is negative the pressure is nowhere negative. Traces of a pair
+count less those of its other edge, those on a tool less its displacement, an unknown with its force as load.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.evaluation import Array, Index, Mask
+from rmesh_nlp.fem.space import DisplacementSpace
+from rmesh_nlp.problem.rigid import rigid_motions
 
 
 @dataclass(frozen=True)
@@ -35,12 +38,14 @@ class Hybrid:
 
     The sum of the forces through each edge, less the applied ones, is ``matrix @ W - load``. The traces are
     numbered edge by edge, function by function, component by component, then those on an obstacle in the
-    interior, element by element.
+    interior, element by element, then displacements of tools.
     """
 
     skeleton: Skeleton
     conditions: Conditions
     system: ContactSystem  # in the traces that are not given; gaps of an obstacle in the interior first
+    normals: sp.csr_array  # (gaps, traces), those of the system with the given traces
+    tangents: sp.csr_array  # those of the contact edges, with friction or without
     matrix: sp.csc_array  # (traces, traces)
     load: Array  # (traces,)
     numbers: Index  # (elements, k), the traces of each element
@@ -54,7 +59,7 @@ class Hybrid:
 
     def of_displacement(self, u: Array) -> Array:
         """(traces,) those of a displacement with coefficients (components, nodes)."""
-        return _of_displacement(self.turn, self.skeleton, self.conditions, u)
+        return _of_displacement(self.turn, self.skeleton, self.conditions, u, self.skeleton.order)
 
     def by_element(self, W: Array) -> Array:
         """(elements, k) traces (traces,) of each element, in Cartesian components."""
@@ -67,19 +72,21 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     ``computed`` is the field of this displacement, to which ``fields`` add what it lacks.
     """
     skeleton, inside, degree = fields.skeleton, conditions.inside, conditions.degree
-    n, k = conditions.held.shape[0], degree + 1
-    on_edges, lengths = skeleton.traces(n, k), skeleton.lengths
-    turn, none = _turn(conditions, inside.offset.size), np.zeros(inside.offset.shape)
-    edges, size = turn.shape[0] - none.size, turn.shape[0]
-    added = np.arange(edges, size)
+    n, k, problem = conditions.held.shape[0], degree + 1, skeleton.body.problem
+    on_edges, lengths, none = skeleton.traces(n, k), skeleton.lengths, np.zeros(inside.offset.shape)
+    turn = turn_of(skeleton, conditions)
+    edges, size = n * k * lengths.size, turn.shape[0]
+    added = np.arange(edges, edges + none.size)
     numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
 
-    start = _of_displacement(turn, skeleton, conditions, u)
-    given = turned(turn, conditions.given, none)
-    held = np.abs(turned(turn, np.repeat(conditions.held[:, None], k, axis=1), none)) > 0.5
+    start = _of_displacement(turn, skeleton, conditions, u, skeleton.order)
+    held = np.repeat(conditions.held[:, None], k, axis=1)
+    held = np.abs(turned(turn, held, none, problem.tools_held)) > 0.5
+    given = turned(turn, conditions.given)
     prescribed, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
     inside_load = (fields.load[0] * skeleton.areas)[:, inside.elements]
-    load = turned(turn, conditions.traction.balanced * lengths, inside_load)
+    load = applied(skeleton, conditions, turn)
+    load[added] += inside_load.T.ravel()
     load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)
     load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
     count = numbers.shape[1]
@@ -88,38 +95,92 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     matrix = sp.csc_array(turn @ of_elements @ turn.T)
     stiffness, rest = matrix[free][:, free], (load - matrix @ prescribed)[free]
     # contact inside, then on the boundary function by function
-    touching = np.arange(edges).reshape(-1, k, n)[conditions.contact].T.reshape(n, -1)
-    unit = sp.csr_array(sp.eye_array(size))[:, free]
-    normals = sp.vstack([unit[added] * inside.sign, unit[touching[-1]]])
-    gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ start[free]
-    tangents, bound = unit[:0], np.zeros(0)
+    along, base = jumps(skeleton, conditions), start + prescribed
+    normals = sp.csr_array(sp.vstack([sp.csr_array(sp.eye_array(size))[added] * inside.sign, along[-1]]))
+    gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ base
+    tangents, bound, slips = along[0], np.zeros(0), np.zeros(size)
     if np.any(conditions.friction > 0):
-        forces = conditions.friction * lengths[conditions.contact]
-        tangents, bound = unit[touching[0]], np.where(held[touching[0]], 0.0, forces.ravel())
-    # friction turns where the slip is zero, and traces are counted from those of the base
-    slips = tangents.T @ start[touching[0]][: bound.size]
-    system = ContactSystem(stiffness, rest + stiffness @ slips, 0.0, normals, tangents, gap, bound)
-    return Hybrid(skeleton, conditions, system, matrix, load, numbers, turn, held, start, prescribed, slips)
+        loads = conditions.friction * lengths[conditions.contact]
+        own = tangents @ sp.diags_array((~held & (np.arange(size) < edges)).astype(float))
+        share = own.power(2).sum(axis=1)
+        bound = np.where(share > 0, loads.ravel(), 0.0)
+        # friction turns where the slip is zero, and traces are counted from those of the base
+        slips = own.T @ (tangents @ base / np.maximum(share, 1.0))
+    motions = rigid_motions(problem, skeleton.nodes)
+    rigid = [_of_displacement(turn, skeleton, conditions, motion, 1)[free] for motion in motions]
+    system = ContactSystem(
+        stiffness,
+        rest + stiffness @ slips[free],
+        0.0,
+        normals[:, free],
+        tangents[: bound.size, free],
+        gap,
+        bound,
+        rigid=np.stack(rigid, axis=1) if rigid else None,
+    )
+    rows = system, normals, tangents, matrix, load
+    return Hybrid(skeleton, conditions, *rows, numbers, turn, held, start, prescribed, slips[free])
 
 
-def turned(turn: sp.csr_array, along: NDArray, within: NDArray) -> Array:
-    """(traces,) of moments along edges (components, k, edges) and inside (functions, m)."""
-    return turn @ np.concatenate([along.T.ravel(), within.T.ravel()])
+def turned(turn: sp.csr_array, *parts: NDArray) -> Array:
+    """(traces,) of moments along edges (components, k, edges), inside (functions, m) and of tools.
+
+    The last ones are (components, tools) displacements or forces; what is left out is zero.
+    """
+    values = np.concatenate([part.T.ravel() for part in parts])
+    return turn @ np.pad(values, (0, turn.shape[0] - values.size))
 
 
-def _of_displacement(turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array) -> Array:
+def applied(skeleton: Skeleton, conditions: Conditions, turn: sp.csr_array) -> Array:
+    """(traces,) given forces on edges and tools."""
+    none, on_edges = np.zeros(conditions.inside.offset.shape), conditions.traction.balanced * skeleton.lengths
+    of_tools = [force for _, force in DisplacementSpace(skeleton.body.problem).forces]
+    return turned(turn, on_edges, none, np.reshape(of_tools, (-1, len(on_edges))).T)
+
+
+def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
+    """Rows (k contact edges, traces), a matrix for each axis: traces less those of what is met.
+
+    They run function by function.
+    """
+    tools, (n, edges), k = skeleton.body.problem.tools, conditions.held.shape, conditions.degree + 1
+    number, shape = np.arange(n * k * edges).reshape(edges, k, n).T, (n, k, conditions.contact.size)
+    met, moved = np.full(shape, -1), np.zeros((*shape, len(tools), n))
+    for part in conditions.parts:
+        others = number[:, :, part.others]
+        others[:, :2] = np.where(part.reversed, others[:, 1::-1], others[:, :2])
+        met[:, :, part.place][:, :, : part.others.size] = others
+        if part.number in tools:  # the moments of a constant
+            axes = conditions.axes[part.place].transpose(1, 0, 2)
+            moved[:, :, part.place, tools.index(part.number)] = axes[:, None] / k
+    count = number.size + conditions.inside.offset.size
+    trace = sp.csr_array(sp.eye_array(count + 1, count))  # the last one is of nothing
+    own = number[:, :, conditions.contact]
+    return [
+        sp.csr_array(sp.hstack([trace[a.ravel()] - trace[b.ravel()], -c.reshape(a.size, n * len(tools))]))
+        for a, b, c in zip(own, met, moved, strict=True)
+    ]
+
+
+def _of_displacement(
+    turn: sp.csr_array, skeleton: Skeleton, conditions: Conditions, u: Array, order: int
+) -> Array:
     """See :meth:`Hybrid.of_displacement`."""
-    inside, degree = skeleton.displaced[:, conditions.inside.elements], conditions.degree
-    along = moments(u[:, skeleton.along(skeleton.order)], degree)
-    return turned(turn, along, moments(u[:1, inside], degree, 3))
+    nodes, degree = skeleton.along(order), conditions.degree
+    inside = skeleton.inside(order)[:, conditions.inside.elements]
+    tools = u[:, skeleton.nodes.shape[1] + (nodes.shape[1] if order == 2 else 0) :]
+    return turned(turn, moments(u[:, nodes], degree), moments(u[:1, inside], degree, 3), tools)
 
 
-def _turn(conditions: Conditions, added: int) -> sp.csr_array:
-    """From Cartesian components to the axes of contact edges; the last ``added`` traces are inside."""
+def turn_of(skeleton: Skeleton, conditions: Conditions) -> sp.csr_array:
+    """(traces, traces) from Cartesian components to the axes of contact edges."""
+    added = conditions.inside.offset.size + len(skeleton.body.problem.tools)
     k, (n, edges) = conditions.degree + 1, conditions.held.shape
     blocks = np.tile(np.eye(n), (edges, 1, 1))
     blocks[conditions.contact] = conditions.axes
-    data = np.concatenate([np.repeat(blocks, k, axis=0), np.ones((added, n, n))])
+    for part in conditions.parts:
+        blocks[part.others] = conditions.axes[part.place][: part.others.size]
+    data = np.concatenate([np.repeat(blocks, k, axis=0), np.tile(np.eye(n), (added, 1, 1))])
     turn = sp.csr_array(sp.bsr_array((data, np.arange(len(data)), np.arange(len(data) + 1))))
     turn.eliminate_zeros()
     return turn

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -115,7 +116,13 @@ def bounded(
     }
     if ENERGY in quantities:
         bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
-    bounds |= {text: _load_bounds(exact, after, load, refinements) for text, load in loads.items()}
+    under = {text: partial(_loaded, exact.problem, load) for text, load in loads.items()}
+    for number in problem.tools:
+        tool = problem.obstacles[number]
+        for axis, way, moves in zip("xy", np.eye(2), tool.moves, strict=True):
+            if moves:
+                under[f"tool_{axis}({tool.boundary})"] = partial(_pressed, exact.problem, number, way)
+    bounds |= {text: _load_bounds(exact, after, more, refinements) for text, more in under.items()}
     return _certificate(before, after, why, bounds)
 
 
@@ -129,6 +136,7 @@ def _on_polygon(state: State, continuous: Admissible) -> Admissible:
 def _bracket(state: State, continuous: Admissible, refinements: int | None) -> Bracket:
     """Both bounds on one mesh, the upper one that of the displacement that is admissible."""
     u = DisplacementSpace(state.problem).coefficients(state.displacement)
+    u = np.hstack([u, *([[x], [y]] for x, y in state.tools.values())])
     guess = Guess(u, state.pressure, state.tangential_stress)
     bracket = refined_bracket(state.problem, state.mesh.p, guess, refinements)
     return replace(with_upper(bracket, continuous), distance=_distance(u, bracket.norm, continuous))
@@ -158,25 +166,39 @@ def _consistent(bracket: Bracket) -> Bracket:
     return replace(bracket, lower_faults=(CROSSED,), upper_faults=(CROSSED,))
 
 
-def _load_bounds(exact: Admissible, known: Bracket, load: Traction, refinements: int | None) -> Bounds:
-    """Bounds of the work of a load on the exact solution, on which it does not act."""
+def _loaded(problem: ContactProblem, load: Traction, s: float) -> ContactProblem:
+    """The problem under a load more, s times."""
+    scaled = tuple(lambda x, y, part=part: s * part(x, y) for part in load.value)
+    return replace(problem, tractions=(*problem.tractions, Traction(load.boundary, scaled)))
+
+
+def _pressed(problem: ContactProblem, number: int, way: Array, s: float) -> ContactProblem:
+    """The problem with a force more on a tool, s times ``way`` (2,)."""
+    tools = list(problem.obstacles)
+    tools[number] = replace(tools[number], force=tuple(s * way + (tools[number].force or 0.0)))
+    return replace(problem, obstacle=tuple(tools))
+
+
+def _load_bounds(
+    exact: Admissible, known: Bracket, under: Callable[[float], ContactProblem], refinements: int | None
+) -> Bounds:
+    """Bounds of the work of a load on the exact solution; ``under`` is the problem with s times that load."""
     parts, nodes, field = exact.parts, exact.body.nodes, exact.parts.displacement
-
-    def under(s: float) -> ContactProblem:
-        scaled = tuple(lambda x, y, part=part: s * part(x, y) for part in load.value)
-        return replace(parts.problem, tractions=(*parts.problem.tractions, Traction(load.boundary, scaled)))
-
-    push = load_vector(Body(under(1.0), nodes), parts.space)[0] - load_vector(exact.body, parts.space)[0]
+    body = Body(under(1.0), nodes)
+    push = load_vector(body, DisplacementSpace(body.problem))[0] - load_vector(exact.body, parts.space)[0]
     free, u = field.index.T.ravel() >= 0, exact.displacement.T.ravel()
 
     def moved(s: float) -> ContactSystem:
         return replace(exact.system, load=exact.system.load + s * push[free])
 
     def upper(s: float) -> float:
-        state = solve(moved(s), exact.state.active)
-        stresses = contact_stresses(parts.space, nodes, state.normal_force, state.tangential_force)
-        guess = Guess(field.values(state.u), *stresses)
-        bracket = refined_bracket(under(s), nodes, guess, refinements)
+        try:
+            state = solve(moved(s), exact.state.active)
+            stresses = contact_stresses(parts.space, nodes, state.normal_force, state.tangential_force)
+            guess = Guess(field.values(state.u), *stresses)
+            bracket = refined_bracket(under(s), nodes, guess, refinements)
+        except FAULTS:  # nothing holds the body, or a tool
+            return np.inf
         return -bracket.lower if set(bracket.lower_faults) <= set(known.lower_faults) else np.inf
 
     gap, value = max(known.upper - known.lower, ROUNDING * exact.strain), float(push @ u)

@@ -292,7 +292,6 @@ def test_an_element_of_no_thickness_is_refused_or_flagged():
     [
         ({"obstacle": Obstacle.circle("bottom", (1.0, -5.0), 5.0)}, "turns along an edge"),
         ({"obstacle": (Obstacle("bottom"), Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
-        ({"dirichlet": ROLLERS[:1]}, "only contact holds"),
         ({"point_loads": (PointLoad(9, (0.0, -1.0)),)}, "point load"),
         ({"dirichlet": ("left", ROLLERS[2]), "obstacle": OBLIQUE}, "oblique"),
     ],
