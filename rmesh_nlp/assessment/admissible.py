@@ -107,14 +107,12 @@ class Continuous:
         free, given, points = np.flatnonzero(index.T.ravel() >= 0), self.given.T.ravel(), space.points(nodes)
         pull = self.stiffness @ given
         directions = Directions(space, self.field, self.parts.n_u)
-        normals, tangents = directions.rows(nodes)
+        normals, tangents, along = directions.rows(nodes)
         gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
         offset = np.concatenate([np.zeros(0), *gaps])
         for cells in self.cells:  # at edges coefficients, on the arc if there is one
             rows, at_nodes = (values[cells.vertices :] for values in (cells.rows, cells.at_nodes))
             offset[rows[rows >= 0]] = at_nodes[rows >= 0]
-        moved = [part.relative(self.given)[:, part.nodes] for part in space.contact_sets]
-        along = np.sum(directions.normals(nodes) * np.hstack([self.given[:, :0], *moved]), axis=0)
         frictional = np.zeros(along.size, dtype=bool)
         frictional[space.friction_rows] = True
         bounds = np.zeros(along.size if self.problem.frictional else 0)
@@ -170,7 +168,7 @@ class Continuous:
         bare, acted = self._bare, [self._bare.normals.indices, self._bare.tangents.indices]
         for cells in self.cells:
             acts = self.problem.frictional | np.any(cells.normals != 0, axis=(1, 2))
-            acted += [self.field.index[acts][:, nodes].ravel() for _, nodes in cells.carriers]
+            acted.append(self.field.index[acts][:, cells.contact.carriers(cells.nodes)].ravel())
         last = np.unique(numbers_of(acted))
         last = last[last >= 0]
         if (condensed := bare.condensed(last)) is None:
@@ -238,15 +236,13 @@ class Continuous:
 
     def _rows(self, cells: Cells, vectors: Array) -> sp.csr_array:
         """(m k, unknowns) what takes unknowns to components along ``vectors`` (components, m, k)."""
-        shape, rows = (cells.distance.size, self._bare.load.size), sp.csr_array((0, 0))
-        for number, (factor, nodes) in enumerate(cells.carriers):
-            values = factor * np.einsum("cmk,vk->cvmk", vectors, cells.shares)
-            column = np.broadcast_to(self.field.index[:, nodes][..., None], values.shape)
-            row = np.broadcast_to(np.arange(cells.distance.size).reshape(cells.distance.shape), values.shape)
-            used = (column >= 0) & (values != 0)
-            own = sp.csr_array((values[used], (row[used], column[used])), shape=shape)
-            rows = rows + own if number else own
-        return rows
+        contact, number = cells.contact, np.arange(cells.distance.size).reshape(cells.distance.shape)
+        values = np.einsum("f,cmk,vk->cfvmk", contact.factors, vectors, cells.shares)
+        column = self.field.index[:, contact.carriers(cells.nodes)][..., None]
+        row, column = (np.broadcast_to(each, values.shape) for each in (number, column))
+        used = (column >= 0) & (values != 0)
+        shape = number.size, self._bare.load.size
+        return sp.csr_array((values[used], (row[used], column[used])), shape=shape)
 
     def _turns(self, state: Equilibrium) -> bool:
         """Whether a slip may change its sign within an edge, where friction is less than at nodes."""

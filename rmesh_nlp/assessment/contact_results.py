@@ -83,14 +83,17 @@ def contact_results(
 
 def _vector(nodes: Array, pressure: ContactStress, friction: ContactStress) -> dict[str, float]:
     """Force and moment of the forces at nodes; none of a scalar problem."""
-    if pressure.space.problem.components == 1:
+    space, totals, obstacle = pressure.space, np.zeros(3), pressure.part.obstacle
+    if space.problem.components == 1:
         return {}
     acting = np.flatnonzero((pressure.nodal != 0) | (friction.nodal != 0))
-    x, y = points = pressure.space.points(nodes)[:, acting]
-    n_x, n_y = pressure.part.obstacle.normals(points)
-    f_x, f_y = pressure.nodal[acting] * (n_x, n_y) + friction.nodal[acting] * (n_y, -n_x)
-    totals = {"force_x": f_x, "force_y": f_y, "moment": x * f_y - y * f_x}
-    return {name: float(np.sum(values)) for name, values in totals.items()}
+    for which, vertices, _ in space.kinds(acting):
+        places, own = space.places(obstacle, acting[which], vertices), acting[which]
+        n_x, n_y = space.normals(obstacle, nodes, places)
+        f_x, f_y = pressure.nodal[own] * (n_x, n_y) + friction.nodal[own] * (n_y, -n_x)
+        x, y = space.points(nodes)[:, places]
+        totals += [np.sum(values) for values in (f_x, f_y, x * f_y - y * f_x)]
+    return dict(zip(("force_x", "force_y", "moment"), totals.tolist(), strict=True))
 
 
 def unlimited_peaks(space: DisplacementSpace, nodes: Array, state: Equilibrium) -> Iterator[str]:

@@ -35,31 +35,36 @@ class Directions:
     displacement: Field
     n_u: int
 
-    def normals(self, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array:
-        """Unit normals (components, gaps) at vertex positions (2, vertices) and a design."""
-        points, sets = self.space.points(nodes), self.space.contact_sets
-        parts = [at_design(part.obstacle, at).normals(points[:, part.nodes]) for part in sets]
-        return np.hstack([np.zeros((self.space.problem.components, 0)), *parts])
+    def rows(
+        self, nodes: Array, at: Mapping[str, float] = NO_DESIGN
+    ) -> tuple[sp.csr_array, sp.csr_array, Array]:
+        """Sparse rows (gaps, n_u) of normals and tangents, and normal displacements (gaps,) that are given.
 
-    def rows(self, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> tuple[sp.csr_array, sp.csr_array]:
-        """Sparse rows (gaps, n_u) of normals and tangents; a scalar problem has no tangents."""
-        normals = self.normals(nodes, at)
-        if self.space.problem.components == 1:
-            return self._rows(normals), sp.csr_array((0, self.n_u))
-        return self._rows(normals), self._rows(np.stack([normals[1], -normals[0]]))
+        At vertex positions (2, vertices) and a design; a scalar problem has no tangents.
+        """
+        free = np.argsort(self.displacement.index, axis=None)[self.displacement.index.size - self.n_u :]
+        normals, given = self._rows(nodes, at), self.displacement.values(np.zeros(self.n_u))
+        if len(given) == 1:
+            return normals[:, free], sp.csr_array((0, self.n_u)), normals @ given.ravel()
+        return normals[:, free], self._rows(nodes, at, along=True)[:, free], normals @ given.ravel()
 
-    def _rows(self, vectors: Array) -> sp.csr_array:
-        """Rows that take the displacements that gaps depend on along ``vectors`` (components, gaps)."""
-        entries = [np.zeros((3, 0))]
+    def _rows(self, nodes: Array, at: Mapping[str, float], *, along: bool = False) -> sp.csr_array:
+        """Rows for all displacement components, those of x first, as :func:`contact_terms.directions`."""
+        shape, entries = self.displacement.index.shape, [np.zeros((3, 0))]
         for part in self.space.contact_sets:
-            for factor, nodes in zip(part.factors, part.carriers, strict=True):
-                index, along = self.displacement.index[:, nodes], factor * vectors[:, part.rows]
-                used = (np.abs(along) > ROUNDING) & (index >= 0)
-                row = np.broadcast_to(part.rows, index.shape)
-                entries.append(np.stack([along[used], row[used], index[used]]))
+            obstacle, factors = at_design(part.obstacle, at), part.factors
+            for which, vertices, _ in self.space.kinds(part.nodes):
+                carriers = self.space.carriers(part, which, vertices)
+                vectors = self.space.normals(obstacle, nodes, carriers[: len(carriers) // factors.size])
+                vectors = np.stack([vectors[1], -vectors[0]]) if along else vectors
+                values = np.concatenate([factor * vectors for factor in factors], axis=1)
+                row = np.broadcast_to(part.rows[which], values.shape)
+                column = carriers + shape[1] * np.arange(shape[0])[:, None, None]
+                used = np.abs(values) > ROUNDING
+                entries.append(np.stack([values[used], row[used], column[used]]))
         values, row, column = np.hstack(entries)
-        shape = vectors.shape[1], self.n_u
-        return sp.csr_array((values, (row.astype(np.int32), column.astype(np.int32))), shape=shape)
+        where = row.astype(np.int32), column.astype(np.int32)
+        return sp.csr_array((values, where), shape=(self.space.contact_nodes.size, shape[0] * shape[1]))
 
 
 def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
@@ -104,7 +109,7 @@ class ContactSolver:
         self._friction = _AtZero(parts, friction(on), parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
         self._directions = Directions(parts.space, self.displacement, self.n_u)
-        self.normals, self.tangents = self._directions.rows(problem.mesh.p, problem.start)
+        self.normals, self.tangents, _ = self._directions.rows(problem.mesh.p, problem.start)
         self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
         if parts.floats:
@@ -119,7 +124,7 @@ class ContactSolver:
         work, (push,) = self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
-            normals, tangents = self._directions.rows(nodes, at)
+            normals, tangents, _ = self._directions.rows(nodes, at)
         return ContactSystem(
             stiffness=self._elastic.matrix(hessian),
             load=-pull - push,

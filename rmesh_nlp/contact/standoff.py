@@ -76,12 +76,6 @@ class Cells:
         size = ROUNDING * (magnitude(self.distance) + magnitude(given))
         return held[np.min(gap, axis=0) < -size]
 
-    @property
-    def carriers(self) -> list[tuple[float, Index]]:
-        """A factor and nodes (v, m): those of the cells, and what they meet, if that moves."""
-        partner = self.contact.partner
-        return [(1.0, self.nodes), *([] if partner is None else [(-1.0, partner[self.nodes])])]
-
     @cached_property
     def normals(self) -> Array:
         """(components, m, k) unit normals at the points."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.cells import Cell, Straight
-from rmesh_nlp.fem.edge_gaps import edge_gaps, holds_along_edges
+from rmesh_nlp.fem.edge_gaps import at_places, directions, edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -28,7 +28,7 @@ from rmesh_nlp.problem.coefficients import OPEN, Coefficient
 from rmesh_nlp.problem.data import ContactSet
 
 OWN = np.ones(1)
-"""Share of the one vertex that carries a node, and factor of the one node that a gap depends on."""
+"""Share of the one vertex that carries a node, and factor of its displacement."""
 
 FRICTION_DEGREE = 31
 """Degree of the rule for the integral of the friction bound: exact to 1e-6 for four waves within an edge."""
@@ -46,53 +46,46 @@ def friction_energy(bound: Coefficient, edge: Cell) -> ca.Function:
     return edge.function("friction_energy", edge.integral(lambda x, y, s, _: at(bound, x, y) * s, rule))
 
 
-def _node(shares: Array) -> tuple[ca.SX, ca.SX, ca.SX]:
-    """Positions of the vertices of a contact node, as a column, and where it is: ``x, y = X_i @ shares``."""
-    X = ca.SX.sym("X", 2, shares.size)
-    return ca.vec(X), *ca.vertsplit(X @ shares)
-
-
 def _forces(shares: Array) -> tuple[ca.SX, ...]:
-    """The same, and the forces there: pressure, minus and plus."""
-    return *_node(shares), *map(ca.SX.sym, ("lambda", "mu_minus", "mu_plus"))
+    """Positions of the vertices of a contact node, and its forces: pressure, minus and plus."""
+    return ca.SX.sym("X", 2, shares.size), *map(ca.SX.sym, ("lambda", "mu_minus", "mu_plus"))
 
 
-def _displaced(components: int, factors: Array) -> tuple[ca.SX, ca.SX]:
-    """Displacements of the nodes that a gap depends on, as a column, and their sum times factors."""
-    u = ca.SX.sym("u", components, factors.size)
-    return ca.vec(u), u @ factors
-
-
-def gap_function(obstacle: Obstacle, components: int, shares: Array, factors: Array = OWN) -> ca.Function:
+def gap_function(obstacle: Obstacle, shares: Array, factors: Array = OWN) -> ca.Function:
     """``(X_i, u) -> (0, gap)`` of one contact node: normal(X) . (u @ factors) + distance(X).
 
-    At an edge the coefficient of the parabola through the distances at ends and middle stands in the place of
-    the distance. Where no normal varies the gap along the edge is so interpolated.
+    At an edge it is the coefficient of the parabola through the gaps at ends and middle.
     """
-    (X, x, y), (column, u) = _node(shares), _displaced(components, factors)
-    obstacle, moved = obstacle.unmoved
-    distance = obstacle.distance(x, y)
+    X, (obstacle, moved) = ca.SX.sym("X", 2, shares.size), obstacle.unmoved
+    normals, distance = directions(obstacle, X, shares), obstacle.distance(*ca.vertsplit(X @ shares))
+    to_places = at_places(factors, normals.shape[1])
+    u = ca.SX.sym("u", normals.shape[0], to_places.shape[0])
     if shares.size == 2:
-        ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.vertsplit(X, 2)]
+        ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.horzsplit(X)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
-    return ca.Function("gap", [X, column], [0, ca.dot(obstacle.direction(x, y), u - moved) + distance], OPEN)
+    gap = ca.dot(normals, u @ to_places - ca.repmat(moved, 1, normals.shape[1])) + distance
+    return ca.Function("gap", [ca.vec(X), ca.vec(u)], [0, gap], OPEN)
 
 
 def slip_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Function:
     """``(X_i, u, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
-    (X, x, y), (column, u), s = _node(shares), _displaced(2, factors), ca.SX.sym("s")
-    slip = ca.dot(obstacle.tangential(x, y), u)
-    return ca.Function("slip", [X, column, s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
+    X, s = ca.SX.sym("X", 2, shares.size), ca.SX.sym("s")
+    tangents = directions(obstacle, X, shares, along=True)
+    to_places = at_places(factors, tangents.shape[1])
+    u = ca.SX.sym("u", 2, to_places.shape[0])
+    slip = ca.dot(tangents, u @ to_places)
+    return ca.Function("slip", [ca.vec(X), ca.vec(u), s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
 
 
 def force_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Function:
     """``(X_i, lambda[, mu-, mu+]) -> (0, (-lambda n + (mu- - mu+) t) @ factors^T)`` of one contact node."""
-    X, x, y, pressure, minus, plus = _forces(shares)
-    force, used = -pressure * obstacle.direction(x, y), [X, pressure]
+    X, pressure, minus, plus = _forces(shares)
+    force, used = -pressure * directions(obstacle, X, shares), [ca.vec(X), pressure]
     if obstacle.friction_law:
-        force += (minus - plus) * obstacle.tangential(x, y)
+        force += (minus - plus) * directions(obstacle, X, shares, along=True)
         used += [minus, plus]
-    return ca.Function("contact_force", used, [0, ca.vec(force @ factors[None])], OPEN)
+    rows = ca.vec(force @ at_places(factors, force.shape[1]).T)
+    return ca.Function("contact_force", used, [0, rows], OPEN)
 
 
 def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
@@ -104,8 +97,8 @@ def gaps(on: Fields, first_row: int = 0) -> list[ElementGroup]:
             groups += edge_gaps(on, part, rows)
             continue
         for which, vertices, shares in on.space.kinds(part.nodes):
-            function = gap_function(part.obstacle, on.problem.components, shares, part.factors)
-            local = on.positions.at(vertices), on.displacement.at(part.carriers[:, which])
+            function = gap_function(part.obstacle, shares, part.factors)
+            local = on.positions.at(vertices), on.displacement.at(on.space.carriers(part, which, vertices))
             groups.append(on.group(function, local, rows[None, which]))
     return groups
 
@@ -119,7 +112,7 @@ def given_gaps(on: Fields, first_row: int) -> list[ElementGroup]:
     for part in on.problem.contact_sets:
         nodes = on.problem.given_gaps(part)[0][None]
         if nodes.size:
-            function = gap_function(part.obstacle, on.problem.components, OWN)
+            function = gap_function(part.obstacle, OWN)
             rows = first_row + np.arange(nodes.size)[None]
             groups.append(on.group(function, [on.positions.at(nodes), on.displacement.at(nodes)], rows))
             first_row += nodes.size
@@ -145,7 +138,8 @@ def slips(on: Fields, first_row: int = 0) -> list[ElementGroup]:
         slip = on.slip.component(part.number)
         for which, vertices, shares in on.space.kinds(part.nodes):
             rows, u = first_row + numbers[which] + np.array([[0], [n_s]]), on.displacement
-            local = on.positions.at(vertices), u.at(part.carriers[:, which]), slip.at(part.nodes[None, which])
+            carriers = on.space.carriers(part, which, vertices)
+            local = on.positions.at(vertices), u.at(carriers), slip.at(part.nodes[None, which])
             groups.append(on.group(slip_function(part.obstacle, shares, part.factors), local, rows))
     return groups
 
@@ -203,16 +197,16 @@ def contact_force_groups(on: Fields, rows: Index) -> list[ElementGroup]:
         for which, vertices, shares in on.space.kinds(part.nodes):
             forces = (field.component(part.number).at(part.nodes[None, which]) for field in used)
             function = force_function(part.obstacle, shares, part.factors)
-            own = np.vstack([rows[:, nodes] for nodes in part.carriers[:, which]])
+            own = np.vstack([rows[:, nodes] for nodes in on.space.carriers(part, which, vertices)])
             groups.append(on.group(function, [on.positions.at(vertices), *forces], own))
     return groups
 
 
 def bound_function(obstacle: Obstacle, shares: Array) -> ca.Function:
     """``(X_i, lambda, mu-, mu+) -> (0, F(X) lambda - mu- - mu+)`` of one contact node."""
-    X, x, y, pressure, minus, plus = _forces(shares)
-    value = at(obstacle.friction_law.slope, x, y) * pressure - minus - plus
-    return ca.Function("bound_force", [X, pressure, minus, plus], [0, value], OPEN)
+    X, pressure, minus, plus = _forces(shares)
+    value = at(obstacle.friction_law.slope, *ca.vertsplit(X @ shares)) * pressure - minus - plus
+    return ca.Function("bound_force", [ca.vec(X), pressure, minus, plus], [0, value], OPEN)
 
 
 def bound_force_groups(on: Fields, first_row: int) -> list[ElementGroup]:

@@ -118,7 +118,7 @@ def edge_gaps(on: Fields, part: ContactSet, rows: Index) -> Iterator[ElementGrou
         along = np.vstack([space.nodes_of(patch.vertices[list(cell)]) for cell in patch.cells])
         local = [
             on.positions.at(patch.vertices),
-            on.displacement.at(part.carriers[:, patch.rows]),
+            on.displacement.at(space.carriers(part, patch.rows, patch.vertices[: 1 + patch.at_edge])),
             constant_field(np.vstack([free[along], given[along]])),
         ]
         number, curve = max(patch.sides), None
@@ -191,12 +191,15 @@ def _gap_function(
     height in units of ``unit``. Edges on the last one of the patch's curves are arcs of ``curve``.
     """
     (obstacle, moved), order, cells = part.obstacle.unmoved, space.order, patch.cells
-    interior, factors = obstacle.boundary is Place.INTERIOR, part.factors
+    interior = obstacle.boundary is Place.INTERIOR
     kind = ca.SX if curve is None else kind_of(*curve.functions)
     n, corners, vertices = len(cells), len(cells[0]), len(patch.vertices)
     nodes, shares = size(order, corners), _samples(corners, interior)
     X, t = kind.sym("X", 2, vertices), kind.sym("t", vertices)
-    u = kind.sym("u", space.problem.components, factors.size)
+    own_shares = np.full(1 + patch.at_edge, 1 / (1 + patch.at_edge))
+    normals = directions(obstacle, X[:, : own_shares.size], own_shares)
+    to_places = at_places(part.factors, normals.shape[1])
+    u = kind.sym("u", normals.shape[0], to_places.shape[0])
     constants = kind.sym("constants", 2 * nodes * n)
     free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
 
@@ -223,10 +226,28 @@ def _gap_function(
             weight = ca.if_else(weight > 0, weight, np.inf)
         power += ca.sum1(ca.fmax(height / (unit * weight), 0) ** POWER)
     off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
-    x, y = ca.vertsplit((X[:, 0] + X[:, 1]) / 2 if patch.at_edge else X[:, 0])
-    gap = ca.dot(obstacle.direction(x, y), u @ ca.DM(factors) - moved) + own - off
+    gap = ca.dot(normals, u @ to_places - ca.repmat(moved, 1, normals.shape[1])) + own - off
     columns = [ca.vec(X), ca.vec(u), constants] + ([] if curve is None else [t])
     return ca.Function("edge_gap", columns, [0, gap], OPEN)
+
+
+def directions(obstacle: Obstacle, X: Expression, shares: Array, *, along: bool = False) -> Expression:
+    """(components, places) what the displacement at each place of a gap is multiplied with.
+
+    ``X`` (2, n) are the vertices of its node, ``shares`` (n,) say where that is. At an edge the coefficient
+    of the parabola through ``n . u`` at the ends a, b and the middle m is ``n_m . c + (n_m - n_a) . u_a / 2 +
+    (n_m - n_b) . u_b / 2``, c that of the displacement. ``along``: with tangents, of the slip.
+    """
+    direction = obstacle.tangential if along else obstacle.direction
+    own = direction(*ca.vertsplit(X @ ca.DM(shares)))
+    if obstacle.level is None or shares.size == 1:
+        return own
+    return ca.horzcat(own, *((own - direction(*ca.vertsplit(end))) / 2 for end in ca.horzsplit(X)))
+
+
+def at_places(factors: Array, places: int) -> ca.DM:
+    """(nodes, places) matrix from the displacements of carriers to their sums times factors by places."""
+    return ca.DM(np.kron(factors[:, None], np.eye(places)))
 
 
 def _samples(corners: int, interior: bool) -> Array:

@@ -89,6 +89,24 @@ class DisplacementSpace:
             facets = self.problem.mesh.facets[:, nodes[~at_vertex] - self.n_vertices]
             yield np.flatnonzero(~at_vertex), facets, np.full(2, 0.5)
 
+    def places(self, obstacle: Obstacle, nodes: Index, vertices: Index) -> Index:
+        """(1 or 3, n) nodes on whose displacements the gaps at nodes (n,) of one of the :meth:`kinds` depend.
+
+        The node itself, and where normals turn the ends of its edge.
+        """
+        return np.vstack([nodes, vertices]) if obstacle.level and len(vertices) == 2 else nodes[None]
+
+    def normals(self, obstacle: Obstacle, X: Array, places: Index) -> Array:
+        """(components, 1 or 3, n) what multiplies these: :func:`edge_gaps.directions` at vertices (2, n)."""
+        vectors = obstacle.normals(self.points(X)[:, places])
+        vectors[:, 1:] = (vectors[:, :1] - vectors[:, 1:]) / 2
+        return vectors
+
+    def carriers(self, part: ContactSet, which: Index, vertices: Index) -> Index:
+        """(nodes, n) the :meth:`places` of the gaps ``which`` (n,), then what each meets, if that moves."""
+        places = self.places(part.obstacle, part.nodes[which], vertices)
+        return part.carriers(places).reshape(-1, which.size)
+
     def points(self, X: Array) -> Array:
         """(2, nodes) where the nodes are at vertex positions (2, vertices).
 

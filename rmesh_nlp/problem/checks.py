@@ -208,8 +208,9 @@ def _check_friction(problem: ProblemData) -> None:
     for part in problem.contact_sets:
         if not part.obstacle.friction_law:
             continue
-        nodes, bodies = part.nodes, part.carriers[np.all(part.carriers < held.shape[1], axis=1)]
+        nodes, bodies = part.nodes, part.carriers(part.nodes)
         oblique = np.all(np.abs(part.obstacle.normals(problem.mesh.p[:, nodes])) > ROUNDING, axis=0)
+        bodies = bodies[np.all(bodies < held.shape[1], axis=1)]
         wrong = [np.any(held[:, at] & (oblique | (value[:, at] != 0)), axis=0) for at in bodies]
         for node in nodes[np.any(wrong, axis=0)]:
             raise ProblemError(

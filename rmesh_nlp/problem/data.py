@@ -32,18 +32,16 @@ BY_VALIDITY = Motion()
 class ContactSet:
     """The contact nodes of one obstacle and the rows of their gaps among those of all obstacles.
 
-    Of a problem they are vertices, of a displacement space its nodes. A gap is where its node is; it depends
-    on the sum of the displacements of its ``carriers`` (nodes, gaps) times ``factors`` (nodes,): its own, and
-    further ones where ``others`` has them, each a factor and as many nodes. ``partner`` (all nodes,) is what
-    nodes meet if it is no foundation at rest: of a pair the node of the second boundary at each one of the
-    first, itself at the end of a crack, -1 elsewhere; a tool, which comes after the nodes.
+    Of a problem they are vertices, of a displacement space its nodes. A gap depends on the displacement of a
+    node less that of its ``partner`` (all nodes,), what it meets if that is no foundation at rest: of a pair
+    the node of the second boundary at each one of the first, itself at the end of a crack, -1 elsewhere; a
+    tool, which comes after the nodes.
     """
 
     number: int
     obstacle: Obstacle
     nodes: Index
     rows: Index
-    others: tuple[tuple[float, Index], ...] = ()
     partner: Index | None = None
 
     def relative(self, values: Array) -> Array:
@@ -53,15 +51,14 @@ class ContactSet:
         own = values[..., : self.partner.size]
         return own - np.where(self.partner >= 0, values[..., self.partner], 0.0)
 
-    @property
-    def carriers(self) -> Index:
-        """(nodes, gaps) the nodes that each gap depends on, its own first."""
-        return np.stack([self.nodes, *(nodes for _, nodes in self.others)])
+    def carriers(self, nodes: Index) -> Index:
+        """(1 or 2, ...) nodes (...) and what they meet, if that moves."""
+        return np.stack([nodes, *([] if self.partner is None else [self.partner[nodes]])])
 
     @property
     def factors(self) -> Array:
-        """(nodes,) their factors."""
-        return np.array([1.0, *(factor for factor, _ in self.others)])
+        """(1 or 2,) factors of their displacements."""
+        return np.array([1.0] if self.partner is None else [1.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -314,8 +311,7 @@ class ProblemData:
                 free = (free | ~held[:, partner[own]]) & (partner[own] != own)
             seen = np.abs(self.first_obstacles[number].normals(points[:, own])) > ROUNDING
             own = own[np.any(free & seen, axis=0)].astype(np.int64)
-            others = () if partner is None else ((-1.0, partner[own]),)
-            sets.append(ContactSet(number, obstacle, own, first + np.arange(own.size), others, partner))
+            sets.append(ContactSet(number, obstacle, own, first + np.arange(own.size), partner))
             first += own.size
         return tuple(sets)
 

@@ -55,7 +55,7 @@ def test_interface_opens_but_for_its_end_inside_the_body(order: int) -> None:
     assert problem.mesh.p.shape[1] == 13**2 + 9  # 10 nodes are on the line, one of them its end
     solver = ContactSolver(problem)
     (part,), u = solver.discretisation.space.contact_sets, solver.displacement.values(solver.given.u)
-    own, others = part.carriers[:, :9]
+    own, others = part.carriers(part.nodes[:9])
     opening = (u[1, own] - u[1, others])[np.argsort(problem.mesh.p[0, own])]
     assert np.all(np.diff(opening, prepend=0) > 0)
 
@@ -170,7 +170,47 @@ def test_press_fit_has_the_pressure_of_thick_rings(order: int) -> None:
     lame = 0.0025 * 200e3 / (20 * (2.6 + 5 / 3))
     mean = solution.contact["fit"]["normal_force"] / (10 * np.pi)
     assert solution.status.value == "converged"
-    assert mean == pytest.approx(lame, rel={1: 0.02, 2: 0.005}[order])
+    assert mean == pytest.approx(lame, rel={1: 0.02, 2: 0.001}[order])
+    # at order 2 gaps along arcs count how the normal turns: without that the energy is 0.14 % off
+    assert solution.energy == pytest.approx(lame * 0.0025 * 5 * np.pi, rel={1: 0.02, 2: 1e-4}[order])
+
+
+def disc_in_ring(level: int, order: int) -> rm.ContactProblem:
+    """A quarter of a disc of radius 0.6 in a ring of radius 1, pressed by 1e7 + 1e6 cos 2t from outside."""
+    grid = MeshTri.init_refdom().refined(level)
+    s = np.sum(grid.p, axis=0)
+    r, t = np.interp(s, (0, 0.5, 1), (0, 0.6, 1)), np.pi / 2 * grid.p[1] / np.maximum(s, 1e-9)
+    mesh = MeshTri(np.stack([r * np.cos(t), r * np.sin(t)]), grid.t)
+    on = {"x": grid.p[1] == 0, "y": grid.p[0] == 0, "fit": s == 0.5, "outside": s == 1}
+    mesh = named(mesh, {k: mesh.facets[:, np.all(at[mesh.facets], axis=0)].T for k, at in on.items()})
+
+    def pressure(x: Any, y: Any) -> Any:
+        return (1e7 + 1e6 * (x * x - y * y) / (x * x + y * y)) / (x * x + y * y) ** 0.5
+
+    load = rm.Traction("outside", (lambda x, y: -x * pressure(x, y), lambda x, y: -y * pressure(x, y)))
+    return rm.ContactProblem(
+        mesh,
+        rm.PlaneStrain.from_young(young=1e9, poisson=0.2),
+        (rm.Dirichlet("x", (None, 0.0)), rm.Dirichlet("y", (0.0, None))),
+        rm.Obstacle.interface("fit"),
+        rm.Motion(curves={"fit": Circle((0.0, 0.0), 0.6), "outside": Circle((0.0, 0.0), 1.0)}),
+        tractions=load,
+        order=order,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
+def test_disc_in_a_ring_has_the_energy_of_the_closed_form(order: int) -> None:
+    # Michell's series: u_r(1) = -7.2e-3 - 1.358525e-3 cos 2t, and the pressure on the disc is 1e7 + 321/217
+    # 1e6 cos 2t; the energy is half the work of the load
+    least = -np.pi / 4 * (1e7 * 7.2e-3 + 1e6 * 1.358525e-3 / 2)
+    problems = [disc_in_ring(level, order) for level in (3, 4)]
+    coarse, fine = (ContactSolver(problem).given.energy - least for problem in problems)
+    assert fine > 0
+    assert np.log2(coarse / fine) > {1: 1.9, 2: 3.7}[order]
+    end = rm.solve(problems[1], "fixed")
+    assert end.contact["fit"]["peak_pressure"] == pytest.approx(1e7 + 321 / 217 * 1e6, rel=0.01)
 
 
 @pytest.mark.slow
@@ -191,7 +231,8 @@ def test_crack_slips_as_in_a_large_plate() -> None:
     joint = rm.Obstacle.interface("crack", coulomb=friction)
     law = rm.PlaneStrain.from_young(young=E, poisson=nu)
     solver = ContactSolver(rm.ContactProblem(mesh, law, far, joint, order=2))
-    own, others = solver.discretisation.space.contact_sets[0].carriers[:, :23]
+    (part,) = solver.discretisation.space.contact_sets
+    own, others = part.carriers(part.nodes[:23])
     u = solver.displacement.values(solver.given.u)
     slip = np.max(np.abs(u[0, own] - u[0, others]))
     exact = 4 * (1 - nu**2) / E * 100 * np.sin(a) * (np.cos(a) - np.sin(a) * friction)
