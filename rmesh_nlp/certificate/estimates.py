@@ -31,7 +31,7 @@ import numpy as np
 from rmesh_nlp.assessment.contact_results import contact_results
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.equilibration import Guess, equilibrated
-from rmesh_nlp.certificate.fields import TraceFields, element_of, law_of, of_displacement
+from rmesh_nlp.certificate.fields import of_displacement
 from rmesh_nlp.certificate.hybrid import turned
 from rmesh_nlp.certificate.integrals import Loads, tractions
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
@@ -45,6 +45,7 @@ from rmesh_nlp.fem.fields import Field
 from rmesh_nlp.fem.objective_text import load_of
 from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
+from rmesh_nlp.fem.stress import strain_energies
 from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -274,13 +275,11 @@ def _by_richer(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     finer = OnMesh.of(ContactSolver(richer))
     if finer.state.status is not Status.CONVERGED:
         raise NotCertifiableError("contact was not solved by richer displacements")
-    element, law = element_of(richer), law_of(richer, finer.skeleton)
-    fields = TraceFields(element, finer.skeleton, law, np.zeros(0))
 
     def norms(fine: Array, coarse: Array) -> Array:
         # vertices of the mesh refined once are the nodes of order 2
         same = Guess(coarse, coarse[0], coarse[0]).on_refined(on.space, finer.space).displacement
-        return np.sqrt(fields.energy(of_displacement(element, law, finer.skeleton, fine - same)))
+        return np.sqrt(strain_energies(richer, finer.nodes, finer.space.values(fine - same)))
 
     defect = norms(finer.u, on.u)
 

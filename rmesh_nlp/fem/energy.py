@@ -133,15 +133,12 @@ def loads(on: Fields, rule: str | int) -> list[ElementGroup]:
 def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field], Index]]:
     """For each region its law and its triangles, those away from curves and those beside each curve.
 
-    With their local values, of place and displacement, and their vertices; the second one of a body of
-    revolution is the nearest to the axis. A triangle with two arcs counts as one beside the first of them:
-    its other side is a chord.
+    With their local values, of place and displacement, and their vertices: of a body of revolution, away from
+    curves, the second one is the nearest to the axis. A triangle with two arcs counts as one beside the first
+    of them: its other side is a chord.
     """
     problem, order = on.problem, on.space.order
     vertices, owner = problem.triangles.copy(), np.full(problem.triangles.shape[1], NONE)
-    if problem.axisymmetric:
-        turn = np.argmin(problem.mesh.p[0, vertices], axis=0) + np.arange(-1, 2)[:, None]
-        vertices = np.take_along_axis(vertices, turn % 3, axis=0)
     for number, name in enumerate(problem.motion.curves):
         sides = sides_on(problem, problem.mesh.boundaries[name])
         elements, first = np.unique(sides.element, return_index=True)
@@ -150,6 +147,10 @@ def _cells(on: Fields) -> Iterator[tuple[Law, Straight | Blended, list[Field], I
         owner[elements] = number
         local = np.stack([(apex + 1) % 3, (apex + 2) % 3, apex])  # counter-clockwise, the arc first
         vertices[:, elements] = np.take_along_axis(vertices[:, elements], local, axis=0)
+    if problem.axisymmetric:
+        turn = np.argmin(problem.mesh.p[0, vertices], axis=0) + np.arange(-1, 2)[:, None]
+        turned = np.take_along_axis(vertices, turn % 3, axis=0)
+        vertices = np.where(owner == NONE, turned, vertices)
     for law, elements in problem.regions:
         for number in np.unique(owner[elements]).tolist():
             chosen = vertices[:, elements[owner[elements] == number]]

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import functions, slopes
 from rmesh_nlp.fem.sampling import pieces, points_of
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.meshes.geometry import signed_areas
+from rmesh_nlp.problem import ContactProblem, Law
 from rmesh_nlp.problem.body import gradients as of_shares
+from rmesh_nlp.problem.quadrature import triangle_rule
 
 CENTRE = np.full(3, 1 / 3)
 
@@ -43,13 +45,31 @@ def stresses(problem: ContactProblem, X: Array, displacement: Array, shares: Arr
     (4, elements, ...) array of sigma_xx, sigma_yy, sigma_xy, sigma_zz; for a scalar problem the
     (2, elements, ...) flux, conductivity times grad u.
     """
+    result = np.zeros((2 if problem.components == 1 else 4, problem.triangles.shape[1], *shares.shape[1:]))
+    for law, own, fields, _ in _extended(problem, X, displacement, shares):
+        result[:, own] = law.written(fields)
+    return result
+
+
+def strain_energies(problem: ContactProblem, X: Array, displacement: Array) -> Array:
+    """(elements,) strain energies of a displacement as in :func:`stresses`, on straight triangles."""
+    (shares, weights), areas = triangle_rule(4), signed_areas(X, problem.triangles)
+    result = np.zeros(areas.size)
+    for law, own, fields, x in _extended(problem, X, displacement, shares):
+        density = law.energy_product(fields) / 2 * problem.measured(x)
+        result[own] = areas[own] * (density @ weights)
+    return result
+
+
+def _extended(
+    problem: ContactProblem, X: Array, displacement: Array, shares: Array
+) -> Iterator[tuple[Law, Index, Array, Array]]:
+    """Of each region its law, its elements, and at barycentric coordinates what stresses depend on, and x."""
     gradient, space = gradients(problem, X, displacement, shares), DisplacementSpace(problem)
     values = functions(space.order, shares)[:, None]
     x, u = _local(space, (points_of(space, X), displacement), values)
-    result = np.zeros((2 if problem.components == 1 else 4, *gradient.shape[2:]))
     for law, own in problem.regions:
-        result[:, own] = law.written(law.extended(gradient[:, :, own], u[:, 0, own], x[:, 0, own]))
-    return result
+        yield law, own, law.extended(gradient[:, :, own], u[:, 0, own], x[:, 0, own]), x[:, 0, own]
 
 
 def von_mises(stress: Array) -> Array:

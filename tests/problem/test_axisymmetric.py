@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.fem.stress import stresses
+from rmesh_nlp.fem.stress import strain_energies, stresses
 from rmesh_nlp.meshes.shapes import _drawn
 from rmesh_nlp.problem import Law
 
@@ -35,7 +35,8 @@ def test_cylinder_is_exact_and_its_axis_stays(order: int, formulation: str) -> N
     values = stresses(solution.problem, X, solution.displacement)
     wanted = np.array([-PRESSURE, 0.0, 0.0, -PRESSURE])  # rr, zz, rz, hoop
     np.testing.assert_allclose(values, wanted[:, None] + 0 * values, atol=1e-9)
-    record = solution.record()
+    record, local = solution.record(), strain_energies(solution.problem, X, solution.displacement)
+    assert local.sum() == pytest.approx(-record["energy"], rel=1e-12)
     assert record["success"]
     assert record["energy"] == pytest.approx(-(PRESSURE**2) * (1 - POISSON) / YOUNG * 4 * np.pi, rel=1e-12)
     assert record["energy_audited"] == pytest.approx(record["energy"], rel=1e-12)
@@ -68,6 +69,25 @@ def test_energy_is_that_of_its_displacement_on_coarse_meshes_near_the_axis(order
     down = (rm.Traction("top", (3.0, -20.0)),)  # bends, so that u_r / r is no polynomial
     record = rm.solve(pressed(2, inner, order, tractions=down), "joint").record()
     assert record["energy"] == pytest.approx(record["energy_audited"], rel=5e-7)
+
+
+def test_hollow_sphere_under_pressure_is_that_of_lame() -> None:
+    """Timoshenko and Goodier, Theory of elasticity, art. 136: radii 1 and 2, half of it above its equator."""
+    mesh = rm.shapes.rectangle(4, 6, y=(0.0, np.pi / 2), x=(1.0, 2.0))
+    rho, angle = mesh.p
+    mesh = replace(mesh, doflocs=np.stack([rho * np.cos(angle), rho * np.sin(angle)]))
+    problem = rm.ContactProblem(
+        mesh=mesh,
+        law=LAW,
+        dirichlet=rm.Dirichlet("bottom", (None, 0.0)),
+        tractions=rm.Traction("right", (lambda x, y: -PRESSURE * x / 2, lambda x, y: -PRESSURE * y / 2)),
+        motion=rm.Motion(curves={"left": rm.Circle((0, 0), 1), "right": rm.Circle((0, 0), 2)}),
+        order=2,
+    )
+    record = rm.solve(problem, "fixed").record()
+    sink = PRESSURE * 8 / 7 * (2 * (1 - 2 * POISSON) + (1 + POISSON) / 8) / YOUNG  # of r = 2
+    assert record["energy_audited"] == pytest.approx(-4 * np.pi * PRESSURE * sink, rel=2e-4)
+    assert record["energy"] == pytest.approx(record["energy_audited"], rel=1e-6)
 
 
 @pytest.mark.slow
