@@ -9,6 +9,7 @@ from rmesh_nlp.evaluation import Array, flat, is_finite
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.names import FEW, in_short, named
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.result import beyond
 
 
 def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
@@ -39,7 +40,7 @@ def where_not_finite(lifted: Lifted, x: Array, p: Array) -> str:
 def largest_residual(mpcc: MPCC, x: Array, g: Array, G: Array, H: Array) -> str:
     """The constraint or pair that is farthest from holding, with its residual; nothing if all hold."""
     pairs = np.max([-G, -H, np.minimum(np.abs(G), np.abs(H))], axis=0)
-    apart = [np.maximum(mpcc.lbx - x, x - mpcc.ubx), np.maximum(mpcc.lbg - g, g - mpcc.ubg), pairs]
+    apart = [beyond(x, mpcc.lbx, mpcc.ubx), beyond(g, mpcc.lbg, mpcc.ubg), pairs]
     kind = int(np.argmax([np.max(part, initial=0.0) for part in apart]))
     if np.max(apart[kind], initial=0.0) <= 0.0:
         return ""

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, Symmetric, magnitude, numbered
+from rmesh_nlp.evaluation import Array, Evaluator, Index, Mask, magnitude, numbered
 from rmesh_nlp.mpcc.problem import MPCC
 from rmesh_nlp.mpcc.result import Duals, MPCCResult
 from rmesh_nlp.optimize.nlp import NLP, Derivatives, Symbolic
@@ -72,16 +72,19 @@ class Lifted:
         return on_side(z[self.pairs[0]] <= z[self.pairs[1]])
 
     @cached_property
-    def _hessian(self) -> tuple[Evaluator, Symmetric]:
-        assert self.nlp.derivatives is not None
-        assert self.nlp.derivatives.hess_lag is not None
-        function = self.nlp.derivatives.hess_lag
-        return Evaluator(function), Symmetric(numbered(function.sparsity_out(0)))
+    def kkt(self) -> tuple[Evaluator, sp.csc_array]:
+        """``(z, p, lam_rows) -> (gradient, rows, nonzeros of the KKT matrix)``, and its numbered pattern.
 
-    def hessian(self, z: Array, p: Array, lam_rows: Array) -> sp.csc_array:
-        """Hessian of the Lagrangian, where the source problem has one."""
-        upper, whole = self._hessian
-        return whole(upper(z, p, 1.0, lam_rows)[0])
+        Where the source problem has a Hessian.
+        """
+        nlp, lam, own = self.nlp, ca.MX.sym("lam", self.nlp.n_g), self.nlp.derivatives
+        assert own is not None
+        assert own.hess_lag is not None
+        (_, gradient), (rows, jacobian) = own.grad_f(nlp.x, nlp.p), own.jac_g(nlp.x, nlp.p)
+        hessian = ca.triu2symm(own.hess_lag(nlp.x, nlp.p, 1, lam))
+        matrix = ca.blockcat([[hessian, jacobian.T], [jacobian, ca.MX(nlp.n_g, nlp.n_g)]])
+        function = ca.Function("kkt", [nlp.x, nlp.p, lam], [gradient, rows, matrix])
+        return Evaluator(function), numbered(function.sparsity_out(2))
 
     @cached_property
     def cross(self) -> ca.Function:

@@ -127,15 +127,14 @@ def nearest_branch(
     z: Array,
     p: Array,
     radius: float,
-    slope: Array,
     budget: Budget | None = None,
     relaxed: bool = False,
 ) -> tuple[Array, Mask] | None:
     """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
-    Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
-    (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds. ``relaxed`` steps need
-    not be complementary: a linear program, whose least violation is at most that of all branches.
+    Their violation is minimised over complementary steps of at most ``radius`` (the feasibility phase of
+    MPECopt); ``z`` is complementary and within its bounds. ``relaxed`` steps need not be complementary: a
+    linear program, whose least violation is at most that of all branches.
     """
     _, values, jacobian = lifted.linearise(z, p)
     nlp, m = lifted.nlp, lifted.nlp.n_g
@@ -145,14 +144,13 @@ def nearest_branch(
     at = lifted.pairs[zero & ~is_open]
     lower[at] = upper[at] = 0.0
     eye, elastic = sp.identity(m, format="csr"), np.zeros(2 * m)
-    weight = 1e3 * max(1.0, magnitude(slope))
     rows = LinearConstraint(
         sp.hstack([jacobian, eye, -eye], format="csr"),
         (nlp.lbg - values) / radius,
         (nlp.ubg - values) / radius,
     )
     direction = _milp(
-        np.append(slope, elastic + weight), rows, np.append(lower, elastic),
+        np.append(np.zeros(z.size), elastic + 1.0), rows, np.append(lower, elastic),
         np.append(upper, elastic + np.inf), lifted, zero[0],
         np.flatnonzero(is_open), members, budget, relaxed,
     )  # fmt: skip

@@ -13,62 +13,56 @@ It becomes ``G = up - down`` with two new unknowns, ``0 <= up _|_ H - lbH >= 0``
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import NamedTuple
-
+import casadi as ca
 import numpy as np
 
+from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.mpcc.names import in_short
 from rmesh_nlp.optimize.nlp import Symbolic
 
-Member = tuple[Symbolic, float, float]
-"""An expression with its bounds."""
 
+def plain_pairs(members: Symbolic, lower: Array, upper: Array) -> tuple[Symbolic, ...]:
+    """Rewrite mixed pairs, ``lower <= vertcat(G, H) <= upper``.
 
-class PlainPairs(NamedTuple):
-    """What mixed pairs become."""
+    Returns
+    -------
+    G, H
+        Plain pairs: those with a bound on each side, then those with both on one, all ``up``, all ``down``.
+    rows
+        Expressions that vanish.
+    unknowns, values
+        ``up``, then ``down``, and the other members of these pairs, ``up - down``.
 
-    G: list[Symbolic]
-    H: list[Symbolic]
-    rows: list[Symbolic]
-    """Expressions that vanish."""
-    unknowns: list[Symbolic]
-    """``up``, ``down`` of each pair with both bounds on one side."""
-    values: list[Symbolic]
-    """The other members of these pairs, ``up - down``."""
+    Raises
+    ------
+    ValueError
+        If the bounds of a pair make no complementarity.
+    """
+    n = lower.size // 2
+    count = (np.isfinite(lower) * 1 + np.isfinite(upper)).reshape(2, n)
+    for i in np.flatnonzero(~np.isin(count.sum(axis=0), (0, 2)))[:1].tolist():
+        raise ValueError(
+            f"pair {i} has the bounds {lower[i]} <= G <= {upper[i]}, {lower[n + i]} <= H <= {upper[n + i]}: "
+            "exactly two of the four must be finite (or none, for the equation G = 0); "
+            f"G is {in_short(members[i])}, H is {in_short(members[n + i])}"
+        )
+    bounded = np.arange(n) + np.where(count[0] == 2, 0, n)  # the member with both bounds, or H
+    other, is_equal = (bounded + n) % (2 * n), lower[bounded] == upper[bounded]
+    is_one, is_free = (np.all(count == k, axis=0) for k in (1, 0))
 
+    def of(entries: Index) -> Symbolic:
+        return ca.reshape(members[entries.tolist()], -1, 1)  # one taken at no place is a row
 
-def plain_pairs(pairs: Iterable[tuple[Member, Member]], kind: type[Symbolic]) -> PlainPairs:
-    """Rewrite mixed pairs; raises ValueError if the bounds of a pair make no complementarity."""
-    plain = PlainPairs([], [], [], [], [])
-    for i, (first, second) in enumerate(pairs):
-        n_first, n_second = (int(np.isfinite(member[1:]).sum()) for member in (first, second))
-        if n_first + n_second not in (0, 2):
-            (a, lg, ug), (b, lh, uh) = first, second
-            raise ValueError(
-                f"pair {i} has the bounds {lg} <= G <= {ug}, {lh} <= H <= {uh}: exactly two of the "
-                "four must be finite (or none, for the equation G = 0); "
-                f"G is {in_short(a)}, H is {in_short(b)}"
-            )
-        (partner, *_), (value, lower, upper) = (second, first) if n_first == 2 else (first, second)
-        if n_first == n_second == 1:
-            plain.G.append(_room(*first))
-            plain.H.append(_room(*second))
-        elif n_first == n_second:
-            plain.rows.append(partner)
-        elif lower == upper:
-            plain.rows.append(value - lower)
-        else:
-            n = len(plain.unknowns) // 2
-            up, down = kind.sym(f"up{n}"), kind.sym(f"down{n}")
-            plain.rows.append(partner - up + down)
-            plain.G.extend([up, down])
-            plain.H.extend([value - lower, upper - value])
-            plain.unknowns.extend([up, down])
-            plain.values.append(partner)
-    return plain
+    def room(entries: Index) -> Symbolic:
+        """Distance from the bound that is finite, of two the lower."""
+        is_low = np.isfinite(lower[entries])
+        sign, bound = np.where(is_low, 1.0, -1.0), np.where(is_low, lower[entries], upper[entries])
+        return ca.DM(sign) * (of(entries) - ca.DM(bound))
 
-
-def _room(value: Symbolic, lower: float, upper: float) -> Symbolic:
-    """Distance from the bound that is finite."""
-    return value - lower if np.isfinite(lower) else upper - value
+    is_two = ~(is_one | is_free | is_equal)
+    first, two, values = np.flatnonzero(is_one), bounded[is_two], of(other[is_two])
+    up, down = (type(members).sym(name, two.size) for name in ("up", "down"))
+    G = ca.vertcat(room(first), up, down)
+    H = ca.vertcat(room(first + n), room(two), ca.DM(upper[two]) - of(two))
+    rows = ca.vertcat(of(other[is_free]), room(bounded[is_equal]), values - up + down)
+    return G, H, rows, ca.vertcat(up, down), values

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from rmesh_nlp.evaluation import Array, Index, Mask, magnitude
+from rmesh_nlp.evaluation import Array, magnitude
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.lpec import Linearisation
 
@@ -26,72 +26,35 @@ class Multipliers:
     pairs: Array
 
 
-@dataclass(frozen=True, eq=False)
 class Columns:
-    """Gradients of what is active at a linearised point: rows, then bounds, then zero members of pairs.
+    """Gradients of the rows, the bounds of z and the members of pairs at a linearised point.
 
     Attributes
     ----------
     matrix : sparse (n_x, number of columns)
-    mask : bool array
-        Which of the rows, unknowns and raveled pairs have a column.
-    ends : int, int
-        Where the rows and where the unknowns end among these.
-    unknowns : int array
-        The unknown that a bound or a member is, of the columns after the ``n_rows`` first.
-    pair : int array
-        Of each column the pair that it is a member of, or -1.
     corner : bool array
         Of each column whether it is a member of a biactive pair.
     may_fall, may_rise : bool arrays
-        Whether a multiplier may be negative (of a lower bound, and of every member) and positive, with the
-        signs of W. With those of S multipliers of the corner may not rise.
+        Whether a multiplier may be negative (of an active lower bound, and of every zero member) and
+        positive, with the signs of W. With those of S multipliers of the corner may not rise.
     """
 
-    matrix: sp.csc_matrix
-    mask: Mask
-    ends: tuple[int, int]
-    unknowns: Index
-    pair: Index
-    corner: Mask
-    may_fall: Mask
-    may_rise: Mask
-
-    @property
-    def n_rows(self) -> int:
-        """Number of active rows."""
-        return self.corner.size - self.unknowns.size
+    def __init__(self, lifted: Lifted, lin: Linearisation) -> None:
+        self._ends = lifted.nlp.n_g, lin.lower.size
+        eye = sp.identity(lifted.nlp.n_x, format="csc")
+        self.matrix = sp.hstack([lin.jacobian.T, eye, eye[:, lifted.pairs.ravel()]], format="csc")
+        self.may_fall, self.may_rise = np.append(lin.lower, lin.zero), np.append(lin.upper, lin.zero)
+        self.corner = np.append(np.zeros_like(lin.lower), lin.zero & lin.zero[::-1])
 
     def signed(self, values: Array) -> Array:
         """Each multiplier cut to the signs that S allows."""
-        may_rise = self.may_rise & ~self.corner
-        fallen, risen = np.minimum(values, 0.0), np.maximum(values, 0.0)
-        return np.where(self.may_fall, fallen, 0.0) + np.where(may_rise, risen, 0.0)
+        low = np.where(self.may_fall, -np.inf, 0.0)
+        return np.clip(values, low, np.where(self.may_rise & ~self.corner, np.inf, 0.0))
 
-    def scattered(self, values: Array) -> Multipliers:
-        """Multipliers of the columns at their places."""
-        every = np.zeros(self.mask.size)
-        every[self.mask] = values
-        rows, z, pairs = np.split(every, self.ends)
+    def split(self, values: Array) -> Multipliers:
+        """Multipliers of the columns by their kinds."""
+        rows, z, pairs = np.split(values, self._ends)
         return Multipliers(rows, z, pairs.reshape(2, -1))
-
-
-def columns_of(lifted: Lifted, lin: Linearisation) -> Columns:
-    """What is active at a linearised point."""
-    n_g, n_x, k = lifted.nlp.n_g, lifted.nlp.n_x, lifted.pairs.shape[1]
-    members, none = lifted.pairs.ravel(), np.zeros(n_g + n_x, dtype=bool)
-    may_fall, may_rise = np.append(lin.lower, lin.zero), np.append(lin.upper, lin.zero)
-    mask, eye = may_fall | may_rise, sp.identity(n_x, format="csc")
-    return Columns(
-        matrix=sp.hstack([lin.jacobian.T, eye, eye[:, members]], format="csc")[:, mask],
-        mask=mask,
-        ends=(n_g, n_g + n_x),
-        unknowns=np.append(np.arange(n_x), members)[mask[n_g:]],
-        pair=np.append(np.full(none.size, -1), np.tile(np.arange(k), 2))[mask],
-        corner=np.append(none, lin.zero & lin.zero[::-1])[mask],
-        may_fall=may_fall[mask],
-        may_rise=may_rise[mask],
-    )
 
 
 def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: float) -> Multipliers | None:
@@ -99,15 +62,16 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
 
     Those of bounds and members are what the Lagrangian leaves to them. It is stationary within ``tolerance``.
     """
-    columns = columns_of(lifted, lin)
-    n_rows, unknowns = columns.n_rows, columns.unknowns
-    active = columns.mask[: lam_rows.size]
-    values = columns.signed(np.append(lam_rows[active], np.zeros(unknowns.size)))
+    columns, n_rows, n_x = Columns(lifted, lin), lifted.nlp.n_g, lifted.nlp.n_x
+    values = np.zeros(columns.corner.size)
+    values[:n_rows] = lam_rows[:n_rows]
+    values = columns.signed(values)
     rest = -(lin.gradient + columns.matrix @ values)
     # an unknown may be a member of several pairs: the one with the freest sign takes all
-    order = np.argsort(columns.corner[n_rows:], kind="stable")
-    distinct, first = np.unique(unknowns[order], return_index=True)
-    values[n_rows + order[first]] = rest[distinct]
+    order = np.argsort(columns.corner, kind="stable")
+    order = order[(columns.may_fall | columns.may_rise)[order] & (order >= n_rows)]
+    unknowns, first = np.unique(np.append(np.arange(n_x), lifted.pairs)[order - n_rows], return_index=True)
+    values[order[first]] = rest[unknowns]
     values = columns.signed(values)
     residual = magnitude(lin.gradient + columns.matrix @ values)
-    return columns.scattered(values) if residual <= tolerance * lin.scale else None
+    return columns.split(values) if residual <= tolerance * lin.scale else None

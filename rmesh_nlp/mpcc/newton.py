@@ -26,7 +26,8 @@ from rmesh_nlp.optimize.solver import NLPResult
 from rmesh_nlp.optimize.status import Status
 
 _STEPS = 25  # re-solves of 60 pairs took at most 11
-_SHIFTS = 1e-7, -1e-8  # of the diagonal, since rows may depend on each other; refinement takes them out again
+# of rows and unknowns on the diagonal, since rows may depend on each other; refinement takes them out again
+_SHIFTS = -1e-8, 1e-7
 _PASSES = 3  # of refinement
 _SMALL = 1e-6  # change of the unknowns, relative, after which the next one is rounding
 _BEYOND = 1e-10  # violation of a bound that is rounding
@@ -39,16 +40,22 @@ class System:
     """
 
     def __init__(self, lifted: Lifted, z: Array, p: Array, lam_rows: Array, active: Mask) -> None:
-        self.gradient, self.rows, jacobian = lifted.linearise(z, p)
-        self.whole = sp.bmat([[lifted.hessian(z, p, lam_rows), jacobian.T], [jacobian, None]], "csc")
+        evaluate, at = lifted.kkt
+        self.gradient, self.rows, values = evaluate(z, p, lam_rows)
+        self.whole = sp.csc_array((values, at.indices, at.indptr), shape=at.shape)
         is_row = np.arange(active.size) >= z.size
-        self.free = np.flatnonzero(active == is_row)
-        shifts = sp.diags(np.where(is_row, _SHIFTS[1], _SHIFTS[0]))
-        matrix = (self.whole + shifts).tocsc()[self.free][:, self.free].tocsc()
+        self.free = active == is_row  # of what is not the equation is that its change is zero
+        kept = self.free[at.indices] & np.repeat(self.free, np.diff(at.indptr))
+        free = sp.csc_array((np.where(kept, values, 0.0), at.indices, at.indptr), shape=at.shape)
+        matrix = free + sp.diags(np.where(self.free, np.where(is_row, *_SHIFTS), 1.0))
         self.factors: SuperLU | None = None
         self.is_minimum: bool | None = None
-        with suppress(RuntimeError):  # singular, or not finite
-            factors = splu(matrix, "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        if not is_finite(values):
+            return
+        with suppress(RuntimeError):  # singular
+            factors = splu(
+                matrix.tocsc(), "MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+            )
             self.factors = factors
             # permutations of rows and columns alike, so that pivots have the signs of eigenvalues
             if np.array_equal(factors.perm_r, factors.perm_c):
@@ -58,10 +65,9 @@ class System:
         """Changes of the unknowns, those ``given`` where they are active, and multipliers of the rows."""
         if self.factors is None:
             return np.full(given.shape, np.nan)
-        answer = given.copy()
-        answer[self.free] = 0.0
+        answer = np.where(self.free, 0.0, given)
         for _ in range(_PASSES):
-            answer[self.free] += self.factors.solve((right - self.whole @ answer)[self.free])
+            answer += self.factors.solve(np.where(self.free, right - self.whole @ answer, 0.0))
         return answer
 
 

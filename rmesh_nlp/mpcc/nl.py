@@ -186,9 +186,10 @@ class _Reader:
                 if number != len(self.values):
                     raise ValueError(f"defined variable v{number} out of order")
                 self.values.append(value)
-            case "x":
-                for i, start in self.table("if", read("i")[0]):
-                    rows.x0[_place(i, n)] = start
+            case "x" | "d":
+                values = rows.x0 if key == "x" else rows.duals
+                for i, value in self.table("if", read("i")[0]):
+                    values[_place(i, values.size)] = value
             case "r":
                 self._once("r")
                 for row in range(m):
@@ -209,17 +210,13 @@ class _Reader:
                     rows.f += linear
             case "k" | "K":
                 self.table("i", read("i")[0])
-            case "d":
-                for i, dual in self.table("if", read("i")[0]):
-                    rows.duals[_place(i, m)] = dual
             case "S":
                 kind, n_values, name = read("iis")
-                values = self.table("if" if kind & 4 else "ii", n_values)
-                if name in _REDUCED and kind & 3 == 0:
-                    for i, dual in values:
-                        rows.reduced[_place(i, n)] += dual
-                if name in _SETS and kind & 3 == 0:
+                given, is_of_unknowns = self.table("if" if kind & 4 else "ii", n_values), kind & 3 == 0
+                if is_of_unknowns and name in _SETS:
                     raise ValueError(f"special ordered sets (suffix {name}) are not supported")
+                for i, dual in given if is_of_unknowns and name in _REDUCED else ():
+                    rows.reduced[_place(i, n)] += dual
             case _:
                 raise _unsupported("segment ", key)
 

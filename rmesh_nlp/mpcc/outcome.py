@@ -110,7 +110,9 @@ def result_of(run: Run, end: Finish) -> MPCCResult:
     if status is Status.EVALUATION_ERROR:
         where = where_not_finite(lifted, end.z[: mpcc.n_x], run.p[:-1])
     elif status in (Status.INFEASIBLE, Status.INACCURATE):
-        where = largest_residual(mpcc, end.z[: mpcc.n_x], g, G, H)
+        # that a violation has a minimum may be shown before pairs are complementary
+        is_shown = status is Status.INFEASIBLE and res["constraint_violation"] > run.options.feasibility
+        where = largest_residual(mpcc, end.z[: mpcc.n_x], g, *np.minimum([G, H], 0.0 if is_shown else np.inf))
     return MPCCResult(
         x=end.z[: mpcc.n_x], f=f, status=status, success=end.solved and status is end.status,
         message=f"{status.message} {where}".strip(), lower_level=check, curvature=run.curvature,

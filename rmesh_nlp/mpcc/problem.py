@@ -20,7 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, flat
 from rmesh_nlp.mpcc.lower_level import LowerLevel
 from rmesh_nlp.mpcc.mixed import plain_pairs
 from rmesh_nlp.mpcc.names import named
@@ -239,27 +239,21 @@ class MPCC:
         """
         switches = others.pop("switches", None)
         given = cls(*problem, **others)
-        n, kind = given.n_pairs, type(given.x)
-        first, second = (
-            [(column[i], float(lower[i]), float(upper[i])) for i in range(n)]
-            for column, (lower, upper) in (
-                (given.G, _bounds("G", lbG, ubG, n)),
-                (given.H, _bounds("H", lbH, ubH, n)),
-            )
+        bounds = zip(
+            _bounds("G", lbG, ubG, given.n_pairs), _bounds("H", lbH, ubH, given.n_pairs), strict=True
         )
-        plain = plain_pairs(zip(first, second, strict=True), kind)
-        longer = replace(given, G=None, H=None).extended(
-            x=plain.unknowns, g=plain.rows, G=plain.G, H=plain.H, lbx=0, lbg=0, ubg=0
-        )
-        parts = ca.Function("parts", [given.x, given.p], [ca.vertcat(*plain.values)])
+        members = ca.vertcat(given.G, given.H)
+        G, H, rows, unknowns, values = plain_pairs(members, *map(np.concatenate, bounds))
+        bare = replace(given, G=None, H=None)
+        longer = bare.extended(x=unknowns, g=rows, G=G, H=H, lbx=0, lbg=0, ubg=0)
+        parts = ca.Function("parts", [given.x, given.p], [ca.vertcat(values, -values)])
 
         def completion(own: Array, p: Array) -> Array:
             """``up`` and ``down`` whose difference is the other member."""
-            values = np.asarray(parts(own, p).full()).ravel()
-            return np.maximum(np.column_stack([values, -values]), 0.0).ravel()
+            return np.maximum(flat(parts(own, p)), 0.0)
 
-        own = completion if plain.values else None
-        return replace(longer, n_added=len(plain.unknowns), completion=own, switches=switches)
+        n = unknowns.shape[0]
+        return replace(longer, n_added=n, completion=completion if n else None, switches=switches)
 
 
 def _split(mpcc: MPCC, switches: tuple[Symbolic, Symbolic]) -> MPCC:

@@ -10,14 +10,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
-from rmesh_nlp.evaluation import Array, is_finite, magnitude
+from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.mpcc.finish import finish
 from rmesh_nlp.mpcc.homotopy import Path, follow
 from rmesh_nlp.mpcc.lpec import nearest_branch, steepness
 from rmesh_nlp.mpcc.problem import MPCC
+from rmesh_nlp.mpcc.result import beyond
 from rmesh_nlp.mpcc.run import Run
 from rmesh_nlp.optimize.status import Status
 
@@ -56,13 +58,13 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
 
 
 def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
-    """Look for a feasible complementary point near ``z``, on the lower one of branches that do as well.
+    """Look for a feasible complementary point near ``z``.
 
     Ipopt minimises the sum of the violations of all rows on the branch next to ``z``. Where a linear program
     without complementarity does not lower the sum within a trust region, no branch does: the point is a
-    local minimum of the violation to first order, and "locally infeasible" rests on it. Else a linear program
-    with equilibrium constraints (LPEC) names the branch that lowers it most, the first time the one with the
-    lower objective of those that do as well. The region shrinks where the branch does not keep what the
+    local minimum of the violation to first order, and "locally infeasible" rests on it. It is asked of ``z``
+    first, where an infeasible relaxation may have ended. Else a linear program with equilibrium constraints
+    (LPEC) names the branch that lowers it most. The region shrinks where the branch does not keep what the
     linearisation promised. A solver that stops at a violation proves nothing. The LPEC is that of MPECopt:
     A. Nurkanovic and S. Leyffer, A globally convergent method for computing B-stationary points of
     mathematical programs with equilibrium constraints, arXiv 2501.13835, 2025.
@@ -72,50 +74,68 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     """
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)
+    if _nearest(run, z, np.inf, relaxed=True).shown is Status.INFEASIBLE:
+        return z, Status.INFEASIBLE
     own = lifted.smaller(z)
     z[lifted.pairs[own]] = 0.0
-    radius, tried = 1.0 + magnitude(z), np.zeros_like(own)
+    radius, tried = np.inf, np.zeros_like(own)
     for k in range(_STEPS):
-        excess, (gradient, rows, jacobian) = run.excess(z), lifted.linearise(z, run.p)
-        if not all(is_finite(part) for part in (excess, gradient, rows, jacobian.data)):
-            break
-        if excess <= 1.0:
+        if run.exact(z):
             return z, Status.CONVERGED
-        violation, slope = _sum(rows, nlp.lbg, nlp.ubg), gradient * (k == 0)
-        steep = steepness(jacobian)
-        seen = _sum(rows / steep, nlp.lbg / steep, nlp.ubg / steep)
-        size, radius = 1.0 + magnitude(z), min(radius, seen / _SEEN)
-        if seen <= _SEEN or radius <= _SEEN * size:  # too small to show anything
-            break
-        for relaxed in (True, False):
-            near = nearest_branch(
-                lifted, z, run.p, radius, 0.0 * slope if relaxed else slope, run.budget, relaxed
-            )
-            if near is None:
-                return z, Status.STALLED
-            trial, zero = near
-            rest = _sum(rows + jacobian @ (trial - z), nlp.lbg, nlp.ubg)
-            falls = (violation - rest) * max(1.0, size / radius)
-            level = _LEVEL * min(violation, size)
-            if falls <= level and (relaxed or k > 0):  # it cannot rise: then the program was too coarse
-                return z, Status.INFEASIBLE if falls >= -level else Status.STALLED
-            if rest > _FLAT * violation:  # no branch closes it: one after the other from here on
-                trial, zero = (z, own) if k == 0 else near
-                break
-        is_lower = False
+        near = _nearest(run, z, radius, relaxed=True)
+        if near.shown is None and near.rest <= _FLAT * near.violation:
+            near = _nearest(run, z, radius, relaxed=False)
+        if near.shown is not None:
+            return z, near.shown
+        trial, zero = near.z, near.zero
+        if k == 0 and near.rest > _FLAT * near.violation:  # no branch closes it: one after the other
+            trial, zero = z, own
+        radius = near.radius * _SHRINK
         # the functions may not be defined there, and z may be the least of this branch already
         if np.isfinite(run.excess(trial)) and np.any(zero != tried):
             least, tried = run.least_violation(trial, zero), zero
-            is_lower = is_finite(least.x) and least.f <= (1 - _FLAT) * violation
-        if is_lower:
-            z = least.x
-        else:
-            radius *= _SHRINK
+            if is_finite(least.x) and least.f <= (1 - _FLAT) * near.violation:
+                z, radius = least.x, near.radius
     return z, Status.STALLED
 
 
-def _sum(values: Array, lower: Array, upper: Array) -> float:
-    return float(np.sum(np.maximum(np.maximum(lower - values, values - upper), 0.0)))
+class _Nearest(NamedTuple):
+    """Where the linearised rows are violated least, in which branch, and what that shows.
+
+    ``violation`` at the point itself and the ``rest`` are sums. ``shown``: INFEASIBLE if the violation has a
+    minimum, None if it falls, STALLED if nothing is shown.
+    """
+
+    shown: Status | None
+    z: Array
+    zero: Mask
+    radius: float
+    violation: float = 0.0
+    rest: float = 0.0
+
+
+def _nearest(run: Run, z: Array, radius: float, relaxed: bool) -> _Nearest:
+    """Look within ``radius``, and within what linear programs can see; ``relaxed``: off branches too."""
+    nlp, size = run.lifted.nlp, 1.0 + magnitude(z)
+    nothing = _Nearest(Status.STALLED, z, run.lifted.smaller(z), radius)
+    _, rows, jacobian = run.lifted.linearise(z, run.p)
+    if not (is_finite(rows) and is_finite(jacobian.data)):
+        return nothing
+    steep = steepness(jacobian)
+    away = beyond(rows, nlp.lbg, nlp.ubg)
+    seen, violation = float(np.sum(away / steep)), float(np.sum(away))
+    radius = min(radius, size, seen / _SEEN)
+    if min(seen, radius / size) <= _SEEN:  # too small to show anything
+        return nothing
+    near = nearest_branch(run.lifted, z, run.p, radius, run.budget, relaxed)
+    if near is None:
+        return nothing
+    rest = float(np.sum(beyond(rows + jacobian @ (near[0] - z), nlp.lbg, nlp.ubg)))
+    falls, level = (violation - rest) * max(1.0, size / radius), _LEVEL * min(violation, size)
+    shown = None
+    if falls <= level:  # it cannot rise: then the program was too coarse
+        shown = Status.INFEASIBLE if falls >= -level else Status.STALLED
+    return _Nearest(shown, *near, radius, violation, rest)
 
 
 def moved_starts(mpcc: MPCC, x0: Array, seed: int) -> Iterator[Array]:

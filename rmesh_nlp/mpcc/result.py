@@ -105,11 +105,14 @@ def residuals(mpcc: MPCC, x: Array, column: Array, scale: Array | float) -> dict
     }
 
 
+def beyond(value: Array, lower: Array | float, upper: Array | float) -> Array:
+    """Distances of values from ``[lower, upper]``."""
+    return np.maximum(np.maximum(lower - value, value - upper), 0.0)
+
+
 def excess(value: Array, lower: Array | float, upper: Array | float) -> float:
     """Largest distance of ``value`` from ``[lower, upper]``; infinite where it is NaN."""
-    if value.size == 0:
-        return 0.0
-    worst = float(np.max(np.maximum(np.maximum(lower - value, value - upper), 0.0)))
+    worst = magnitude(beyond(value, lower, upper))
     return worst if np.isfinite(worst) else np.inf
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Mask, is_finite, magnitude
 from rmesh_nlp.mpcc.nlps import CompiledNLPs
-from rmesh_nlp.mpcc.result import Iterate, Stage, residuals
+from rmesh_nlp.mpcc.result import Iterate, Stage, excess, residuals
 from rmesh_nlp.optimize.budget import Budget, StoppedError
 from rmesh_nlp.optimize.callbacks import Monitor
 from rmesh_nlp.optimize.solver import NLPResult, Solver
@@ -80,10 +80,10 @@ class Run:
         nlp, _ = self.nlps.relaxed
         solver = self.nlps.solver(nlp, self.options.relaxed(warm is not None, **how))
         result = self.solve("relaxed", t, solver, z, warm, p=np.append(self.p, t))
-        if result.status in (Status.ITERATION_LIMIT, Status.STALLED):
-            apart = np.abs(np.clip(result.g, nlp.lbg, nlp.ubg) - result.g)
-            if np.max(apart, initial=0.0) <= self.options.feasibility * (1 + magnitude(result.x)):
-                return replace(result, status=Status.ACCEPTABLE)
+        allowed = self.options.feasibility * (1 + magnitude(result.x))
+        is_left = result.status in (Status.ITERATION_LIMIT, Status.STALLED)
+        if is_left and excess(result.g, nlp.lbg, nlp.ubg) <= allowed:
+            return replace(result, status=Status.ACCEPTABLE)
         return result
 
     def branch(self, z: Array, zero: Mask, *, warm: Warm = None) -> NLPResult:
@@ -136,7 +136,9 @@ class Run:
     def record(self, phase: str, t: float, result: NLPResult) -> None:
         """Measure the end of an NLP on the source problem and show it."""
         measured = self._measured(phase, t, result.x)
-        self.keep(result.x, measured["objective"])
+        point = result.x, measured["objective"], self.excess(result.x)
+        if np.isfinite(point[2]) and (self.nearest is None or _order(point) < _order(self.nearest)):
+            self.nearest = point
         step = Stage(
             **measured,
             iterations=result.iterations,
@@ -147,14 +149,6 @@ class Run:
         self.steps.append(step)
         if self._progress is not None:
             self._progress(step.line())
-
-    def keep(self, z: Array, f: float) -> None:
-        """Remember a point if it is better than the one remembered."""
-        excess = self.excess(z)
-        if np.isfinite(excess) and (
-            self.nearest is None or (max(excess, 1.0), f) < (max(self.nearest[2], 1.0), self.nearest[1])
-        ):
-            self.nearest = (z, f, excess)
 
     def objective(self, z: Array) -> float:
         """Weighted objective at a lifted point, as in a ``Finish``."""
@@ -218,3 +212,8 @@ class Run:
         pairs = np.abs(column[self.lifted.source.n_g :]).reshape(2, -1)
         biactive = int(np.count_nonzero(np.max(pairs, axis=0) <= near))
         return {"phase": phase, "t": t, "objective": f, "biactive": biactive, **res}
+
+
+def _order(point: tuple[Array, float, float]) -> tuple[float, float]:
+    """Sort key of the nearest point: its residual, of exact ones the objective."""
+    return max(point[2], 1.0), point[1]

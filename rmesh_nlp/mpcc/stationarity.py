@@ -24,10 +24,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.optimize import linprog
 
-from rmesh_nlp.evaluation import Array, Mask, is_finite
+from rmesh_nlp.evaluation import Array, is_finite
 from rmesh_nlp.mpcc.lifting import Lifted
 from rmesh_nlp.mpcc.lpec import Direction, Linearisation, descent, limits
-from rmesh_nlp.mpcc.multipliers import Multipliers, columns_of, proving
+from rmesh_nlp.mpcc.multipliers import Columns, Multipliers, proving
+from rmesh_nlp.mpcc.result import beyond
 from rmesh_nlp.optimize.budget import Budget
 from rmesh_nlp.optimize.status import Status
 
@@ -123,7 +124,7 @@ class _MultiplierLP:
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation, tolerance: float, budget: Budget | None) -> None:
-        self.columns, self.pairs, self.decided = columns_of(lifted, lin), lin.biactive, True
+        self.columns, self.pairs, self.decided = Columns(lifted, lin), lin.biactive, True
         self.budget = budget
         self.at_corner = np.flatnonzero(self.columns.corner)
         # Each coordinate of the Lagrangian gradient in units of its own terms would hide errors of badly
@@ -163,7 +164,7 @@ class _MultiplierLP:
             return None
         values, copies, _ = np.split(answer.x, [n_columns, bounds.shape[0] - n_rest])
         values[self.at_corner] += copies
-        return self.columns.scattered(values), float(answer.fun)
+        return self.columns.split(values), float(answer.fun)
 
 
 def _weaker(programs: _MultiplierLP, weak: tuple[Multipliers, float], zero: float) -> tuple[str, Multipliers]:
@@ -189,7 +190,8 @@ def _search(
     It begins at ``weak`` ones. Also whether the search was complete.
     """
     stack: list[dict[int, Piece]] = [{}]
-    for _ in range(int(np.clip(_WORK / max(programs.columns.corner.size, 1), _LEAST_NODES, _NODES))):
+    n = np.count_nonzero(programs.lower < programs.upper)
+    for _ in range(int(np.clip(_WORK / (n + 1), _LEAST_NODES, _NODES))):
         if not stack:
             return None, programs.decided
         node = stack.pop()
@@ -197,18 +199,10 @@ def _search(
         if solution is None:
             continue
         G, H = solution[0].pairs[:, programs.pairs]
-        outside = ~np.any([_inside(G, a, zero) & _inside(H, b, zero) for a, b in pieces], axis=0)
+        outside = np.min([np.maximum(beyond(G, *a), beyond(H, *b)) for a, b in pieces], axis=0) > zero
         if not np.any(outside):
             return solution[0], True
         k = int(np.argmax(np.where(outside, np.minimum(np.abs(G), np.abs(H)), -1.0)))
-        nearest = sorted(pieces, key=lambda piece: _distance(G[k], piece[0]) + _distance(H[k], piece[1]))
+        nearest = sorted(pieces, key=lambda piece: beyond(G[k], *piece[0]) + beyond(H[k], *piece[1]))
         stack.extend({**node, k: piece} for piece in reversed(nearest))
     return None, not stack and programs.decided
-
-
-def _distance(value: float, within: Range) -> float:
-    return float(max(within[0] - value, value - within[1], 0.0))
-
-
-def _inside(value: Array, within: Range, zero: float) -> Mask:
-    return (value >= within[0] - zero) & (value <= within[1] + zero)

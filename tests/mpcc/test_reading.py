@@ -38,7 +38,7 @@ def test_nl_file_with_complementarity_rows(nl):
     # x, y, z, up, down; rows: x + z <= 5, and x^2 + z - 3 = up - down
     f, g, G, H = values(mpcc, "fgGH", [3.0, 0.0, 0.5, 1.0, 2.0])
     assert (f, g) == ([4 + 1 - 1], [3.5, 9 + 0.5 - 3 - 1 + 2])
-    assert (G, H) == ([1, 2, 2], [1.5, 1.5, 0])  # up, down; x + y - 1 with y
+    assert (G, H) == ([2, 1, 2], [0, 1.5, 1.5])  # x + y - 1 with y; up, down
     assert (list(mpcc.lbg), list(mpcc.ubg)) == ([-np.inf, 0], [5, 0])
     assert (list(mpcc.lbx[:3]), list(mpcc.ubx[:3])) == ([-np.inf, 0, -1], [np.inf, np.inf, 2])
     result = solve(mpcc, problem.x0)

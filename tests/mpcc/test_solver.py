@@ -90,6 +90,15 @@ def test_a_minimum_of_the_violation_ends_the_search_and_a_kink_is_none():
     assert (result.constraint_violation, result.f) == (pytest.approx(0, abs=1e-8), pytest.approx(0, abs=1e-6))
 
 
+def test_infeasible_relaxation_needs_one_linear_program_more():
+    """w^2 <= -1 has no solution, whatever the pair; the message names it although the pair is open."""
+    open_pair = MPCC(XYW, (x - 1) ** 2 + (y - 1) ** 2, w**2, x, y, ubg=-1)
+    result = solve(open_pair, 0.5)
+    assert (result.status, result.columns()["phase"]) == (S.INFEASIBLE, ["relaxed"])
+    assert result.complementarity > 0.1
+    assert "is in g[0]" in result.message
+
+
 def test_known_multipliers_are_tried_at_once_and_else_the_homotopy_follows():
     solver = MPCCSolver(two_minima())
     known = solver([0.5, 0.6])
