@@ -242,7 +242,9 @@ class Continuous:
         row, column = (np.broadcast_to(each, values.shape) for each in (number, column))
         used = (column >= 0) & (values != 0)
         shape = number.size, self._bare.load.size
-        return sp.csr_array((values[used], (row[used], column[used])), shape=shape)
+        rows = sp.csr_array((values[used], (row[used], column[used])), shape=shape)
+        rows.eliminate_zeros()  # at the end of a crack nodes meet themselves
+        return rows
 
     def _turns(self, state: Equilibrium) -> bool:
         """Whether a slip may change its sign within an edge, where friction is less than at nodes."""
