@@ -30,7 +30,6 @@ import numpy as np
 from rmesh_nlp.assessment.energy import friction_energy
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
-from rmesh_nlp.certificate.hybrid import applied, jumps, turn_of
 from rmesh_nlp.certificate.oscillation import oscillation
 from rmesh_nlp.certificate.polynomials import moments
 from rmesh_nlp.certificate.skeleton import Skeleton, skeleton_of
@@ -158,15 +157,14 @@ def edge_residual(skeleton: Skeleton, conditions: Conditions, field: Equilibrate
     contact must press and friction stay within its bound.
     """
     n, k = conditions.held.shape[0], conditions.degree + 1
-    held, edge = field.balance.assembled.held, skeleton.lengths[conditions.contact]
-    turn, scale = turn_of(skeleton, conditions), float(np.max(np.abs(field.forces), initial=1e-300))
-    total = turn @ np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel(), held.size)
-    total -= applied(skeleton, conditions, turn)
-    pressure, friction = field.balance.pressure, field.balance.friction
-    for rows, stress in zip(jumps(skeleton, conditions)[::-1], (pressure, friction), strict=False):
-        total -= rows.T @ (stress * edge).ravel()
-    slipping = np.abs(friction) - conditions.friction
-    parts = (np.abs(np.where(held, 0.0, total)), -pressure * edge, slipping * edge)
+    balance, edge = field.balance, skeleton.lengths[conditions.contact]
+    assembled, scale = balance.assembled, float(np.max(np.abs(field.forces), initial=1e-300))
+    total = np.bincount(skeleton.traces(n, k).ravel(), field.forces.ravel(), assembled.held.size)
+    total = assembled.turn @ total - assembled.applied
+    pressing, along = assembled.normals[balance.inside.size :], assembled.tangents
+    total -= pressing.T @ (balance.pressure * edge).ravel() + along.T @ (balance.friction * edge).ravel()
+    slipping = np.abs(balance.friction) - conditions.friction
+    parts = (np.abs(np.where(assembled.held, 0.0, total)), -balance.pressure * edge, slipping * edge)
     return float(np.max([np.max(part, initial=0.0) for part in parts])) / scale
 
 

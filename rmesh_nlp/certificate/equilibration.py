@@ -153,6 +153,8 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     friction = (guess.friction[along] * skeleton.lengths[conditions.contact]).ravel()[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     solved = solve(system, ActiveSet(touching, sliding))
+    if solved.status is not Status.CONVERGED:
+        solved = solve(system)
     force, friction = np.maximum(solved.normal_force, 0.0), solved.tangential_force
     u = solved.u
     if solved.status is not Status.CONVERGED:
@@ -162,11 +164,12 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
         push = system.normals.T @ force + system.tangents.T @ friction
         u = factorised(system.stiffness)(system.load + push)
     edge, shape, held = skeleton.lengths[conditions.contact], conditions.offset.shape, assembled.held
-    W = assembled.prescribed.copy()
-    W[~held] = u - assembled.base
+    traces = assembled.base.copy()
+    traces[~held] += u
+    W = traces - assembled.start
     friction = np.pad(friction, (0, conditions.offset.size - friction.size))
     push = assembled.normals.T @ force + assembled.tangents.T @ friction
-    reaction = (assembled.matrix @ W - assembled.load - push)[held] @ (W + assembled.start)[held]
+    reaction = (assembled.matrix @ W - assembled.load - push)[held] @ traces[held]
     inside, pressure = np.split(force, [conditions.inside.offset.size])
     functions = len(conditions.inside.offset)
     return Balance(

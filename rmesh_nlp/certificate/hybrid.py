@@ -47,15 +47,13 @@ class Hybrid:
     normals: sp.csr_array  # (gaps, traces), those of the system with the given traces
     tangents: sp.csr_array  # those of the contact edges, with friction or without
     matrix: sp.csc_array  # (traces, traces)
+    applied: Array  # (traces,), the given forces on edges and tools
     load: Array  # (traces,)
     numbers: Index  # (elements, k), the traces of each element
     turn: sp.csr_array  # (traces, traces), from Cartesian components to the axes of contact edges
     held: Mask  # (traces,), which are given
-    start: Array  # (traces,), the base
-    prescribed: Array  # (traces,), the given ones, counted from the base
-    base: (
-        Array  # that part of the base in the free traces, from zero in ``system``, along which friction acts
-    )
+    start: Array  # (traces,), those of the displacement from which W is counted
+    base: Array  # (traces,), those from which the system counts; along friction they do not slip
 
     def of_displacement(self, u: Array) -> Array:
         """(traces,) those of a displacement with coefficients (components, nodes)."""
@@ -74,7 +72,7 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     skeleton, inside, degree = fields.skeleton, conditions.inside, conditions.degree
     n, k, problem = conditions.held.shape[0], degree + 1, skeleton.body.problem
     on_edges, lengths, none = skeleton.traces(n, k), skeleton.lengths, np.zeros(inside.offset.shape)
-    turn = turn_of(skeleton, conditions)
+    turn = _turn(conditions, none.size + len(problem.tools))
     edges, size = n * k * lengths.size, turn.shape[0]
     added = np.arange(edges, edges + none.size)
     numbers = np.hstack([on_edges, added.reshape(len(on_edges), -1)])
@@ -82,35 +80,35 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     start = _of_displacement(turn, skeleton, conditions, u, skeleton.order)
     held = np.repeat(conditions.held[:, None], k, axis=1)
     held = np.abs(turned(turn, held, none, problem.tools_held)) > 0.5
-    given = turned(turn, conditions.given)
-    prescribed, free = np.where(held, given - start, 0.0), np.flatnonzero(~held)
-    inside_load = (fields.load[0] * skeleton.areas)[:, inside.elements]
-    load = applied(skeleton, conditions, turn)
-    load[added] += inside_load.T.ravel()
+    base, free = np.where(held, turned(turn, conditions.given), start), np.flatnonzero(~held)
+    of_tools = [force for _, force in DisplacementSpace(problem).forces]
+    of_tools = np.reshape(of_tools, (-1, n)).T
+    applied = turned(turn, conditions.traction.balanced * lengths, none, of_tools)
+    load = applied.copy()
+    load[added] += (fields.load[0] * skeleton.areas)[:, inside.elements].T.ravel()
     load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)
     load += turn @ np.bincount(numbers.ravel(), fields.source.ravel(), size)
     count = numbers.shape[1]
     at = np.repeat(numbers, count, axis=1).ravel(), np.tile(numbers, count).ravel()
     of_elements = sp.csr_array((fields.stiffness.ravel(), at), shape=(size, size))
     matrix = sp.csc_array(turn @ of_elements @ turn.T)
-    stiffness, rest = matrix[free][:, free], (load - matrix @ prescribed)[free]
     # contact inside, then on the boundary function by function
-    along, base = jumps(skeleton, conditions), start + prescribed
+    along = jumps(skeleton, conditions)
     normals = sp.csr_array(sp.vstack([sp.csr_array(sp.eye_array(size))[added] * inside.sign, along[-1]]))
     gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ base
-    tangents, bound, slips = along[0], np.zeros(0), np.zeros(size)
+    tangents, bound = along[0], np.zeros(0)
     if np.any(conditions.friction > 0):
         loads = conditions.friction * lengths[conditions.contact]
         own = tangents @ sp.diags_array((~held & (np.arange(size) < edges)).astype(float))
         share = own.power(2).sum(axis=1)
         bound = np.where(share > 0, loads.ravel(), 0.0)
-        # friction turns where the slip is zero, and traces are counted from those of the base
-        slips = own.T @ (tangents @ base / np.maximum(share, 1.0))
+        # friction turns where the slip is zero
+        base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
     motions = rigid_motions(problem, skeleton.nodes)
     rigid = [_of_displacement(turn, skeleton, conditions, motion, 1)[free] for motion in motions]
     system = ContactSystem(
-        stiffness,
-        rest + stiffness @ slips[free],
+        matrix[free][:, free],
+        (load - matrix @ (base - start))[free],
         0.0,
         normals[:, free],
         tangents[: bound.size, free],
@@ -118,8 +116,8 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
         bound,
         rigid=np.stack(rigid, axis=1) if rigid else None,
     )
-    rows = system, normals, tangents, matrix, load
-    return Hybrid(skeleton, conditions, *rows, numbers, turn, held, start, prescribed, slips[free])
+    forces = system, normals, tangents, matrix, applied, load
+    return Hybrid(skeleton, conditions, *forces, numbers, turn, held, start, base)
 
 
 def turned(turn: sp.csr_array, *parts: NDArray) -> Array:
@@ -129,13 +127,6 @@ def turned(turn: sp.csr_array, *parts: NDArray) -> Array:
     """
     values = np.concatenate([part.T.ravel() for part in parts])
     return turn @ np.pad(values, (0, turn.shape[0] - values.size))
-
-
-def applied(skeleton: Skeleton, conditions: Conditions, turn: sp.csr_array) -> Array:
-    """(traces,) given forces on edges and tools."""
-    none, on_edges = np.zeros(conditions.inside.offset.shape), conditions.traction.balanced * skeleton.lengths
-    of_tools = [force for _, force in DisplacementSpace(skeleton.body.problem).forces]
-    return turned(turn, on_edges, none, np.reshape(of_tools, (-1, len(on_edges))).T)
 
 
 def jumps(skeleton: Skeleton, conditions: Conditions) -> list[sp.csr_array]:
@@ -172,9 +163,8 @@ def _of_displacement(
     return turned(turn, moments(u[:, nodes], degree), moments(u[:1, inside], degree, 3), tools)
 
 
-def turn_of(skeleton: Skeleton, conditions: Conditions) -> sp.csr_array:
-    """(traces, traces) from Cartesian components to the axes of contact edges."""
-    added = conditions.inside.offset.size + len(skeleton.body.problem.tools)
+def _turn(conditions: Conditions, added: int) -> sp.csr_array:
+    """From Cartesian components to the axes of contact edges; the last ``added`` blocks stay as they are."""
     k, (n, edges) = conditions.degree + 1, conditions.held.shape
     blocks = np.tile(np.eye(n), (edges, 1, 1))
     blocks[conditions.contact] = conditions.axes
