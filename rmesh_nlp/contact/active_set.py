@@ -9,8 +9,8 @@ set: which nodes touch, which stick. It ends where K is an M-matrix, but may cyc
 and takes a step per layer of nodes. Unless every four steps halve the number of wrong signs, an
 interior-point method (:mod:`rmesh_nlp.contact.interior_point`) goes on: it converges for every convex
 program. A set that it names twice in a row is solved exactly, and is the answer if all signs are right. A
-cold solve begins with the set that solves the problem condensed to the displacements of the contact nodes,
-where factorisations cost little.
+cold solve begins with the set that solves the problem condensed to gaps and slips, where factorisations cost
+little.
 
 A body that contact holds, and not the given displacements alone, has rigid motions Z left. With f the work
 of the load in them and A the change of the gaps, an equilibrium exists if every motion that opens no gap
@@ -26,7 +26,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.sparse as sp
 from scipy.optimize import linprog
 
 from rmesh_nlp.contact.coulomb import newton
@@ -117,9 +116,8 @@ def first_set(system: ContactSystem) -> ActiveSet:
     start = at_rest(system)
     if system.rigid is not None:
         start = replace(start, touching=np.ones(system.offset.size, dtype=bool))
-    rows = sp.vstack([system.normals, system.tangents]) if system.slip_bound.size else system.normals
-    condensed = system.condensed(np.unique(rows.indices))
-    return start if condensed is None else solve(condensed[0], start).active
+    condensed = system.of_gaps
+    return start if condensed is None else solve(condensed, start).active
 
 
 def at_rest(system: ContactSystem) -> ActiveSet:

@@ -93,6 +93,22 @@ class ContactSystem:
         rigid = None if self.rigid is None else self.rigid[last]
         return replace(self, stiffness=sp.csc_array(part.S), load=part.load, rigid=rigid, **own), part.whole
 
+    @property
+    def of_gaps(self) -> ContactSystem | None:
+        """The program in gaps and slips alone, all else in equilibrium; None as of :meth:`condensed`."""
+        rotated, gaps = self.rotated, np.arange(self.offset.size)
+        slips = np.flatnonzero(rotated.slips)
+        last = np.append(rotated.normal, rotated.tangent[slips])
+        if last.size == 0 or last.size**2 > self.stiffness.nnz:
+            return None
+        part, rigid = Condensed(rotated.K, rotated.F, last), self.rigid
+        own, along = np.eye(last.size)[gaps], np.zeros((self.tangents.shape[0], last.size))
+        along[slips, gaps.size + np.arange(slips.size)] = 1
+        if rigid is not None:
+            rigid = np.vstack([self.normals @ rigid, self.tangents[slips] @ rigid])
+        rows = {"normals": sp.csr_array(own), "tangents": sp.csr_array(along)}
+        return replace(self, stiffness=sp.csc_array(part.S), load=part.load, rigid=rigid, **rows)
+
     @cached_property
     def rotated(self) -> RotatedSystem:
         """The same system with gaps and slips as unknowns."""

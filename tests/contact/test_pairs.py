@@ -1,5 +1,6 @@
 """Two bodies, or the two sides of an interface, that touch at pairs of nodes."""
 
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,11 @@ import pytest
 from skfem import MeshTri
 
 import rmesh_nlp as rm
+from formulations import mpcc
 from rmesh_nlp.contact.solver import ContactSolver
+from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import BadInputError, ProblemError
+from rmesh_nlp.evaluation import Array
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.export import write_mesh
 from rmesh_nlp.io.problem_file import load_problem
@@ -128,6 +132,60 @@ def test_formulations_agree_on_relocated_pairs(kind: str) -> None:
     assert {end.status.value for end in ends} == {"converged"}
     assert np.ptp(energies) < 1e-6 * (ends[0].energy_initial - energies.min())
     assert 0 < ends[0].contact["bottom-1"]["contact_length"] < 2
+
+
+@pytest.mark.parametrize("kind", FRICTION)
+def test_first_set_of_pairs_is_that_of_the_program_in_gaps_and_slips(kind: str) -> None:
+    """Its matrix has as many rows as that of a foundation; displacements of both sides are twice as many."""
+    pair = rm.Obstacle.pair("bottom-1", "top-0", **FRICTION[kind])
+    load = rm.Traction("top-1", (0.3, lambda x, y: -3 * (1.2 - x)))
+    given = rm.Dirichlet("bottom-0", (0.0, 0.0)), rm.Dirichlet("left-1", (0.0, None))
+    solver = ContactSolver(pressed(stacked(2, (16, 2)), pair, dirichlet=given, tractions=load))
+    assert 0 < np.sum(solver.given.active.touching) < solver.given.active.touching.size
+    assert solver.given.iterations == 1
+
+
+def enumerated(system: ContactSystem) -> list[Array]:
+    """Displacements that obey the laws of contact and friction, by trying every state of every gap."""
+    K, N, T = (np.asarray(a.todense()) for a in (system.stiffness, system.normals, system.tangents))
+    rows, n = np.vstack([N, T]), len(N)
+    flexibility, free = rows @ np.linalg.solve(K, rows.T), np.linalg.solve(K, system.load)
+    start = rows @ free + np.append(system.offset, np.zeros(n))
+    slope = np.zeros(n) if system.coulomb is None else system.coulomb
+    touch, slide = np.moveaxis(np.array(list(product(product((0, 1), (-1, 0, 1)), repeat=n))), 2, 0)
+    one, closed = np.eye(2 * n), np.hstack([touch, slide == 0])[..., None] == 1
+    pulls = one[n:] + slide[..., None] * slope[:, None] * one[:n]
+    matrices = np.where(closed, flexibility, np.concatenate([one[:n] + 0 * pulls, pulls], axis=1))
+    right = np.where(closed[..., 0], -start, np.hstack([0 * touch, -slide * system.slip_bound]))
+    regular = np.linalg.cond(matrices) < 1e12
+    force = np.linalg.solve(matrices[regular], right[regular][..., None])[..., 0]
+    touch, slide, moved = touch[regular], slide[regular], start + force @ flexibility
+    gap, slip, pressure, friction = moved[:, :n], moved[:, n:], force[:, :n], force[:, n:]
+    normal = np.where(touch == 1, pressure >= 0, gap >= 0)
+    bound = system.slip_bound + slope * pressure
+    along = np.where(slide == 0, np.abs(friction) <= bound, slide * slip >= 0)
+    return [free + np.linalg.solve(K, rows.T @ each) for each in force[np.all(normal & along, axis=1)]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["tresca", "coulomb"])
+@pytest.mark.parametrize("order", [1, 2])
+def test_contact_solution_and_mpcc_are_those_of_enumeration(kind: str, order: int) -> None:
+    rng = np.random.default_rng(order)
+    for _ in range(4):
+        load, (a, b) = rm.Traction("right-1", tuple(rng.uniform(-4, 2, 2))), rng.uniform(-0.01, 0.02, 2)
+        laws = {"interference": lambda x, y, a=a, b=b: a + b * x, **FRICTION[kind]}
+        pair, mesh = rm.Obstacle.pair("bottom-1", "top-0", **laws), stacked(2, (3 - order, 1))
+        given: dict[str, Any] = {"dirichlet": ("bottom-0", "top-1"), "tractions": load, "order": order}
+        solver = ContactSolver(pressed(mesh, pair, motion=rm.Motion(0.0), **given))
+        (exact,) = enumerated(solver.system(mesh.p))
+        small = 1e-9 * np.max(np.abs(exact))
+        np.testing.assert_allclose(solver.given.u, exact, atol=small)
+        program = mpcc.build(solver.problem, "resultant(bottom-1)")
+        found = rm.solve_mpcc(program, np.zeros(program.x.shape[0]))
+        assert found.success
+        u = solver.discretisation.unknowns["u"]
+        np.testing.assert_allclose(found.x[u], exact, atol=1e3 * small)
 
 
 def test_refinement_halves_the_edges_of_a_pair_on_both_sides() -> None:
