@@ -40,14 +40,15 @@ from rmesh_nlp.settings import Values
 def build(table: ProblemTable, order: int | None = None) -> ContactProblem:
     """Read the mesh and put the problem together, or with displacements of another order."""
     source, at, mesh = table.source, table.source.at, _mesh(table)
+    file = source.path.parent / (table.mesh.file or "")
     laws, curves = dict[str, Law](), dict[str, Curve]()
     obstacles = list[Obstacle]()
     for name, material in table.materials.items():
         with at("materials", name):
-            laws[name] = material.made()
+            laws[name] = material.made(file)
     if table.material is not None:
         with at("material"):
-            laws[""] = table.material.made()
+            laws[""] = table.material.made(file)
     n = next(iter(laws.values())).components
     for number, contact in enumerate(table.contact):
         with at("contact", number, *contact.given("line", "circle")):

@@ -45,6 +45,7 @@ from rmesh_nlp.io.problem_values import (
     source_of,
 )
 from rmesh_nlp.meshes import shapes
+from rmesh_nlp.meshes.abaqus import law_of
 from rmesh_nlp.meshes.curves import FITTED, Circle, Curve, Parametrised, Spline
 from rmesh_nlp.meshes.reading import read_mesh
 from rmesh_nlp.problem import (
@@ -217,11 +218,14 @@ class MeshTable(FileTable):
 class MaterialTable(FileTable):
     """``[material]`` or ``[materials.<subdomain>]``: a law with its arguments."""
 
-    law: Literal[tuple(LAWS)]  # type: ignore[valid-type]
+    law: Literal[tuple(LAWS)] | None = None  # type: ignore[valid-type]
 
-    def made(self) -> Law:
-        """The law."""
-        return call(f"the law {self.law!r}", LAWS[self.law], self.entries("law"))
+    def made(self, mesh: Path) -> Law:
+        """The law; that of the elements of a mesh ``.inp`` where none is named."""
+        law = self.law or (law_of(mesh) if mesh.suffix.lower() == ".inp" else None)
+        if law is None:
+            raise BadInputError(f"law is missing: {', '.join(LAWS)}")
+        return call(f"the law {law!r}", LAWS[law], self.entries("law"))
 
 
 BrokenLine = Annotated[Points, AfterValidator(lambda points: PiecewiseLinear(*zip(*points, strict=True)))]

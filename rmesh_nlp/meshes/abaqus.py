@@ -21,6 +21,9 @@ FACES = re.compile("(?:CPE|CPS|CPEG|CAX|CGAX|DC2D|DCAX|AC2D|ACAX|STRI|S|M3D|SFM3
 LINES = re.compile("([TR][23]D|RAX|B[23]|SAX)([123])[A-Z]*")
 """Types of elements that are triangles and quadrilaterals, and lines."""
 
+LAWS = {"CAX": "axisymmetric", "CPE": "plane-strain", "CPS": "plane-stress"}
+"""What types of elements are made for."""
+
 UNREAD = ("NGEN", "NFILL", "NCOPY", "ELGEN", "ELCOPY", "SYSTEM")
 """Keywords that make or move nodes and elements."""
 
@@ -41,6 +44,13 @@ def read_inp(path: Path) -> FileMesh:
         with located(f"*{word} {options.get(word, '')}".strip()):
             model.add(word, options, rows)
     return model.mesh()
+
+
+def law_of(path: Path) -> str | None:
+    """The one of :data:`LAWS` that elements of a file are made for; None if they name none, or several."""
+    kinds = {options.get("TYPE", "")[:3].upper() for word, options, _ in _keywords(path) if word == "ELEMENT"}
+    laws = [law for kind, law in LAWS.items() if kind in kinds]
+    return laws[0] if len(laws) == 1 else None
 
 
 def _keywords(path: Path, *above: Path) -> Iterator[tuple[str, Options, Rows]]:

@@ -194,7 +194,7 @@ def side_by_side(
     bodies: Sequence[DrawnBody],
     paint: Painter,
     page: Page,
-    unit: str,
+    units: Units,
     *,
     deformed: bool = False,
     label: str = "",
@@ -202,12 +202,12 @@ def side_by_side(
 ) -> Figure:
     """What ``paint`` draws of each body, and if asked for the ``deformed`` meshes below, over foundations.
 
-    Colours have one scale, and a bar with the ``label``. Lengths are in the ``unit``. A ``title`` takes the
+    Colours have one scale, and a bar with the ``label``. A ``title`` takes the
     place of those of the bodies.
     """
     factor = magnification(bodies) if deformed else 0.0
     windows = [window(bodies, 1.0), window(bodies, factor)] if deformed else [window(bodies)]
-    figure, axes = page.panels(len(bodies), windows, unit, below=0.85 if title else 0.75 if label else 0.45)
+    figure, axes = page.panels(len(bodies), windows, units, below=0.85 if title else 0.75 if label else 0.45)
     painted: list[Any] = []
     for column, body in zip(axes.T, bodies, strict=True):
         painted.append(paint(column[0], body))
@@ -232,7 +232,7 @@ def displacement_figure(bodies: Sequence[DrawnBody], page: Page, units: Units, *
     """The displacement of each body, if asked for over the deformed meshes."""
     label = f"$|u|${bracketed(units.length)}" if bodies[0].elastic else "$u$"
     paint = coloured(plotting.draw_nodal, lambda body: body.state.displacement)
-    return side_by_side(bodies, paint, page, units.length, deformed=deformed, label=label)
+    return side_by_side(bodies, paint, page, units, deformed=deformed, label=label)
 
 
 def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Figure | None:

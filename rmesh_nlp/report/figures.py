@@ -157,4 +157,6 @@ def error_figure(fields: SolutionFields, record: Record, page: Page) -> Figure:
     paint = coloured(
         plotting.draw_elements, lambda body: np.maximum(densities[body.title], norm.vmin or 0), norm=norm
     )
-    return side_by_side(bodies, paint, page, "", label="error bound per root of area")
+    return side_by_side(
+        bodies, paint, page, units_of(record.get("units")), label="error bound per root of area"
+    )

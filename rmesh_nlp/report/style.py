@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from rmesh_nlp.errors import unknown
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.io.folder import Manifest, safe_name, write_whole
-from rmesh_nlp.problem.units import bracketed
+from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.settings import Values
 
 LABELS, ABOVE = 0.75, 0.62  # inches that labels take of a panel's width, title and labels of its height
@@ -82,11 +82,12 @@ class Page:
         return SETTINGS if self.columns == 2 else {**SETTINGS, **COLUMN}
 
     def panels(
-        self, count: int, windows: Sequence[Array], unit: str, below: float = 0.0
+        self, count: int, windows: Sequence[Array], units: Units, below: float = 0.0
     ) -> tuple[Figure, NDArray]:
         """A figure with ``count`` panels side by side for each window (2, 2), and its axes (windows, count).
 
-        Axes are equal, and labelled with the unit of length. On one column panels stand one below the other.
+        Axes are equal, and labelled with the unit of length; of a body of revolution they are r and z, with
+        its axis where that is in the window. On one column panels stand one below the other.
         ``below`` inches stay free under them.
         """
         across, stacked = (1, count) if self.columns == 1 else (count, 1)
@@ -97,10 +98,13 @@ class Page:
         axes: NDArray = figure.subplots(
             len(heights), across, squeeze=False, sharex="col", height_ratios=heights
         )
-        axes = axes.reshape(len(windows), count)
+        axes, unit = axes.reshape(len(windows), count), bracketed(units.length)
         for axis, limits in zip(axes.ravel(), np.repeat(windows, count, axis=0), strict=True):
             axis.set(xlim=limits[0], ylim=limits[1], aspect="equal")
-            axis.set(xlabel=f"$x_1${bracketed(unit)}", ylabel=f"$x_2${bracketed(unit)}")
+            first, second = ("r", "z") if units.per else ("x_1", "x_2")
+            axis.set(xlabel=f"${first}${unit}", ylabel=f"${second}${unit}")
+            if units.per:
+                axis.axvline(0.0, color="0.4", linewidth=0.8, linestyle="-.")
             axis.spines[:].set_visible(False)
             for one in (axis.xaxis, axis.yaxis):
                 one.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))

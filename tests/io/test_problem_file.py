@@ -59,6 +59,26 @@ def write(tmp_path):
     return written
 
 
+@pytest.mark.parametrize(
+    ("kinds", "law"),
+    [
+        (["CAX3"], "Axisymmetric"),
+        (["cps3", "T2D2"], "PlaneStress"),
+        (["CPE3"], "PlaneStrain"),
+        (["S3"], None),
+    ],
+)
+def test_elements_of_abaqus_say_the_law(kinds, law, write, tmp_path) -> None:
+    nodes = "*NODE\n1, 1, 0\n2, 2, 0\n3, 2, 1\n*ELEMENT, TYPE="
+    blocks = [f"{kind}, ELSET=E{i}\n{i}, 1, 2{', 3' * (i == 1)}\n" for i, kind in enumerate(kinds, 1)]
+    (tmp_path / "a.inp").write_text(nodes + "*ELEMENT, TYPE=".join(blocks) + "*NSET, NSET=low\n1, 2\n")
+    path = write(
+        'mesh = { file = "a.inp" }\nmaterial = { young = 1, poisson = 0.3 }\ndirichlet = { low = [0, 0] }'
+    )
+    with nullcontext() if law else pytest.raises(ProblemFileError, match="law is missing: laplace, "):
+        assert type(load_problem(path).laws[0]).__name__ == law
+
+
 def test_file_means_what_python_means(write):
     ours = load_problem(write(VALID))
     mesh = rectangle(8, 3, x=(0, 4))

@@ -292,11 +292,19 @@ def test_foundation_farther_than_a_part_of_the_body_is_not_drawn(below: float, i
     ],
 )
 def test_panels_fill_the_width_of_the_page(columns, height, size) -> None:
-    figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], "mm")
+    figure, axes = Page(columns).panels(2, [np.array([[0.0, 1.0], [0.0, height]])], Units("mm"))
     assert figure.get_size_inches() == pytest.approx(size)
     assert axes.shape == (1, 2)
     assert axes[0, 0].get_ylabel() == "$x_2$ [mm]"
     assert axes[0, 0].get_ylim() == (0.0, height)
+    assert not axes[0, 0].lines
+
+
+def test_half_section_has_its_axis() -> None:
+    _, axes = Page(1).panels(1, [np.array([[-0.1, 1.0], [0.0, 1.0]])], Units("mm", "N", "revolution"))
+    assert (axes[0, 0].get_xlabel(), axes[0, 0].get_ylabel()) == ("$r$ [mm]", "$z$ [mm]")
+    assert axes[0, 0].lines[0].get_xdata() == [0.0, 0.0]
+    assert axes[0, 0].get_xlim() == (-0.1, 1.0)
 
 
 @pytest.mark.parametrize("fine", [True, False])
