@@ -32,6 +32,7 @@ BELOW = {
         "own_problems",
         "parts",
         "two_bodies",
+        "revolution",
         "formulations",
         "without_move_limits",
         "order_and_relocation",

@@ -114,7 +114,8 @@ def test_gradient_of_the_resultant_has_the_shared_node(order: int, objective: st
 def problems() -> list[rm.ContactProblem]:
     parts = [load_problem(path) for path in sorted(PARTS.glob("*.toml"))]
     every = [*(make() for make in rm.EXAMPLES.values()), *parts, slab(1, 0.1, 0.3), slab(2, 0.1, 0.3)]
-    return [problem for problem in every if problem.components == 2]
+    # across the axis the hoop stress of a half-section has a part
+    return [problem for problem in every if problem.components == 2 and not problem.axisymmetric]
 
 
 @pytest.mark.parametrize("problem", problems(), ids=lambda problem: problem.name)

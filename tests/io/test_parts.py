@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import rmesh_nlp as rm
@@ -19,6 +20,9 @@ PARTS = Path(__file__).parents[2] / "docs" / "parts"
         ("dam", {"base": 90.82e6}),
         ("o_ring", {"lower": 0.58, "upper": 0.58}),
         ("roller", {"arc": 40.0}),  # the load on its top
+        ("ball", {"contact": 5.8904e7}),
+        ("seal", {"lower": 151.7, "upper": 151.7, "outer": 19.5}),
+        ("press_fit", {"fit": 5.859 * 40 * np.pi * 19}),  # Lamé's pressure
     ],
 )
 def test_part_has_the_forces_of_its_page(name: str, forces: dict[str, float]) -> None:
