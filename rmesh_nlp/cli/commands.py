@@ -136,10 +136,12 @@ def check(
 ) -> None:
     """Validate a problem file, print what it says, draw its mesh with boundary roles and motion.
 
-    A study file is validated with all problems and formulations that it names.
+    A study file is validated with all problems and formulations that it names. Of a mesh file this prints
+    and draws boundaries and subdomains.
 
     \b
     rmesh check my.toml
+    rmesh check body.msh
     rmesh check study.toml
     rmesh check my.toml --picture roles.pdf
     """
@@ -186,14 +188,18 @@ def remesh(
 def new(
     file: Annotated[Path, Argument(metavar="FILE", help="The file to write.")],
     study: Annotated[bool, Option("--study", help="A study file instead of a problem file.")] = False,
+    mesh: Annotated[
+        Path | None, Option(metavar="MESH", help="A mesh file whose names the problem has.")
+    ] = None,
 ) -> None:
     """Write a commented template of a problem file, or of a study; it solves as it is.
 
     \b
     rmesh new my.toml
+    rmesh new my.toml --mesh body.msh
     rmesh new --study study.toml
     """
-    load("cli.preparing").new(file, study)
+    load("cli.preparing").new(file, study, mesh)
 
 
 @app.command()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from rich.console import Console
+from skfem import MeshTri
 
 from rmesh_nlp.cli import load
 from rmesh_nlp.cli.folders import check_target, notes
@@ -14,7 +16,7 @@ from rmesh_nlp.contact.penetration import penetrations
 from rmesh_nlp.contact.setup_warnings import curve_warnings, penetration_warnings, setup_warnings
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.discretisation import discretise
-from rmesh_nlp.display import figure, rich_table
+from rmesh_nlp.display import Rows, figure, rich_table
 from rmesh_nlp.errors import BadInputError, located, one_line
 from rmesh_nlp.fem.edge_gaps import with_edge_gaps
 from rmesh_nlp.io.export import write_mesh
@@ -24,9 +26,11 @@ from rmesh_nlp.io.problem_file import read_table, template
 from rmesh_nlp.io.records import to_json
 from rmesh_nlp.mapping import Mobility
 from rmesh_nlp.mapping.validity import least_angles
-from rmesh_nlp.meshes import MeshRepairWarning
+from rmesh_nlp.meshes import MeshRepairWarning, named
+from rmesh_nlp.meshes.geometry import named_by_user
+from rmesh_nlp.meshes.reading import FORMATS, read_mesh
 from rmesh_nlp.models.remeshing import Solved, metric_start
-from rmesh_nlp.problem import ContactProblem
+from rmesh_nlp.problem import ContactProblem, Laplace
 from rmesh_nlp.settings import ByName, Values
 from rmesh_nlp.solving.advice import advise as advice
 from rmesh_nlp.solving.formulation import checked
@@ -34,27 +38,78 @@ from rmesh_nlp.solving.plan import Plan
 from rmesh_nlp.study.study_file import is_study
 
 
-def new(path: Path, study: bool) -> None:
-    """Write a commented template; an existing file is never replaced."""
-    if study:
-        name = safe_name(path.stem)
-        text = template(name, path.name, "rmesh_nlp.study")
-        following = f"rmesh study {path} --out {name} --dry-run"
-    else:
-        name = "".join(c if c.isalnum() or c in "-_ ." else "-" for c in path.stem) or "problem"
-        text, following = template(name, name + path.suffix), f"rmesh check {path}"
+def new(path: Path, study: bool, mesh: Path | None = None) -> None:
+    """Write a commented template, of a mesh file if one is given; an existing file is never replaced."""
+    name = safe_name(path.stem)
+    values = {"name": name, "file": name + path.suffix} | ({} if mesh is None else _of_mesh(mesh, path))
+    text = template("rmesh_nlp.study" if study else "rmesh_nlp.io", **values)
     with path.open("x", encoding="utf-8") as file:
         file.write(text)
-    print(f"wrote {path}; next: {following}")
+    following = f"study {path} --out {name} --dry-run" if study else f"check {path}"
+    print(f"wrote {path}; next: rmesh {following}")
+
+
+def _of_mesh(path: Path, beside: Path) -> Values:
+    """What the template has of a mesh: of its outer boundaries the lowest is in contact, the highest moves.
+
+    Where the file does not name two, these are parts by height.
+    """
+    mesh = _read(path)
+    y, groups, outer = mesh.p[1], named_by_user(mesh.boundaries), mesh.boundary_facets()
+    at = {y[mesh.facets[:, part]].mean(): name for name, part in groups.items() if np.isin(part, outer).all()}
+    at = at if len(at) > 1 else {0.0: "lowest-tenth", 1.0: "highest-tenth"}
+    tenth = np.ptp(y) / 10
+    return {
+        "form": "mesh_template.toml",
+        "mesh": Path(os.path.relpath(path, beside.parent)).as_posix(),
+        "names": ", ".join([*groups, *named_by_user(mesh.subdomains)]),
+        "first": at[min(at)],
+        "last": at[max(at)],
+        "low": y.min(),
+        "below": y.min() + tenth,
+        "above": y.max() - tenth,
+        "depth": -tenth / 100,
+    }
+
+
+def _read(path: Path) -> MeshTri:
+    with notes(MeshRepairWarning, f"note: {path}"):
+        return read_mesh(path)
 
 
 def check(path: Path, picture: Path | None = None, order: int | None = None) -> None:
-    """Validate a problem file, print what it says, draw the mesh with roles and motion; or a study."""
-    if is_study(path):
+    """Validate a problem file, print what it says, draw mesh, roles and motion; or a mesh file or a study."""
+    if path.suffix.lower() in FORMATS:
+        mesh = _read(path)
+        names = "outside", *named_by_user(mesh.boundaries)
+        mesh = named(mesh, {"outside": lambda x: x[0] == x[0]})
+        problem = ContactProblem(mesh, Laplace(0.0), names, name=path.name)
+        unit = "mm" if np.ptp(mesh.p) > 2 else "m"
+        rows, said = problem.summary()[:4], f"a mesh, by its size in {unit}"
+        messages = [sign.message for sign in curve_warnings(problem, names)]
+    elif is_study(path):
         if order is not None:
             raise BadInputError(f"--order {order} is for problem files: write it into {path}")
         load("cli.study").check(path)
         return
+    else:
+        problem, rows, messages = _checked(path, order)
+        doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
+        said = f"states a problem, with {doubts}" if messages else "is in order"
+        said = f"problem {problem.name!r} {said}"
+    Console().print(rich_table(f"{path}: {said}", rows))
+    for message in messages:
+        print(f"warning: {message}")
+    target = path.with_suffix(".png") if picture is None else picture
+    try:
+        load("report.problem_picture").draw_problem(problem.at_design(), target)
+    except (OSError, ValueError) as error:
+        raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
+    print(f"drew {target}")
+
+
+def _checked(path: Path, order: int | None) -> tuple[ContactProblem, Rows, list[str]]:
+    """The problem of a file, what it says, and signs of a wrong set-up."""
     problem = load_problem(path, order)
     name, asked = solve_options(path, None, {})
     parts = discretise(problem)
@@ -72,18 +127,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         space, u = model.discretisation.space, model.displacement.values(model.given.u)
         passing = penetrations(space, model.problem.mesh.p, u)
         signs = *curve_warnings(problem), *setup_warnings(model), *penetration_warnings(passing)
-        messages = [warning.message for warning in signs]
-    doubts = f"{len(messages)} doubt{'s' * (len(messages) > 1)}"
-    said = f"states a problem, with {doubts}" if messages else "is in order"
-    Console().print(rich_table(f"{path}: problem {problem.name!r} {said}", rows))
-    for message in messages:
-        print(f"warning: {message}")
-    target = path.with_suffix(".png") if picture is None else picture
-    try:
-        load("report.problem_picture").draw_problem(problem.at_design(), target)
-    except (OSError, ValueError) as error:
-        raise BadInputError(f"cannot draw to {target}: {one_line(error)}") from error
-    print(f"drew {target}")
+        return problem, rows, [warning.message for warning in signs]
 
 
 def advise(path: Path, order: int | None = None, json: bool = False) -> None:

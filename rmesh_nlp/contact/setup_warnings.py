@@ -5,7 +5,7 @@ They cost one assembly beside a contact solution, and one of the load where it v
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -148,9 +148,12 @@ def _problem(problem: ContactProblem) -> Iterator[SetupWarning]:
         yield SetupWarning("point-load", text + "refined, so compare energies on this mesh only")
 
 
-def curve_warnings(problem: ContactProblem) -> Iterator[SetupWarning]:
-    """Round contact boundaries without a curve, with the kinds of curves that the problem accepts."""
-    for name in (obstacle.boundary for obstacle in problem.obstacles):
+def curve_warnings(problem: ContactProblem, names: Iterable[str | Place] = ()) -> Iterator[SetupWarning]:
+    """Round boundaries without a curve, with the kinds of curves that the problem accepts.
+
+    They are those of some names, or of contact.
+    """
+    for name in names or [obstacle.boundary for obstacle in problem.obstacles]:
         if isinstance(name, Place) or name in problem.motion.curves or name in problem.motion.pinned:
             continue
         turns = _turns(problem, name)  # of 45 degrees and more are corners

@@ -36,13 +36,15 @@ KEPT, MESH = "problem.toml", "given-mesh"
 T = TypeVar("T", bound=BaseModel)
 
 
-def template(name: str, file: str, package: str = "rmesh_nlp.io") -> str:
-    """The commented template of ``rmesh new``: a problem ``name`` in ``file`` that solves in a second.
+def template(package: str = "rmesh_nlp.io", form: str = "template.toml", **values: object) -> str:
+    """A commented template of ``rmesh new``, that of a problem or a study, with the values of its names.
 
-    That of a study is in the package of studies.
+    It solves in a second.
     """
-    text = files(package).joinpath("template.toml").read_text(encoding="utf-8")
-    return text.replace("{name}", name).replace("{file}", file)
+    text = files(package).joinpath(form).read_text(encoding="utf-8")
+    for name, value in values.items():
+        text = text.replace(f"{{{name}}}", str(value))
+    return text
 
 
 def load_problem(path: str | Path, order: int | None = None) -> ContactProblem:

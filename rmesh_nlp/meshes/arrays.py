@@ -120,7 +120,6 @@ def _without_duplicates(p: NDArray, t: Index, apart: list[list[Any]]) -> tuple[N
 def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index) -> MeshTri:
     size = np.int64(mesh.p.shape[1])  # scikit-fem's numbers of nodes are 32 bits wide, their products are not
     keys = np.min(mesh.facets, axis=0) * size + np.max(mesh.facets, axis=0)
-    order = np.argsort(keys)
 
     def facets_of(name: str, edges: NDArray) -> Index:
         """Numbers of the facets between pairs of nodes (edges, 2), these by their old numbers."""
@@ -130,7 +129,7 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
             )
         ends = number[edges.reshape(-1, 2).T.astype(np.int64)]
         wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
-        found = order[np.searchsorted(keys, wanted, sorter=order) % keys.size]
+        found = np.searchsorted(keys, wanted) % keys.size  # scikit-fem sorts facets
         for a, b in edges[keys[found] != wanted]:
             raise BadInputError(
                 f"the boundary {name!r} has the edge ({a}, {b}), which is no edge of a triangle"

@@ -66,7 +66,7 @@ def positions(tags: NDArray) -> Callable[[NDArray], Index]:
 def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> MeshTri:
     """The triangles of a plane mesh, with its groups of edges and of faces as names.
 
-    Quadrilaterals are cut, nodes between corners dropped, planes other than x-y turned; a
+    Quadrilaterals are cut, of higher orders the corners taken, planes other than x-y turned; a
     :class:`MeshRepairWarning` says so. A set of nodes names the outer edges between them. Nodes of the
     two boundaries of ``pairs`` stay apart.
 
@@ -107,20 +107,14 @@ def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> Mes
     subdomains = {name: np.unique(new[np.concatenate(found)]) for name, found in parts.items()}
     if quads:
         said.append(f"cut {quads} quadrilaterals into triangles")
-    drop = np.setdiff1d(
-        np.concatenate([block.nodes[:, block.corners :].ravel() for block in file.blocks]), corners
-    )
-    if drop.size:
-        said.append(f"dropped {drop.size} nodes between corners (give the curves of boundaries that bend)")
+    if any(block.nodes.shape[1] > block.corners for block in file.blocks):
+        said.append("took of elements of higher order the corners (give the curves of boundaries that bend)")
     names = {*file.names, *file.node_sets, *(name for block in file.blocks for name in block.groups)}
     if useless := sorted(names - {*boundaries, *subdomains}):
         said.append(f"left out what names no edge or triangle: {', '.join(useless)}")
     if said:
         warnings.warn("; ".join(said), MeshRepairWarning, stacklevel=4)
-    keep = np.isin(np.arange(len(p)), drop, invert=True)
-    new = np.cumsum(keep) - 1
-    boundaries = {name: new[ends] for name, ends in boundaries.items()}
-    return from_arrays(p[keep], new[t[kept]], boundaries, subdomains, pairs)
+    return from_arrays(p, t[kept], boundaries, subdomains, pairs)
 
 
 def _plane(points: Array, corners: Index) -> tuple[Array, list[str]]:

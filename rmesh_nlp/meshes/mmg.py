@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-import pickle
-from base64 import b64decode, b64encode
 from collections.abc import Mapping
 from importlib.util import find_spec
 from typing import Any
@@ -22,7 +20,7 @@ from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
 from rmesh_nlp.optimize.budget import Budget
-from rmesh_nlp.optimize.process import Process, serve
+from rmesh_nlp.optimize.process import Process, packed, serve, unpacked
 
 MISSING = "remeshing needs Mmg: pip install 'rmesh-nlp[remesh]'"
 
@@ -87,12 +85,12 @@ def remeshed(
         np.ascontiguousarray(tensors.T),
         off_curves or largest_side(mesh.p),
     )
-    answer = _mmg.ask(b64encode(pickle.dumps(given)), budget)
+    answer = _mmg.ask(packed(given), budget)
     if answer.line is None:
         if budget is not None:
             budget.check()
         raise BadInputError(f"Mmg cannot remesh this domain: it ended with code {answer.code}")
-    made = pickle.loads(b64decode(answer.line))
+    made = unpacked(answer.line)
     if isinstance(made, str):
         raise BadInputError(f"Mmg cannot remesh this domain: {made}")
     vertices, triangles, cell_mark, edges, edge_mark = made
@@ -141,9 +139,7 @@ def _made(line: bytes) -> bytes:
     """Vertices, and triangles and edges with their marks, or why there are none."""
     from mmgpy import MmgMesh2D
 
-    vertices, triangles, cell_mark, edges, edge_mark, required, fixed, tensors, off = pickle.loads(
-        b64decode(line)
-    )
+    vertices, triangles, cell_mark, edges, edge_mark, required, fixed, tensors, off = unpacked(line)
     work = MmgMesh2D()
     work.set_mesh_size(vertices=len(vertices), triangles=len(triangles), edges=len(edges))
     work.set_vertices(vertices)
@@ -159,7 +155,7 @@ def _made(line: bytes) -> bytes:
         made = work.get_vertices(), *work.get_triangles_with_refs(), *work.get_edges_with_refs()
     except RuntimeError as error:
         made = str(error)
-    return b64encode(pickle.dumps(made))
+    return packed(made)
 
 
 if __name__ == "__main__":

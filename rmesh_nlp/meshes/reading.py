@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 from skfem.io.meshio import from_meshio
 
-from rmesh_nlp.errors import BadInputError, expect_path, located, one_line
+from rmesh_nlp.errors import BadInputError, expect_path, located
 from rmesh_nlp.meshes.abaqus import read_inp
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.by_meshio import read_file
@@ -57,9 +57,9 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
 
     Physical groups, sets of elements, surfaces and reference numbers become names; a set of nodes (``*NSET``)
     names the outer edges between them. A group without a name is called ``boundary-<number>``
-    or ``subdomain-<number>``. Quadrilaterals are cut into triangles, nodes between corners dropped, other
-    planes turned into the x-y plane; a :class:`MeshRepairWarning` says so. Nodes at one place are merged, but
-    for those of two boundaries of ``pairs``.
+    or ``subdomain-<number>``. Quadrilaterals are cut into triangles, of higher orders the corners are taken,
+    other planes turned into the x-y plane; a :class:`MeshRepairWarning` says so. Nodes at one place are
+    merged, but for those of two boundaries of ``pairs``.
 
     Raises
     ------
@@ -72,13 +72,9 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
     kind = _format(path)
     data = path.read_bytes() if kind == "gmsh" else b""
     if kind == "abaqus" or b"$MeshFormat" in data or b"$NOD" in data:
+        with located(f"{path}: cannot be read", (ValueError, LookupError, ArithmeticError)):
+            own = read_msh(data) if data else read_inp(path)
         with located(path):
-            try:
-                own = read_msh(data) if data else read_inp(path)
-            except (LookupError, ArithmeticError, ValueError) as error:
-                if isinstance(error, BadInputError):
-                    raise
-                raise BadInputError(f"it is damaged, write it again ({one_line(error)})") from error
             return triangulated(own, pairs)
     file = read_file(path, "ansys" if data else kind)  # the other format of files .msh, of Fluent
     if any(key.startswith("skfem:") for key in file.cell_data):

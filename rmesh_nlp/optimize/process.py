@@ -5,10 +5,12 @@ from __future__ import annotations
 import ctypes
 import math
 import os
+import pickle
 import signal
 import subprocess
 import sys
 import threading
+from base64 import b64decode, b64encode
 from collections.abc import Callable, Collection
 from concurrent.futures import ThreadPoolExecutor, TimeoutError
 from contextlib import suppress
@@ -128,6 +130,16 @@ def _megabytes(pid: int) -> float:
         psutil: Any = __import__("psutil")
         return float(psutil.Process(pid).memory_info().rss / 1e6)
     return 0.0
+
+
+def packed(value: object) -> bytes:
+    """A value as a line for a process."""
+    return b64encode(pickle.dumps(value))
+
+
+def unpacked(line: bytes) -> Any:
+    """The value of a line."""
+    return pickle.loads(b64decode(line))
 
 
 def serve(answer: Callable[[bytes], bytes]) -> None:

@@ -17,7 +17,7 @@ from rmesh_nlp.display import Rows, Shown, bounds_in_words, describe, figure
 from rmesh_nlp.errors import ProblemError
 from rmesh_nlp.evaluation import Array
 from rmesh_nlp.meshes.arrays import from_arrays
-from rmesh_nlp.meshes.geometry import counter_clockwise, named_by_user
+from rmesh_nlp.meshes.geometry import counter_clockwise, lengths, named_by_user
 from rmesh_nlp.problem.checks import check, check_names, check_pairs
 from rmesh_nlp.problem.conditions import Dirichlet, LoadStep, PointLoad, Traction, as_tuple, changed
 from rmesh_nlp.problem.data import ProblemData
@@ -220,11 +220,16 @@ class ContactProblem(Shown, ProblemData):
         """Mesh, laws, loads, contact and motion, as (label, value) rows for people."""
         mesh = self.mesh
         (x0, y0), (x1, y1) = mesh.p.min(axis=1), mesh.p.max(axis=1)
-        named = named_by_user(mesh.boundaries).items()
+        size = lengths(mesh.p, mesh.facets)
+        edges = [
+            f"{n} ({e.size}, {figure(size[e].sum())})" for n, e in named_by_user(mesh.boundaries).items()
+        ]
+        parts = [f"{name} ({part.size})" for name, part in named_by_user(mesh.subdomains).items()]
         rows = [
             ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.nelements} triangles"),
             ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
-            ("boundaries (edges)", ", ".join(f"{name} ({np.size(facets)})" for name, facets in named)),
+            ("boundaries (edges, length)", ", ".join(edges)),
+            ("subdomains (triangles)", ", ".join(parts) or "none"),
         ]
         stress = after(self.units.stress)
         if self.order == 2:

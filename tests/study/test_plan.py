@@ -51,7 +51,7 @@ def test_the_study_of_the_page_and_the_settings_that_the_template_suggests_are_v
     path.with_name("my.toml").write_text(VALID)
     page = (Path(__file__).parents[2] / "docs/studies.md").read_text()
     (text,) = re.findall(r"```toml\n(.*?)```", page, re.S)
-    settings = re.findall(r"^#   (\S.*)$", template("mine", "study.toml", "rmesh_nlp.study"), re.M)
+    settings = re.findall(r"^#   (\S.*)$", template("rmesh_nlp.study", name="mine", file="study.toml"), re.M)
     assert {solve.variant for solve in plan_of(path, text)} == {"joint", "loose"}
     suggested = "\n".join(["examples = ['6.1']", *settings])
     assert {solve.variant for solve in plan_of(path, suggested)} == {"loose"}
