@@ -227,6 +227,8 @@ def keywords(typed: ByName) -> Values:
     if not typed.get("audit", True):
         chosen["audit"] = False
     if "nodes" in given:
+        if not typed.get("remesh"):
+            raise BadInputError(f"--nodes {given['nodes']} is for --remesh")
         chosen["remesh"] = given["nodes"]
     if limits := {field: given[name] for name, field in LIMITS.items() if name in given}:
         chosen["limits"] = {**chosen.get("limits", {}), **limits}

@@ -29,7 +29,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, kind_of, magnitude
+from rmesh_nlp.evaluation import ROUNDING, Array, Expression, Index, kind_of, largest_side, magnitude
 from rmesh_nlp.fem.bernstein import SIDES, functions, size, to_coefficients
 from rmesh_nlp.fem.cells import ArcPoints
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Fields, constant_field
@@ -80,7 +80,7 @@ def with_edge_gaps(problem: ContactProblem) -> ContactProblem:
 
 def _rises(body: Body, obstacle: Obstacle) -> bool:
     height, distance = _largest(body, obstacle)
-    return height > ROUNDING * distance
+    return height > ROUNDING * max(distance, largest_side(body.nodes))
 
 
 def _largest(body: Body, obstacle: Obstacle) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from skfem import MeshTri
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.bernstein import SIDES, functions, to_coefficients
 from rmesh_nlp.fem.space import DisplacementSpace
-from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.problem.body import Body
 
 ALONG = {2: 1, 3: 8}
@@ -78,8 +77,3 @@ def along(edges: Index, values: Array, parts: int | None = None) -> Array:
     parts = ALONG[len(edges)] if parts is None else parts
     s = np.arange(parts + 1) / parts
     return sampled(edges, values, np.stack([1 - s, s]))
-
-
-def lines_along(edges: Index, nodes: Array) -> list[Index]:
-    """Nodes (k,) of each of the lines that edges (2 or 3, n) form, see :func:`lines_of`."""
-    return lines_of(edges if len(edges) == 2 else np.hstack([edges[[0, 2]], edges[[2, 1]]]), nodes)

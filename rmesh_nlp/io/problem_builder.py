@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -133,9 +134,12 @@ def _mesh(table: ProblemTable) -> MeshTri:
 def _design(table: ProblemTable) -> tuple[DesignVariable | Shape, ...]:
     """Design variables, and the amplitudes of shapes after them."""
     result: list[DesignVariable | Shape] = []
+    rest = str({key: part for key, part in table.source.data.items() if key != "design"})
     for name, variable in table.design.variables.items():
         with table.source.at("design", name):
             result.append(DesignVariable(name, **variable.entries()))
+            if not re.search(rf"\b{name}\b", rest):
+                raise ValueError("nothing in this file depends on it")
     for name, shape in table.design.shapes.items():
         with table.source.at("design", "shapes", name):
             result.append(Shape(name, **shape.entries()))

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -108,9 +109,17 @@ MOST = 10
 def schema_errors(source: Source, error: ValidationError, file: type[BaseModel]) -> ProblemFileError:
     """Pydantic's errors, one line each up to ``MOST``; ``file`` is the model of a whole file."""
     tables, errors = {"": file, **dict(_tables(file))}, error.errors()
+    unknown = [item["loc"] for item in errors if item["type"] == "extra_forbidden"]
+    errors = [item for item in errors if item["type"] != "missing" or not _misspelt(item["loc"], unknown)]
     lines = [_line(item, source, tables) for item in errors[:MOST]]
     rest = [f"and {len(errors) - MOST} more errors"] if len(errors) > MOST else []
     return ProblemFileError([f"{source.path}: {line}" for line in lines + rest])
+
+
+def _misspelt(place: Place, unknown: list[Place]) -> bool:
+    """Whether a key that is missing is meant by one that is not known."""
+    beside = [str(other[-1]) for other in unknown if other[:-1] == place[:-1]]
+    return bool(get_close_matches(str(place[-1]), beside))
 
 
 def _line(item: Any, source: Source, tables: Mapping[str, type[BaseModel]]) -> str:

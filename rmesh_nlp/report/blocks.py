@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any, TypeVar
 
-from rmesh_nlp.examples import PAPER, PaperValues
+from rmesh_nlp.examples import PAPER
 from rmesh_nlp.io.records import Record, Records, ends_of, has_energy, objective_of
 from rmesh_nlp.io.results import Result
 
@@ -91,17 +91,6 @@ class Case:
         """
         units = [record["contact_time_s"] for record in self.records if record.get("contact_time_s")]
         return median(units) if units else None
-
-    @property
-    def paper(self) -> PaperValues | None:
-        """The paper's values, if the settings are the paper's."""
-        paper, record = PAPER.get(self.example), self.records[0]
-        if paper is None:
-            return None
-        across, up = paper.size
-        sizes = [f"{across}x{up}", *([f"{across}"] if across == up else [])]
-        is_papers = record["n"] in sizes and record["delta"] == list(paper.delta) and order_of(record) == 1
-        return paper if is_papers and record.get("quadrature", "midpoint") == "midpoint" else None
 
 
 def blocks(records: Iterable[Record]) -> list[Case]:

@@ -281,7 +281,7 @@ KINDS = (
         ENERGIES,
         "Own rule: the energy with the quadrature of the problem. Extremes of the displacement u and the "
         "contact are those on the relocated mesh. Least area ratio: the smallest element area over its value "
-        "on the given mesh. The paper truncates its digits; rmesh reproduce examines each of its values.",
+        "on the given mesh. rmesh reproduce examines each of the paper's values.",
         _of_energy,
     ),
     Kind(
@@ -345,27 +345,5 @@ KINDS = (
 
 
 def body(columns: Sequence[Column], block: Case) -> list[list[str]]:
-    """The rows of a block, those of the paper first where its settings were used."""
-    if columns is CONTACT:
-        return cells(columns, of_boundaries(block.records))
-    return cells(columns, [*(_of_paper(block) if columns is ENERGIES else ()), *block.records])
-
-
-def _of_paper(block: Case) -> list[Record]:
-    """The paper's values as rows, with its digits."""
-    paper = block.paper
-    if paper is None:
-        return []
-    given, final = f"{paper.energy_initial:.4f}", f"{paper.energy_final:.4f}"
-    rows = (
-        ("given grid", None, paper.u_min_initial, paper.u_max_initial),
-        ("relocated", final, paper.u_min_final, paper.u_max_final),
-    )
-    return [
-        {
-            **{"formulation": f"paper, {grid}", "objective": "energy", "seed": None},
-            **{"energy_initial": given, "energy": energy},
-            **{"u_min": shown(low, ".4f"), "u_max": shown(high, ".4f")},
-        }
-        for grid, energy, low, high in rows
-    ]
+    """The rows of a block."""
+    return cells(columns, of_boundaries(block.records) if columns is CONTACT else block.records)

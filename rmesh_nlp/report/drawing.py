@@ -17,8 +17,9 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
 from rmesh_nlp.evaluation import Array, Index, largest_side, magnitude
-from rmesh_nlp.fem.sampling import along, edges_of, lines_along
+from rmesh_nlp.fem.sampling import along, edges_of
 from rmesh_nlp.io.vtu import MeshState
+from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.optimize.activity import ZERO
 from rmesh_nlp.problem.units import Units, bracketed
 from rmesh_nlp.report.style import FOUNDATION, IN_CONTACT, Page, add_legend, new_figure, pen_of
@@ -93,7 +94,7 @@ class DrawnBody:
             edges = outer[:, np.all(on[outer], axis=0)]
             lines = along(edges, self.nodes), along(edges, feet)
             meets = on & np.isfinite(self.state.gap)  # not those that are given
-            paths = lines_along(edges[:, np.any(meets[edges], axis=0)], self.nodes)
+            paths = lines_of(edges[:2, np.any(meets[edges], axis=0)], self.nodes)
             is_rigid = not np.all(doubled[meets])  # two nodes at one place are a pair
             found.append(Contact(name, np.flatnonzero(meets), paths, *lines, is_rigid))
         return tuple(found)
@@ -267,8 +268,6 @@ def contact_figure(bodies: Sequence[DrawnBody], page: Page, units: Units) -> Fig
             lines = body.contacts[place].along
             plotting.draw_along(axis, body.nodes, lines, values, over, **look, label=title)
         axis.set(xlabel=f"{where} on {first.contacts[place].name}", ylabel=kinds[name])
-        if name == "pressure":  # with zero, so that a uniform one is seen as such
-            low, high = axis.get_ylim()
-            axis.set_ylim(bottom=min(low, -0.05 * high))
+        axis.set_ylim(bottom=min(axis.get_ylim()[0], 0.0))  # a uniform pressure is seen as such
     add_legend(figure, list(axes))
     return figure

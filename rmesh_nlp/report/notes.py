@@ -34,16 +34,6 @@ def settings_notes(records: Records) -> list[str]:
     return [f"{block.title}." for block in blocks(records)]
 
 
-def paper_notes(records: Records) -> list[str]:
-    """Which energies of the paper were never reached."""
-    return [
-        f"{block.name}: no start within the move limits of the paper reached its {paper.energy_final:.4f} "
-        "(rmesh reproduce)."
-        for block in blocks(records)
-        if (paper := block.paper) is not None and paper.enlarged
-    ]
-
-
 def stopped_early(records: Records) -> list[str]:
     """What a success is whose status is not "converged"."""
     early = {str(record["status"]) for record in records if record["success"]} - {Status.CONVERGED.value}

@@ -18,7 +18,6 @@ from rmesh_nlp.report.joined import NAMED, joined_tables, named_tables
 from rmesh_nlp.report.notes import (
     block_notes,
     main_notes,
-    paper_notes,
     settings_notes,
     stopped_early,
     units_notes,
@@ -81,7 +80,7 @@ def markdown(records: Records, *, short: bool = False) -> str:
     if not short:
         parts += [f"{DETAILS}\n", *(table.section() for table in every if table.is_detail)]
     if not short and not study:
-        remarks = [*settings_notes(records), *block_notes(records), *paper_notes(records)]
+        remarks = [*settings_notes(records), *block_notes(records)]
         parts.append(f"## Notes\n\n{_items(remarks)}")
     return "\n".join(parts).replace("<", "&lt;")
 
@@ -99,10 +98,9 @@ def latex(records: Records) -> str:
 
 
 def frame(records: Records) -> pd.DataFrame:
-    """One row per record with every scalar field, the paper's values beside ours."""
+    """One row per record with every scalar field, by blocks."""
     rows = []
     for block in blocks(records):
-        paper = block.paper
         for record in block.records:
             row = {name: value for name, value in record.items() if not isinstance(value, (dict, list))}
             row |= {DESIGN + name: value for name, value in (record.get("design") or {}).items()}
@@ -113,8 +111,6 @@ def frame(records: Records) -> pd.DataFrame:
             row["order"] = order_of(record)
             row["delta"] = "x".join(map(str, record["delta"] or ()))
             row["time_contact_solves"] = contact_units(record)
-            row["paper_energy_initial"] = paper and paper.energy_initial
-            row["paper_energy_final"] = paper and paper.energy_final
             rows.append(row)
     return pd.DataFrame(rows)
 

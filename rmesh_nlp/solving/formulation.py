@@ -16,7 +16,7 @@ from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.optimize.budget import Limits
 from rmesh_nlp.problem import ContactProblem
-from rmesh_nlp.settings import ByName, Limit, Positive, Settings, Values
+from rmesh_nlp.settings import ByName, Limit, Part, Settings, Values
 from rmesh_nlp.solving.monitor import Monitor
 from rmesh_nlp.solving.outcome import Outcome
 from rmesh_nlp.solving.outer import Outer
@@ -45,7 +45,7 @@ INSIDE_OUT = ("regularisation", "remesh", "starts")
 class Keywords(Settings):
     """Keywords of a solve that are numbers or flags."""
 
-    tolerance: Positive | None = None
+    tolerance: Part | None = None
     seed: Limit | None = None
     audit: bool = True
 

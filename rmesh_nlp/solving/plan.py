@@ -12,11 +12,12 @@ from numpy.typing import ArrayLike
 
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError, one_line
-from rmesh_nlp.evaluation import Array
+from rmesh_nlp.evaluation import Array, largest_side
 from rmesh_nlp.fem.contact_pressure import vertex_pressures
 from rmesh_nlp.fem.objective import Objective
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.fem.pressure import LARGEST, contact_on, level_name
+from rmesh_nlp.meshes.geometry import SEVEN_DIGITS
 from rmesh_nlp.problem import Constraint, ContactProblem
 from rmesh_nlp.problem.design import Level
 from rmesh_nlp.solving.formulation import (
@@ -54,7 +55,14 @@ def beginning(outer: Outer, start: Start, seed: int | None, monitor: Monitor) ->
         q = outer.variables(positions(outer, start.mesh.p), design=start.design)
         with monitor.budget.during("build"):
             return outer.near(), q, f"solution of {start.formulation}"
-    return outer, outer.variables(positions(outer, start)), "positions"
+    nodes = positions(outer, start)
+    mesh_map, at = outer.discretisation.mesh_map, np.array([*outer.problem.start.values()])
+    reached = outer.nodes(mesh_map.clipped(mesh_map.q_of(nodes, at)))
+    far = np.linalg.norm(nodes - reached, axis=0)
+    if np.max(far) > SEVEN_DIGITS * largest_side(nodes):
+        said = f"start: node {np.argmax(far)} is {np.max(far):.3g} away from where it may be"
+        raise BadInputError(f"{said}, by its move limits and the boundary that it is on")
+    return outer, outer.variables(nodes), "positions"
 
 
 def positions(outer: Outer, nodes: ArrayLike) -> Array:

@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 
 from rmesh_nlp.errors import BadInputError, unknown
 from rmesh_nlp.evaluation import ROUNDING, Array, Index
-from rmesh_nlp.fem.sampling import along, edges_of, lines_along, pieces, points_of, sampled
+from rmesh_nlp.fem.sampling import along, edges_of, pieces, points_of, sampled
 from rmesh_nlp.fem.space import DisplacementSpace, contact_edges
 from rmesh_nlp.fem.stress import size_of_stress
 from rmesh_nlp.meshes.curves import fitted_circle
+from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.units import bracketed
 from rmesh_nlp.settings import Values
@@ -82,8 +83,8 @@ def _plot_pressures(
     """The pressure along each contact boundary."""
     names = dict[str, None]()
     for part in space.contact_sets:
-        edges = space.nodes_of(contact_edges(space.problem, part.obstacle))
-        lines = lines_along(edges[:, np.any(np.isin(edges, part.nodes), axis=0)], nodes)
+        edges = contact_edges(space.problem, part.obstacle)
+        lines = lines_of(edges[:, np.any(np.isin(edges, part.nodes), axis=0)], nodes)
         name, over = course(nodes[:, np.concatenate(lines)], space.problem.units.length)
         names[name] = None
         look = {"marker": "o", "ms": 3, "label": part.obstacle.place, **style}
@@ -189,7 +190,7 @@ def draw_along(
     over: Callable[[Array], Array],
     **pen: Any,
 ) -> None:
-    """Values (nodes,) along lines, each by its nodes in their order, over a :func:`course`."""
+    """Values (nodes,), linear along lines, each by its nodes in their order, over a :func:`course`."""
     line = np.concatenate(lines)
     breaks = np.cumsum([each.size for each in lines])[:-1]
     axis.plot(*(np.insert(each, breaks, np.nan) for each in (over(nodes[:, line]), values[line])), **pen)

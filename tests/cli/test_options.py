@@ -42,7 +42,7 @@ MEANT = {
 def test_every_option_of_solve_reaches_the_planned_solve(rmesh, plans: list[PlannedSolve]) -> None:
     for typed in (
         f"6.1 -f mpcc --n 4 --delta 0.02,0.01 --quadrature 5 {TYPED}",
-        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --nodes 40",
+        "6.2 --n 4x2 --delta none --regularisation 1,0.1 --remesh --nodes 40",
         "6.2 -f nested --starts 2",
     ):
         assert rmesh(f"solve {typed}").code == 130
@@ -75,8 +75,8 @@ TYPED_TOO = "--regularisation 0.5 --seed 0 --objective quality --time-limit 9"
          {"regularisation": "0.5", "tolerance": 0.5, "seed": 0, "objective": "quality",
           "limits": {"seconds": 9.0}}),
         # a formulation without iterations takes limits that it does not need
-        (False, "-f fixed --time-limit 9 --tolerance 1", "fixed",
-         {"limits": {"seconds": 9.0}, "tolerance": 1.0}),
+        (False, "-f fixed --time-limit 9 --tolerance 0.9", "fixed",
+         {"limits": {"seconds": 9.0}, "tolerance": 0.9}),
     ],
 )  # fmt: skip
 def test_options_of_the_command_line_override_those_of_a_file(
@@ -154,3 +154,8 @@ def test_bad_input_is_one_line_and_exit_code_2(rmesh, typed: str, named: str) ->
     assert line.startswith("rmesh: error: ")
     assert named in line
     assert {path.name for path in Path().iterdir()} == files.keys()
+
+
+def test_a_number_of_nodes_is_for_a_new_mesh(rmesh) -> None:
+    said = rmesh("solve 6.2 --n 4x2 --nodes 40")
+    assert (said.code, said.err.strip()) == (2, "rmesh: error: --nodes 40 is for --remesh")

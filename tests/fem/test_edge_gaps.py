@@ -119,3 +119,16 @@ def test_nothing_passes_through_the_triangles_over_an_obstacle(order: int) -> No
     problem = ContactProblem(mesh, Laplace(-2.0), ("left", "right"), dome, Motion(None), order=order)
     assert passes(problem)[0] > 1e-3 / 10 ** (order - 1)
     assert passes(with_edge_gaps(problem))[0] < 1e-12
+
+
+@pytest.mark.parametrize("distance", [0.0, 1e-9, 0.1])
+@pytest.mark.parametrize("size", [1e-3, 1e4])
+def test_a_straight_line_is_not_curved_whatever_its_direction(distance: float, size: float) -> None:
+    for angle in np.linspace(0.1, 6, 9):
+        normal = np.array([-np.sin(angle), np.cos(angle)])
+        grid, along = rectangle(7, 3), np.array([np.cos(angle), np.sin(angle)])
+        nodes = size * (np.outer(along, grid.p[0]) + np.outer(normal, grid.p[1]) + [[3.0], [-7.0]])
+        low = grid.facets[:, grid.boundaries["bottom"]].T
+        mesh = from_arrays(nodes.T, grid.t.T, {"low": low, "high": grid.facets[:, grid.boundaries["top"]].T})
+        line = Obstacle.line("low", tuple(nodes[:, 0] - distance * size * normal), tuple(normal))
+        assert with_edge_gaps(ContactProblem(mesh, LAW, "high", line)).obstacles[0].gap == "node"

@@ -14,7 +14,7 @@ from rmesh_nlp.report.blocks import (
     label,
     names_of_solves,
 )
-from rmesh_nlp.report.columns import ENERGIES, KINDS, Column, body
+from rmesh_nlp.report.columns import ENERGIES, KINDS, Column
 from support.reporting import designed, fixed_61, joint_61, joint_62
 
 OF = {kind.title: kind.columns for kind in KINDS}
@@ -32,28 +32,6 @@ def test_records_are_grouped_in_the_order_of_their_appearance() -> None:
     older = fixed_61()
     del older["quadrature"]
     assert block_key(older) == block_key(fixed_61())
-
-
-@pytest.mark.parametrize(
-    ("changes", "is_paper"),
-    [
-        ({}, True),
-        ({"n": "8x8"}, True),
-        ({"delta": [0.0275, 0.1]}, False),
-        ({"order": 2}, False),
-        ({"example": "mine"}, False),
-        ({"example": "6.2", "n": "12x6", "delta": [0.15667, 0.07333]}, True),
-    ],
-)
-def test_values_of_the_paper_are_for_its_settings(changes: dict[str, Any], is_paper: bool) -> None:
-    block = Case((fixed_61(**changes),))
-    assert (block.paper is not None) == is_paper
-    rows = body(ENERGIES, block)
-    assert len(rows) == (3 if is_paper else 1)
-    assert len(body(COST, block)) == 1
-    if not changes:
-        assert rows[0] == ["paper, given grid", "-1.1246", "-", "-0.4549", "0.4753", "-", "-", "-"]
-        assert rows[1][:3] == ["paper, relocated", "-1.1246", "-1.4445"]
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from rmesh_nlp.errors import BadInputError
-from rmesh_nlp.fem.sampling import lines_along
 from rmesh_nlp.io.folder import Manifest
 from rmesh_nlp.io.results import Result, Results, read_results
 from rmesh_nlp.io.vtu import MeshState, SolutionFields, read_vtu, state_of
+from rmesh_nlp.meshes.geometry import lines_of
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.problem import ContactProblem, Dirichlet, Motion, Obstacle, PlaneStrain
 from rmesh_nlp.problem.units import Units
@@ -343,37 +343,28 @@ def test_edges_of_quadratic_elements_are_bent_and_their_fields_drawn_in_pieces()
     assert flat.get_array().size == 16
 
 
-def ring(n: int, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes on the unit circle about (2, 1), out of order, and its edges (2 or 3, n)."""
-    turns = np.arange(n * order) / (n * order)
-    number = np.random.default_rng(1).permutation(turns.size)
-    nodes = np.zeros((2, turns.size))
-    nodes[:, number] = [2 + np.cos(2 * np.pi * turns), 1 + np.sin(2 * np.pi * turns)]
-    first = order * np.arange(n)
-    ends = [first, (first + order) % turns.size, *([first + 1] if order == 2 else [])]
-    return nodes, number[np.array(ends)]
-
-
-@pytest.mark.parametrize("order", [1, 2])
 @pytest.mark.parametrize("part", [8, 6])
-def test_pressure_on_a_bore_is_a_function_of_the_angle(order: int, part: int) -> None:
-    nodes, edges = ring(8, order)
-    (line,) = lines = lines_along(edges[:, :part], nodes)
-    assert line.size == part * order + 1
+def test_pressure_on_a_bore_is_a_function_of_the_angle(part: int) -> None:
+    number, turns = np.random.default_rng(1).permutation(8), np.arange(8) / 8
+    nodes = np.zeros((2, 8))
+    nodes[:, number] = [2 + np.cos(2 * np.pi * turns), 1 + np.sin(2 * np.pi * turns)]
+    edges = number[np.array([np.arange(part), (np.arange(part) + 1) % 8])]
+    (line,) = lines = lines_of(edges, nodes)
+    assert line.size == part + 1
     assert (line[0] == line[-1]) is np.bool_(part == 8)
     name, over = course(nodes[:, line], "mm")
     assert name == "angle about (2, 1) [°]"
     axis = new_figure(2, 2).subplots()
     draw_along(axis, nodes, lines, nodes[1], over)
     angle, height = axis.lines[0].get_xydata().T
-    assert np.all(np.abs(np.diff(angle)) == pytest.approx(45 / order))
+    assert np.abs(np.diff(angle)) == pytest.approx(45)
     assert np.ptp(angle) == pytest.approx(45 * part)
     np.testing.assert_allclose(height, 1 + np.sin(np.radians(angle)), atol=1e-12)
 
 
 def test_other_boundaries_are_drawn_over_a_coordinate_or_the_arc_length() -> None:
     nodes = np.array([[0.0, 3.0, 3.0, 6.0, 6.0, 5.0], [0.0, 4.0, 8.0, 0.0, 5.0, 5.0]])
-    lines = lines_along(np.array([[2, 0, 4], [1, 1, 3]]), nodes)
+    lines = lines_of(np.array([[2, 0, 4], [1, 1, 3]]), nodes)
     assert [line.tolist() for line in lines] == [[0, 1, 2], [3, 4]]
     name, over = course(nodes[:, lines[0]], "")
     assert name == "arc length from (0, 0)"
