@@ -7,7 +7,8 @@ ubx lbg ubg x0 target`` (CasADi expressions, bounds, a start, the best known val
 NOSBENCH's .json files, and folders of them, are read too. Every solve is a process of its own; with
 --together all are solved in this one, which is fairer to the time of small problems: a forked process copies
 the memory that it touches. docs/results.md says what is counted. Time is processor time of build and solve.
-Writes DIR/rows.jsonl and DIR/table.md; of the large families obstacle-control, membrane and membrane-pressure
+Writes DIR/rows.jsonl, DIR/table.md and DIR/profile.png, the share of problems that a solver ends within a
+factor of the least time of any; of the large families obstacle-control, membrane and membrane-pressure
 (not in "all") also DIR/size.png, time against pairs. Run again, it solves only what DIR has no row of.
 
 MPECSS and pympcc are compared if they are installed: ``pip install mpecss pympcc``. cyipopt, which pympcc
@@ -45,7 +46,7 @@ from rows import Row, Store, command_line, markdown, timed
 
 SOLVED, LOWEST = 1e-6, 1e-4
 SHOWN = ("solved", "lowest")
-COLOURS = ("#0072B2", "#D55E00", "#009E73")  # told apart by the colour-blind: Okabe and Ito (2008)
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")  # told apart by the colour-blind: Okabe and Ito (2008)
 
 
 def read_collection(path: Path) -> Iterator[Problem]:
@@ -168,6 +169,40 @@ def figure(rows: Sequence[Row], path: Path) -> None:
     plt.close(drawing)
 
 
+def profile(rows: Sequence[Row]) -> pd.DataFrame:
+    """Time over the least of all solvers that end at the lowest point, by problem; infinite for other ends.
+
+    E. D. Dolan and J. J. More, Benchmarking optimization software with performance profiles, Math. Program.
+    91 (2002) 201-213.
+    """
+    frame = judged(rows)
+    times = frame.assign(seconds=frame.seconds.where(frame.lowest, np.inf)).pivot_table(
+        values="seconds", index="problem", columns="solver", sort=False
+    )
+    least = times.min(axis=1)
+    return times[np.isfinite(least)].div(least[np.isfinite(least)], axis=0)
+
+
+def profile_figure(rows: Sequence[Row], path: Path) -> None:
+    """Share of the problems within a factor of the least time, a line for each of several solvers."""
+    ratios = profile(rows)
+    if ratios.shape[1] < 2:
+        return
+    drawing, axes = plt.subplots(figsize=(6.4, 3.6), layout="constrained")
+    most = 2 * float(ratios.where(np.isfinite(ratios)).max(axis=None))
+    for solver, colour in zip(ratios, COLOURS, strict=False):
+        ends = np.sort(ratios[solver][np.isfinite(ratios[solver])])
+        shares = np.arange(ends.size + 1) / len(ratios)
+        steps, shares = np.concatenate([[1.0], ends, [most]]), np.append(shares, shares[-1])
+        axes.step(steps, shares, where="post", color=colour, label=solver)
+    axes.set(xscale="log", xlim=(1.0, most), ylim=(0.0, 1.02))
+    axes.set(xlabel="processor time over the least of all solvers", ylabel="share of problems")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="lower right", fontsize="small")
+    drawing.savefig(path, dpi=150)
+    plt.close(drawing)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Solve, print, write; 0 if ours solved every problem."""
     parser = command_line(__doc__, out="results/mpcc")
@@ -198,6 +233,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     text = table(store.rows) + ("" if by_size(store.rows).empty else "\n" + size_table(store.rows))
     (options.out / "table.md").write_text(text, encoding="utf-8")
     figure(store.rows, options.out / "size.png")
+    profile_figure(store.rows, options.out / "profile.png")
     print("\n" + text)
     frame = judged(store.rows)
     return 0 if frame.solved[frame.solver == next(iter(SOLVERS))].all() else 1

@@ -93,7 +93,7 @@ def follow(
         lam = result.lam_x, result.lam_g
         if run.exact(result.x) or t <= t_final:
             break
-        is_settled = before is not None and _settled(before, sides)
+        is_settled = before is not None and np.sum(before != sides) <= _UNSETTLED * sides.size
         if (t == t0 and is_free) or (is_settled and t <= options.crossover * (1 + ROUNDING)):
             near = resolved(run, result.x, lam)
             if near is not None and path.keep(near) and at_the_limit(near.f, objective):
@@ -164,7 +164,3 @@ def _next(t: float, factor: float, product: float, t_final: float) -> float:
     while t > product and t > t_final:
         t *= factor
     return t_final if t <= t_final * (1 + ROUNDING) else t
-
-
-def _settled(before: Mask, sides: Mask) -> bool:
-    return bool(np.count_nonzero(before != sides) <= _UNSETTLED * sides.size)

@@ -109,16 +109,9 @@ class LowerLevel:
         """The finite bounds of y and g."""
         lower, upper = np.append(self.nlp.lbx, self.nlp.lbg), np.append(self.nlp.ubx, self.nlp.ubg)
         fixed = lower == upper
-        low, high, equal = (
-            np.flatnonzero(mask) for mask in (np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed, fixed)
-        )
-        n, n_equal = low.size + high.size, equal.size
-        return Sides(
-            entry=np.concatenate([low, high, equal]),
-            sign=np.concatenate([-np.ones(low.size), np.ones(high.size + n_equal)]),
-            bound=np.concatenate([lower[low], upper[high], upper[equal]]),
-            equal=np.arange(n + n_equal) >= n,
-        )
+        kind, entry = np.nonzero([np.isfinite(lower) & ~fixed, np.isfinite(upper) & ~fixed, fixed])
+        sign = np.where(kind == 0, -1.0, 1.0)
+        return Sides(entry, sign, np.where(kind == 0, lower[entry], upper[entry]), kind == 2)
 
     @property
     def size(self) -> int:
@@ -141,8 +134,7 @@ class LowerLevel:
         p : array_like
             Values of the parameters.
         """
-        start = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
-        return self._solver(start, p=np.append(x, p))
+        return self._solver(np.full(self.nlp.n_x, y0, dtype=float), p=np.append(x, p))
 
     def lowest(
         self, x: ArrayLike, y0: ArrayLike = 0.0, *, p: ArrayLike = (), n: int = SEARCHED, seed: int = 0
@@ -152,14 +144,11 @@ class LowerLevel:
         A second-order check cannot tell a local minimum from a global one: compare ``f`` with that of
         :meth:`check`. Starts are uniform between the bounds, or within 10 of ``y0`` where there are none.
         """
-        centre = np.broadcast_to(np.asarray(y0, dtype=float), (self.nlp.n_x,))
+        centre = np.full(self.nlp.n_x, y0, dtype=float)
         lower = np.where(np.isfinite(self.nlp.lbx), self.nlp.lbx, centre - 10)
         upper = np.where(np.isfinite(self.nlp.ubx), self.nlp.ubx, centre + 10)
-        starts = [
-            centre,
-            *np.random.default_rng(seed).uniform(lower, np.maximum(lower, upper), (n - 1, centre.size)),
-        ]
-        ends = [self.solve(x, start, p=p) for start in starts]
+        drawn = np.random.default_rng(seed).uniform(lower, np.maximum(lower, upper), (n - 1, centre.size))
+        ends = [self.solve(x, start, p=p) for start in (centre, *drawn)]
         return min(ends, key=lambda end: (not end.converged, end.f))
 
     def start(

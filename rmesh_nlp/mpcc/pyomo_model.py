@@ -17,7 +17,7 @@ from pyomo.core.expr.numvalue import is_fixed, is_potentially_variable
 from pyomo.mpec import Complementarity
 
 _ADDED = ("body", "row", "equation", "member", "same")  # to each condition
-Member = tuple[Any, float | None, float | None]
+Member = tuple[Any, float, float]
 """An expression and its bounds."""
 Changed = dict[int, tuple[Any, Any, Any]]
 """Variables of the model that serve in a condition, with their own bounds, by id."""
@@ -62,11 +62,11 @@ def _write(data: Any, changed: Changed) -> None:
     # the variable is a two-sided member, else one that serves itself
     members.sort(key=lambda member: (-_n_bounds(member), not _serves(member, changed)))
     (inner, lower, upper), (outer, *bounds) = members
-    if lower is not None and lower == upper:
+    if lower == upper:
         data.row = Constraint(expr=(lower, inner, upper))
         return
-    bits = (lower is not None) + 2 * (upper is not None)
-    distance = outer if bits == 3 else outer - bounds[0] if bounds[1] is None else bounds[1] - outer
+    bits = int(np.isfinite(lower)) + 2 * int(np.isfinite(upper))
+    distance = outer if bits == 3 else outer - bounds[0] if np.isfinite(bounds[0]) else bounds[1] - outer
     if bits == 2:  # at an upper bound the row is not positive
         distance = -distance
     data.body = Var(initialize=value(distance, exception=False))
@@ -75,7 +75,7 @@ def _write(data: Any, changed: Changed) -> None:
     data.row = Constraint(expr=(-1, data.body, 1))
     if _serves(members[0], changed):
         changed[id(inner)] = inner, inner.lower, inner.upper
-        inner.lower, inner.upper = inner.lb if lower is None else lower, inner.ub if upper is None else upper
+        inner.lower, inner.upper = lower if bits & 1 else inner.lb, upper if bits & 2 else inner.ub
     else:
         data.member = Var(bounds=(lower, upper), initialize=value(inner, exception=False))
         data.same = Constraint(expr=data.member == inner)
@@ -89,12 +89,16 @@ def _member(data: Any, expression: Any) -> Member:
     lower, body, upper = form if len(form) == 3 else (form[0], form[1], form[0])
     if not (is_fixed(lower) and is_fixed(upper)):
         raise ValueError(f"a bound in the condition {data.name} is not constant: {expression}")
-    low, high = (bound if bound is None else float(value(bound)) for bound in (lower, upper))
-    return body, None if low == -np.inf else low, None if high == np.inf else high
+    return body, *_numbers(lower, upper)
+
+
+def _numbers(lower: Any, upper: Any) -> tuple[float, float]:
+    """Bounds as numbers; what is not there is infinite."""
+    return -np.inf if lower is None else float(value(lower)), np.inf if upper is None else float(value(upper))
 
 
 def _n_bounds(member: Member) -> int:
-    return sum(bound is not None for bound in member[1:])
+    return int(np.sum(np.isfinite(member[1:])))
 
 
 def _serves(member: Member, changed: Changed) -> bool:
@@ -102,5 +106,5 @@ def _serves(member: Member, changed: Changed) -> bool:
     body, *bounds = member
     if not (is_potentially_variable(body) and body.is_variable_type()) or body.fixed or id(body) in changed:
         return False
-    low, high = (-np.inf if body.lb is None else body.lb), (np.inf if body.ub is None else body.ub)
-    return all(low <= bound <= high for bound in bounds if bound is not None)
+    low, high = _numbers(body.lb, body.ub)
+    return all(low <= bound <= high for bound in bounds if np.isfinite(bound))

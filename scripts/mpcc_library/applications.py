@@ -1,4 +1,4 @@
-"""Families of applications: control with contacts, friction, gas networks, learning.
+"""Families of applications: control with contacts, time-freezing, friction, gas networks, learning.
 
 Markets from published equations are `cournot` (Outrata, Kocvara and Zowe 1998) and `prices` (Hobbs, Metzler
 and Pang 2000) in `families.py`; structures are `membrane` and `membrane-pressure` in `large.py`.
@@ -51,6 +51,35 @@ def stick_slip(size: int, seed: int) -> Problem:
         f += h * (0.01 * drive**2 + (x_next[1] - 1) ** 2)
         x, v = x_next, v_next
     return b.done(f"stick-slip-{size}-{seed}", f + 10 * (x[1] - 1) ** 2 + ca.sumsqr(v))
+
+
+def time_freezing(size: int, seed: int) -> Problem:
+    """A ball with a thruster is to be at a height after a bounce, in ``size`` steps of pseudo time.
+
+    Above the table the clock runs. Below it the clock stands still while a damped spring turns the velocity,
+    so in clock time the velocity jumps. Which of the two holds is Stewart's complementarity,
+    ``0 <= theta_i _|_ g_i - mu >= 0`` with ``g = (-q, q)`` and ``theta_1 + theta_2 = 1``. Steps are those of
+    the implicit Euler method.
+    A. Nurkanovic, T. Sartor, S. Albrecht, M. Diehl, A time-freezing approach for numerical optimal control of
+    nonsmooth differential equations with state jumps, IEEE Control Syst. Lett. 5 (2021) 439-444.
+    """
+    random = np.random.default_rng([64, size, seed])
+    h, goal, restitution = 2.0 / size, random.uniform(0.2, 0.8), random.uniform(0.6, 0.9)
+    stiffness = 20.0
+    damping = 2 * abs(np.log(restitution)) * np.sqrt(stiffness / (np.pi**2 + np.log(restitution) ** 2))
+    b = Builder()
+    q, v, clock, f = ca.SX(1.0), ca.SX(0.0), ca.SX(0.0), ca.SX(0)
+    for _ in range(size):
+        thrust, q_next, v_next, mu = b.unknown(1, -8.0, 8.0), b.unknown(start=0.5), b.unknown(), b.unknown()
+        clock_next, theta = b.unknown(), b.unknown(2, 0.0, INF, 0.5)
+        flight, table = thrust - 9.81, -stiffness * q_next - damping * v_next
+        b.constrain(ca.vertcat(q_next - q - h * v_next, ca.sum1(theta) - 1))
+        b.constrain(v_next - v - h * (theta[0] * flight + theta[1] * table))
+        b.constrain(clock_next - clock - h * theta[0])
+        b.pair(theta, ca.vertcat(-q_next - mu, q_next - mu))
+        f += h * 1e-2 * thrust**2
+        q, v, clock = q_next, v_next, clock_next
+    return b.done(f"time-freezing-{size}-{seed}", f + 10 * (q - goal) ** 2 + v**2)
 
 
 def gas(size: int, seed: int) -> Problem:
@@ -110,6 +139,7 @@ def margins(size: int, seed: int) -> Problem:
 APPLICATIONS: dict[str, tuple[Callable[[int, int], Problem], tuple[int, ...]]] = {
     "push-box": (push_box, (10, 30, 100)),
     "stick-slip": (stick_slip, (10, 30, 100)),
+    "time-freezing": (time_freezing, (10, 30, 100)),
     "gas": (gas, (6, 20, 60)),
     "margins": (margins, (8, 30, 100)),
 }

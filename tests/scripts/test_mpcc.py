@@ -7,11 +7,15 @@ import time
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 import benchmark_mpcc as benchmark
 from check_mpcc_labels import main, verdict
 from isolated import Failed, isolated
+from mpcc_library.applications import APPLICATIONS
+from mpcc_library.families import FAMILIES
 from mpcc_library.labels import Active, Point, descends_by_search, label_by_search, regular
+from rmesh_nlp.mpcc import solve
 
 COLLECTION = """
 import casadi as ca
@@ -89,6 +93,73 @@ def test_large_families_end_exact_and_are_drawn(tmp_path):
     assert "| membrane          |    16 |                  1 |" in benchmark.size_table(rows)
     benchmark.figure([], tmp_path / "none.png")
     assert not (tmp_path / "none.png").exists()
+
+
+def test_profile_has_ratios_of_times_and_what_does_not_end_lowest_is_infinite(tmp_path):
+    """A second solver takes 3 times the first's time on a, misses the minimum of b, and alone solves c."""
+    ends = {("a", "one"): (1.0, 0.0), ("a", "two"): (3.0, 0.0), ("b", "one"): (2.0, 0.0),
+            ("b", "two"): (1.0, 0.5), ("c", "one"): (1.0, np.nan), ("c", "two"): (5.0, 0.0)}  # fmt: skip
+    key = {"group": "family", "pairs": 1, "target": np.nan, "violation": 0.0}
+    rows = [key | {"problem": p, "solver": s, "seconds": t, "f": f} for (p, s), (t, f) in ends.items()]
+    ratios = benchmark.profile(rows)
+    assert list(ratios["one"]) == [1, 1, np.inf]
+    assert list(ratios["two"]) == [3, np.inf, 1]
+    benchmark.profile_figure(rows, tmp_path / "profile.png")
+    assert (tmp_path / "profile.png").stat().st_size > 0
+    benchmark.profile_figure(rows[::2], tmp_path / "none.png")
+    assert not (tmp_path / "none.png").exists()
+
+
+def solution(name, size):
+    """The solution of a generated problem, which is a success."""
+    problem = {**FAMILIES, **APPLICATIONS}[name][0](size, 0)
+    result = solve(problem.mpcc, problem.x0)
+    assert result.success
+    return result
+
+
+def test_clock_stands_still_while_the_ball_turns():
+    """Unknowns of a step: thrust, q, v, mu, clock, theta. One of the modes holds, and f knows no clock."""
+    result = solution("time-freezing", 10)
+    _, q, _, _, clock, flight, table = result.x.reshape(10, 7).T
+    assert flight + table == pytest.approx(np.ones(10), abs=1e-7)
+    assert np.diff(clock, prepend=0) == pytest.approx(0.2 * flight, abs=1e-7)
+    assert np.all(flight[q > 1e-4] > 1 - 1e-6)
+    assert np.all(flight[q < -1e-4] < 1e-6)
+    assert np.any(q < -1e-4)  # it bounces
+
+
+def test_gas_flows_to_lower_pressure_and_is_conserved():
+    """Without a compressor a pipe's flow has the sign of the drop; supplies sum to what is asked for."""
+    result = solution("gas", 6)
+    supply, squared, forth, back, lift = np.split(result.x, np.cumsum([6, 6, 8, 8]))
+    random = np.random.default_rng([62, 6, 0])
+    chords = [tuple(random.choice(6, 2, replace=False)) for _ in range(2)]
+    demand = random.uniform(0.2, 1.5, 6) * (random.uniform(size=6) < 0.7)
+    assert supply.sum() == pytest.approx(demand.sum(), abs=1e-6)
+    start, end = np.array([*((i, (i + 1) % 6) for i in range(6)), *chords]).T
+    passive = lift < 1e-7
+    drop = (squared[start] - squared[end])[passive]
+    assert np.all(drop * (forth - back)[passive] >= -1e-6)
+    assert np.all(forth[~passive] > back[~passive])  # compressors work along the flow
+
+
+def test_no_follower_of_a_cournot_market_gains_by_another_amount():
+    """Profits of Outrata, Kocvara and Zowe's oligopoly, by a search over the amount of each follower."""
+    result = solution("cournot", 4)
+    random = np.random.default_rng([10, 4, 0])
+    elasticity, capacity = random.uniform(1.0, 1.6), random.uniform(10, 60, 4)
+    cost, power = random.uniform(2, 12, 4), random.uniform(0.5, 1.2, 4)
+    amounts = result.x[1:5]
+    for i in range(4):
+        others = result.x[:5].sum() - amounts[i] + 1e-3
+
+        def loss(q, i=i, others=others):
+            price = (5000 / (others + q)) ** (1 / elasticity)
+            return cost[i] * q + 0.1 * (q + 1e-3) ** (1 + power[i]) - price * q
+
+        best = minimize_scalar(loss, bounds=(0, capacity[i]), method="bounded", options={"xatol": 1e-6})
+        assert loss(amounts[i]) <= best.fun + 1e-5
 
 
 @pytest.fixture(autouse=True, scope="module")
