@@ -104,7 +104,9 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
     Raises NotCertifiableError for a kind of problem for which no field in equilibrium is known.
     """
     if any(law.varies for law in problem.laws):
-        raise NotCertifiableError("of a body of revolution no stress in equilibrium is known")
+        raise NotCertifiableError(
+            "of a body of revolution r times the stress is in equilibrium: no element has it"
+        )
     if problem.origin is not None:
         raise NotCertifiableError("friction counts slip from an earlier load step")
     if not problem.has_energy:
