@@ -197,6 +197,8 @@ def profile_figure(rows: Sequence[Row], path: Path) -> None:
         axes.step(steps, shares, where="post", color=colour, label=solver)
     axes.set(xscale="log", xlim=(1.0, most), ylim=(0.0, 1.02))
     axes.set(xlabel="processor time over the least of all solvers", ylabel="share of problems")
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("{x:g}")
     axes.grid(alpha=0.3)
     axes.legend(loc="lower right", fontsize="small")
     drawing.savefig(path, dpi=150)
