@@ -28,10 +28,10 @@ def plain_pairs(members: Symbolic, lower: Array, upper: Array) -> tuple[Symbolic
     -------
     G, H
         Plain pairs: those with a bound on each side, then those with both on one, all ``up``, all ``down``.
+    up, down, values
+        New unknowns, and the other members of these pairs, which are ``up - down``.
     rows
         Expressions that vanish.
-    unknowns, values
-        ``up``, then ``down``, and the other members of these pairs, ``up - down``.
 
     Raises
     ------
@@ -64,5 +64,4 @@ def plain_pairs(members: Symbolic, lower: Array, upper: Array) -> tuple[Symbolic
     up, down = (type(members).sym(name, two.size) for name in ("up", "down"))
     G = ca.vertcat(room(first), up, down)
     H = ca.vertcat(room(first + n), room(two), ca.DM(upper[two]) - of(two))
-    rows = ca.vertcat(of(other[is_free]), room(bounded[is_equal]), values - up + down)
-    return G, H, rows, ca.vertcat(up, down), values
+    return G, H, up, down, values, ca.vertcat(of(other[is_free]), room(bounded[is_equal]))

@@ -10,7 +10,6 @@ that is ``G_i >= 0``, ``H_i >= 0`` and ``G_i H_i = 0`` for every pair i.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -243,41 +242,39 @@ class MPCC:
             _bounds("G", lbG, ubG, given.n_pairs), _bounds("H", lbH, ubH, given.n_pairs), strict=True
         )
         members = ca.vertcat(given.G, given.H)
-        G, H, rows, unknowns, values = plain_pairs(members, *map(np.concatenate, bounds))
-        bare = replace(given, G=None, H=None)
-        longer = bare.extended(x=unknowns, g=rows, G=G, H=H, lbx=0, lbg=0, ubg=0)
-        parts = ca.Function("parts", [given.x, given.p], [ca.vertcat(values, -values)])
+        bare, plain = replace(given, G=None, H=None), plain_pairs(members, *map(np.concatenate, bounds))
+        return replace(_with_parts(bare, *plain), switches=switches)
 
-        def completion(own: Array, p: Array) -> Array:
-            """``up`` and ``down`` whose difference is the other member."""
-            return np.maximum(flat(parts(own, p)), 0.0)
 
-        n = unknowns.shape[0]
-        return replace(longer, n_added=n, completion=completion if n else None, switches=switches)
+def _with_parts(
+    mpcc: MPCC, G: Symbolic, H: Symbolic, up: Symbolic, down: Symbolic, values: Symbolic, rows: Symbolic
+) -> MPCC:
+    """The MPCC with pairs, vanishing rows, and unknowns ``up, down >= 0`` for values ``up - down``."""
+    longer = mpcc.extended(
+        x=ca.vertcat(up, down), lbx=0, g=ca.vertcat(rows, values - up + down), lbg=0, ubg=0, G=G, H=H
+    )
+    parts = ca.Function("parts", [mpcc.x, mpcc.p], [ca.vertcat(values, -values)])
+
+    def completion(own: Array, p: Array) -> Array:
+        """What the unknowns before them are completed by, then the parts."""
+        start = mpcc.start(own, p)
+        return np.append(start[own.size :], np.maximum(flat(parts(start, p)), 0.0))
+
+    return replace(longer, n_added=mpcc.n_added + 2 * up.shape[0], completion=completion)
 
 
 def _split(mpcc: MPCC, switches: tuple[Symbolic, Symbolic]) -> MPCC:
     """The MPCC with products that vanish: any two of the four parts of a switch are a pair."""
     if len(switches) != 2:
         raise ValueError("switches must be two columns (r, d)")
-    r, d = (_column("switches", part, type(mpcc.x)) for part in switches)
+    kind = type(mpcc.x)
+    r, d = (_column("switches", part, kind) for part in switches)
     if (n := r.shape[0]) != d.shape[0]:
         raise ValueError(f"switches have {n} and {d.shape[0]} entries: they must pair up")
-    values = ca.Function("switches", [mpcc.x, mpcc.p], [ca.vertcat(r, -r, d, -d)])
-    parts = type(mpcc.x).sym("parts", 4 * n)
-    up, down, above, below = ca.vertsplit(parts, [0, n, 2 * n, 3 * n, 4 * n])
-    first, second = zip(*itertools.combinations((up, down, above, below), 2), strict=True)
-    longer = mpcc.extended(
-        x=parts, lbx=0, g=ca.vertcat(r - up + down, d - above + below), lbg=0, ubg=0,
-        G=ca.vertcat(*first), H=ca.vertcat(*second),
-    )  # fmt: skip
-
-    def completion(own: Array, p: Array) -> Array:
-        """What the unknowns before them are completed by, then the parts."""
-        start = mpcc.start(own, p)
-        return np.append(start[own.size :], np.maximum(values(start, p).full().ravel(), 0.0))
-
-    return replace(longer, n_added=mpcc.n_added + 4 * n, completion=completion)
+    up, down = (kind.sym(name, 2 * n) for name in ("up", "down"))
+    (up_r, up_d), (down_r, down_d) = (ca.vertsplit(part, [0, n, 2 * n]) for part in (up, down))
+    G, H = ca.vertcat(up, up_r, up_r, down_r, down_r), ca.vertcat(down, up_d, down_d, up_d, down_d)
+    return _with_parts(mpcc, G, H, up, down, ca.vertcat(r, d), kind(0, 1))
 
 
 def _numbers(name: str, value: object) -> Array:
