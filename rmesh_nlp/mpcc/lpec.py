@@ -125,18 +125,20 @@ def descent(
 def nearest_branch(
     lifted: Lifted,
     z: Array,
-    p: Array,
+    values: Array,
+    jacobian: sp.csr_matrix,
     radius: float,
     budget: Budget | None = None,
     relaxed: bool = False,
 ) -> tuple[Array, Mask] | None:
     """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
+    The rows have ``values`` and a Jacobian at ``z``.
+
     Their violation is minimised over complementary steps of at most ``radius`` (the feasibility phase of
     MPECopt); ``z`` is complementary and within its bounds. ``relaxed`` steps need not be complementary: a
     linear program, whose least violation is at most that of all branches.
     """
-    _, values, jacobian = lifted.linearise(z, p)
     nlp, m = lifted.nlp, lifted.nlp.n_g
     members = z / radius
     lower, upper = np.maximum(-1.0, (nlp.lbx - z) / radius), np.minimum(1.0, (nlp.ubx - z) / radius)

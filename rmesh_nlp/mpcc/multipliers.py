@@ -36,20 +36,22 @@ class Columns:
         Of each column whether it is a member of a biactive pair.
     may_fall, may_rise : bool arrays
         Whether a multiplier may be negative (of an active lower bound, and of every zero member) and
-        positive, with the signs of W. With those of S multipliers of the corner may not rise.
+        positive, with the signs of S: those of the corner may not.
     """
 
     def __init__(self, lifted: Lifted, lin: Linearisation) -> None:
         self._ends = lifted.nlp.n_g, lin.lower.size
         eye = sp.identity(lifted.nlp.n_x, format="csc")
         self.matrix = sp.hstack([lin.jacobian.T, eye, eye[:, lifted.pairs.ravel()]], format="csc")
-        self.may_fall, self.may_rise = np.append(lin.lower, lin.zero), np.append(lin.upper, lin.zero)
-        self.corner = np.append(np.zeros_like(lin.lower), lin.zero & lin.zero[::-1])
+        corner = lin.zero & lin.zero[::-1]
+        self.corner = np.append(np.zeros_like(lin.lower), corner)
+        self.may_fall = np.append(lin.lower, lin.zero)
+        self.may_rise = np.append(lin.upper, lin.zero & ~corner)
 
-    def signed(self, values: Array) -> Array:
-        """Each multiplier cut to the signs that S allows."""
-        low = np.where(self.may_fall, -np.inf, 0.0)
-        return np.clip(values, low, np.where(self.may_rise & ~self.corner, np.inf, 0.0))
+    @property
+    def signs(self) -> tuple[Array, Array]:
+        """Bounds of the multipliers with the signs of S."""
+        return np.where(self.may_fall, -np.inf, 0.0), np.where(self.may_rise, np.inf, 0.0)
 
     def split(self, values: Array) -> Multipliers:
         """Multipliers of the columns by their kinds."""
@@ -65,13 +67,13 @@ def proving(lifted: Lifted, lin: Linearisation, lam_rows: Array, tolerance: floa
     columns, n_rows, n_x = Columns(lifted, lin), lifted.nlp.n_g, lifted.nlp.n_x
     values = np.zeros(columns.corner.size)
     values[:n_rows] = lam_rows[:n_rows]
-    values = columns.signed(values)
+    values = np.clip(values, *columns.signs)
     rest = -(lin.gradient + columns.matrix @ values)
     # an unknown may be a member of several pairs: the one with the freest sign takes all
     order = np.argsort(columns.corner, kind="stable")
     order = order[(columns.may_fall | columns.may_rise)[order] & (order >= n_rows)]
     unknowns, first = np.unique(np.append(np.arange(n_x), lifted.pairs)[order - n_rows], return_index=True)
     values[order[first]] = rest[unknowns]
-    values = columns.signed(values)
+    values = np.clip(values, *columns.signs)
     residual = magnitude(lin.gradient + columns.matrix @ values)
     return columns.split(values) if residual <= tolerance * lin.scale else None

@@ -127,7 +127,7 @@ def _nearest(run: Run, z: Array, radius: float, relaxed: bool) -> _Nearest:
     radius = min(radius, size, seen / _SEEN)
     if min(seen, radius / size) <= _SEEN:  # too small to show anything
         return nothing
-    near = nearest_branch(run.lifted, z, run.p, radius, run.budget, relaxed)
+    near = nearest_branch(run.lifted, z, rows, jacobian, radius, run.budget, relaxed)
     if near is None:
         return nothing
     rest = float(np.sum(beyond(rows + jacobian @ (near[0] - z), nlp.lbg, nlp.ubg)))

@@ -132,11 +132,11 @@ class _MultiplierLP:
         own, eye = self.columns.matrix, sp.identity(lin.gradient.size, format="csc")
         self.matrix = sp.hstack([own, own[:, self.at_corner], eye], format="csc")
         self.right, self.slack = -lin.gradient, tolerance * lin.scale
-        may_fall, may_rise = self.columns.may_fall, self.columns.may_rise & ~self.columns.corner
-        copies, rest = np.zeros(self.at_corner.size), np.zeros(lin.gradient.size)
-        self.lower = np.concatenate([np.where(may_fall, -np.inf, 0.0), copies, rest])
-        self.upper = np.concatenate([np.where(may_rise, np.inf, 0.0), copies + np.inf, rest])
-        self.cost = np.concatenate([np.zeros(may_fall.size), copies + 1.0, rest])
+        (low, high), copies = self.columns.signs, np.zeros(self.at_corner.size)
+        rest = np.zeros(lin.gradient.size)
+        self.lower = np.concatenate([low, copies, rest])
+        self.upper = np.concatenate([high, copies + np.inf, rest])
+        self.cost = np.concatenate([np.zeros(low.size), copies + 1.0, rest])
 
     def solve(
         self, pieces: dict[int, Piece], parts: tuple[float, ...] = (_SHARP, 1.0)

@@ -87,8 +87,8 @@ def test_search_that_was_given_up_decides_only_by_a_descent(x_is, status, fun, d
 
 def test_nearest_branch_is_the_one_that_meets_the_rows():
     """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
-    mpcc = MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0)
-    z, zero = nearest_branch(lift(mpcc), np.array([1e-3, 0.0]), np.ones(1), 4e-3)
+    lifted, z = lift(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0)), np.array([1e-3, 0.0])
+    z, zero = nearest_branch(lifted, z, *lifted.linearise(z, np.ones(1))[1:], 4e-3)
     assert (z, zero.tolist()) == (pytest.approx([0, 1e-3], abs=1e-12), [[True], [False]])
 
 
