@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rmesh_nlp.assessment.energy import friction_energy
+from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.conditions import Conditions
 from rmesh_nlp.certificate.equilibration import Balance, EquilibratedField, Guess, equilibrated
 from rmesh_nlp.certificate.oscillation import oscillation
@@ -87,6 +88,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     The better the guess the closer the bounds, but any one is valid. Raises NotCertifiableError for a kind of
     problem for which no certificate is known.
     """
+    if not problem.has_energy:
+        raise NotCertifiableError("with Coulomb friction no energy is minimised")
     skeleton, u = skeleton_of(problem, nodes), guess.displacement
     field = equilibrated(problem, skeleton, guess)
     conditions, load = field.balance.assembled.conditions, field.load

@@ -74,6 +74,7 @@ class Conditions:
     offset: Array  # (k, contact edges), moments of the initial gap
     offset_doubt: Array  # (k, contact edges)
     friction: Array  # (k, contact edges), a function that nowhere exceeds the friction bound; 0 for a scalar
+    coulomb: Array  # (k, contact edges), Coulomb's coefficient
     axes: Array  # (contact edges, components, components), rows: the obstacle's tangent, if any, and normal
     parts: tuple[ContactPart, ...]  # the contact edges obstacle by obstacle
     inside: Inside
@@ -96,7 +97,7 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
     is_certain &= traction.is_certain and inside_is_certain
     parts = _contact_parts(problem, skeleton, held)
     contact = numbers_of(part.edges for part in parts)
-    offset, offset_doubt, friction = np.zeros((3, degree + 1, contact.size))
+    offset, offset_doubt, friction, coulomb = np.zeros((4, degree + 1, contact.size))
     axes = np.zeros((contact.size, n, n))
     for part in parts:
         obstacle = part.obstacle
@@ -111,9 +112,10 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         if n == 2:
             below, known = _linear_below(obstacle.friction_law.given, edges)
             friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
+            coulomb[:, part.place] = _at_nodes(obstacle.friction_law.slope, edges, degree).T
             is_certain &= known
         axes[part.place] = np.array([obstacle.tangent, obstacle.normal] if n == 2 else [obstacle.normal])
-    supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, axes)
+    supports, gaps = (held, given, given_doubt, given_error), (offset, offset_doubt, friction, coulomb, axes)
     return Conditions(*supports, traction, contact, *gaps, parts, inside, is_certain)
 
 
@@ -130,10 +132,8 @@ def _given_displacement(
                 continue
             part = integrals(coefficient, skeleton, edges, 2, problem.order)
             held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
-            sides, own = Edges(skeleton.body, edges), np.array([0, 1, 1 / 2])[: problem.order + 1]
-            at_nodes = on_points(
-                coefficient, sides.at(np.arange(edges.size), np.tile(own, (edges.size, 1)))[0]
-            )
+            sides = Edges(skeleton.body, edges)
+            at_nodes = _at_nodes(coefficient, sides, problem.order)
             owner, s, values, is_seen = _samples(coefficient, sides)
             own = to_coefficients(problem.order, 2) @ at_nodes[owner].T
             values -= np.sum(functions(problem.order, np.stack([1 - s, s])) * own[:, :, None], axis=0)
@@ -142,6 +142,12 @@ def _given_displacement(
             is_certain &= part.is_certain and is_seen
     scale = max(magnitude(given), 1e-300)
     return held, given, doubt / scale, error / scale, is_certain
+
+
+def _at_nodes(coefficient: Coefficient, edges: Edges, order: int) -> Array:
+    """(edges, order + 1) values at the ends of edges, and for order 2 in the middle."""
+    places = np.tile(np.array([0, 1, 1 / 2])[: order + 1], (edges.size, 1))
+    return on_points(coefficient, edges.at(np.arange(edges.size), places)[0])
 
 
 def _inside(problem: ContactProblem, skeleton: Skeleton, degree: int) -> tuple[Inside, bool]:

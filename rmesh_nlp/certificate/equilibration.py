@@ -30,7 +30,7 @@ from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.factorisation import factorised
 from rmesh_nlp.contact.system import ActiveSet, Equilibrium
-from rmesh_nlp.evaluation import Array, Index
+from rmesh_nlp.evaluation import ROUNDING, Array, Index
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem
@@ -109,8 +109,6 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         )
     if problem.origin is not None:
         raise NotCertifiableError("friction counts slip from an earlier load step")
-    if not problem.has_energy:
-        raise NotCertifiableError("with Coulomb friction no energy is minimised")
     if problem.point_loads:
         raise NotCertifiableError("the energy under a point load has no lower bound")
     conditions, load = conditions_of(problem, skeleton), body_forces(problem, skeleton)
@@ -148,11 +146,12 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
     bound too, if not the best.
     """
     skeleton, conditions, system = assembled.skeleton, assembled.conditions, assembled.system
-    degree, bound = conditions.degree, assembled.system.slip_bound
+    degree, edge = conditions.degree, skeleton.lengths[conditions.contact]
     along = skeleton.along(degree)[:, conditions.contact]
     inside = guess.pressure[skeleton.inside(degree)[:, conditions.inside.elements]].T.ravel()
-    touching = np.append(inside, guess.pressure[along].ravel()) > 0
-    friction = (guess.friction[along] * skeleton.lengths[conditions.contact]).ravel()[: bound.size]
+    pressing = np.append(inside, (guess.pressure[along] * edge).ravel())
+    touching, bound = pressing > 0, system.bound((1 - ROUNDING) * pressing)
+    friction = (guess.friction[along] * edge).ravel()[: bound.size]
     sliding = np.where(np.abs(friction) >= bound, -np.sign(friction), 0).astype(np.int8)
     solved = solve(system, ActiveSet(touching, sliding))
     if solved.status is not Status.CONVERGED:
@@ -165,7 +164,7 @@ def balance(assembled: Hybrid, guess: Guess) -> Balance:
         friction = np.clip(friction, -bound, bound)
         push = system.normals.T @ force + system.tangents.T @ friction
         u = factorised(system.stiffness)(system.load + push)
-    edge, shape, held = skeleton.lengths[conditions.contact], conditions.offset.shape, assembled.held
+    shape, held = conditions.offset.shape, assembled.held
     traces = assembled.base.copy()
     traces[~held] += u
     W = traces - assembled.start

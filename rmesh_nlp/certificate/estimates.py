@@ -9,8 +9,11 @@ load: the computed force and the integral of (sigma^ - C eps(u_h)) : (eps(w_h) -
 equilibrated stress of w_h [1]_. A linear quantity of the displacement is that of the equilibrated traces.
 Contact ends within an edge, where w_h falls to 0; the distance from ``int p^`` is what that place is worth.
 
-Where no such field is known (curved foundations, Coulomb friction, bodies that only contact holds), the
-problem is solved by richer displacements as well: of order 2, or on the mesh refined once.
+With Coulomb friction F the dual displacement w_h has ``w_n + F s w_t = 1`` where a node slides, s the sign of
+its slip, and the friction of the field in equilibrium adds its work on w_h.
+
+Where no such field is known (curved foundations, curved bodies, point loads), the problem is solved by richer
+displacements as well: of order 2, or on the mesh refined once.
 
 References
 ----------
@@ -237,11 +240,15 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     def gaps(u: Array) -> Array:
         return system.normals @ assembled.of_displacement(u)[free]
 
+    def slips(u: Array) -> Array:
+        return system.tangents @ assembled.of_displacement(u)[free]
+
     def estimate(text: str) -> Estimate:
         computed, w, load, part, weights = _quantity(text, on)
         if load is None and part is None:
             lacking = float(np.sum(defect**2)) / 2 if text == ENERGY else np.nan
-            return Estimate(computed - np.nan_to_num(lacking), lacking, computed, defect**2)
+            above = np.nan_to_num(lacking) if problem.has_energy else 0.0  # then no energy is least
+            return Estimate(computed - above, lacking, computed, defect**2)
         push, gap, end = np.zeros(system.load.size), np.zeros(system.offset.size), 0.0
         if load is not None:
             push = turned(assembled.turn, load.balanced * skeleton.lengths)[free]
@@ -256,9 +263,14 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
         other -= of_displacement(fields.element, fields.law, skeleton, w)
         if part is None:
             products = fields.energy(correction + other) - fields.energy(correction - other)
-            value = computed + float(np.sum(products)) / 2
+            pressing = system.normals @ (system.stiffness @ traces[free] - push)
+            closed = np.where(solved.active.touching, system.offset, 0.0)  # computed gaps between nodes
+            value = computed + float(np.sum(products)) / 2 + float(closed @ pressing)
         else:
             value = float(solved.normal_force @ gaps(along))
+            if not problem.has_energy:
+                beyond = solved.tangential_force + solved.active.sliding * system.slip_bound
+                value += float(beyond @ slips(along))
             end = abs(value + float(solved.normal_force @ gap))
         local = defect * np.sqrt(fields.energy(other))
         return Estimate(value, max(abs(value - computed), end), computed, local)

@@ -57,7 +57,9 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
         raised = exact.system.offset.copy()
         raised[contact.rows] -= 1.0
         force = exact.system.with_offset(raised).equilibrium(active).normal_force
-        bend = float(np.sum((force - exact.state.normal_force)[contact.rows]))
+        # rounding may change its sign: it is zero where nothing touches, or the load alone gives the force
+        bend = abs(float(np.sum((force - exact.state.normal_force)[contact.rows])))
+        bend *= np.any(active.touching[contact.rows])
         flat = max(size, np.min(gaps[contact.rows]))
         low, high = slope_bounds(upper, lower, gap, bend, flat, continuous.room(contact))
         bounds[name] = max(low, 0.0), high

@@ -96,12 +96,12 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     along = jumps(skeleton, conditions)
     normals = sp.csr_array(sp.vstack([sp.csr_array(sp.eye_array(size))[added] * inside.sign, along[-1]]))
     gap = np.append(inside.offset.T.ravel(), conditions.offset.ravel()) + normals @ base
-    tangents, bound = along[0], np.zeros(0)
-    if np.any(conditions.friction > 0):
+    tangents, bound, coulomb = along[0], np.zeros(0), None
+    if np.any(conditions.friction + conditions.coulomb > 0):
         loads = conditions.friction * lengths[conditions.contact]
         own = tangents @ sp.diags_array((~held & (np.arange(size) < edges)).astype(float))
         share = own.power(2).sum(axis=1)
-        bound = np.where(share > 0, loads.ravel(), 0.0)
+        bound, coulomb = (np.where(share > 0, each.ravel(), 0.0) for each in (loads, conditions.coulomb))
         # friction turns where the slip is zero
         base = base - own.T @ (tangents @ base / np.maximum(share, 1.0))
     motions = rigid_motions(problem, skeleton.nodes)
@@ -115,6 +115,7 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
         gap,
         bound,
         rigid=np.stack(rigid, axis=1) if rigid else None,
+        coulomb=None if problem.has_energy else coulomb,
     )
     forces = system, normals, tangents, matrix, applied, load
     return Hybrid(skeleton, conditions, *forces, numbers, turn, held, start, base)

@@ -132,9 +132,13 @@ class ContactSystem:
         return Equilibrium(u, self.energy(u), normal_force, friction, active, Status.CONVERGED, 1)
 
     def response(self, active: ActiveSet, load: Array, offset: Array) -> Array:
-        """(m,) how u changes with the load (m,) and the offset (gaps,), the active set held."""
+        """(m,) how u changes with the load (m,) and the offset (gaps,), the active set held.
+
+        With Coulomb friction it is the adjoint: what residuals change in ``load . u - offset . force``, force
+        the normal ones. Without, the two are the same.
+        """
         rotated = self.rotated
-        return rotated.basis @ rotated.solved(active, rotated.basis.T @ load, offset)
+        return rotated.basis @ rotated.adjoint(active, rotated.basis.T @ load, offset)
 
     def weak(self, state: Equilibrium) -> Mask:
         """(gaps,) where strict complementarity fails: there u(X) has one-sided derivatives only.
@@ -260,6 +264,14 @@ class RotatedSystem:
         w[self.normal[active.touching]] = -offset[active.touching]
         w[inside] = solve(self.combined(active, force - self.K @ w)[inside])
         return w
+
+    def adjoint(self, active: ActiveSet, force: Array, offset: Array) -> Array:
+        """(m,) of :meth:`solved`: slips, ``s F`` times, add to the gaps of sliding nodes."""
+        w, (inside, _, transposed) = np.zeros(force.size), self.factor(active)
+        w[self.normal[active.touching]] = -offset[active.touching]
+        w[inside] = transposed((force - self.K @ w)[inside])
+        pull = self.coupling(active)
+        return w if pull is None else w + pull.T @ w
 
     def coupling(self, active: ActiveSet) -> sp.csr_array | None:
         """C, which adds the rows of the gaps of sliding nodes to those of their slips: ``s F`` times.

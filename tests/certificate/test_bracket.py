@@ -292,6 +292,7 @@ def test_an_element_of_no_thickness_is_refused_or_flagged():
     [
         ({"obstacle": Obstacle.circle("bottom", (1.0, -5.0), 5.0)}, "turns along an edge"),
         ({"obstacle": (Obstacle("bottom"), Obstacle("bottom", (0.6, 0.8)))}, "two obstacles"),
+        ({"obstacle": Obstacle("bottom", coulomb=0.3)}, "no energy is minimised"),
         ({"point_loads": (PointLoad(9, (0.0, -1.0)),)}, "point load"),
         ({"dirichlet": ("left", ROLLERS[2]), "obstacle": OBLIQUE}, "oblique"),
     ],
@@ -300,6 +301,26 @@ def test_what_cannot_be_certified_is_said(changes, reason):
     problem = block(**changes)
     with pytest.raises(NotCertifiableError, match=reason):
         bracket(problem, problem.mesh.p, guess_on(problem, np.zeros(problem.mesh.p.shape)))
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize("held", [ROLLERS[:1], ()])
+def test_body_that_contact_alone_holds_is_bounded(held, order):
+    """Nothing in the bounds needs a rigid motion to cost energy."""
+    under = Obstacle.graph("bottom", lambda x, y: -0.01 * (x - 1) ** 2)
+    beside = () if held else (Obstacle.line("left", (-0.01, 0.0), (1.0, 0.0)),)
+    pushed = (Traction("top", (-0.1, lambda x, y: -0.5 - 0.1 * x)),)
+    problem = block(dirichlet=held, obstacle=(under, *beside), tractions=pushed, order=order)
+    found = certify(fixed.solve(problem))
+    fine = fixed.solve(replace(refined(refined(problem)), order=2))
+    assert found.guaranteed_lower
+    assert found.guaranteed_upper
+    assert found.lower <= fine.energy_audited <= found.upper
+    assert found.upper - found.lower < {1: 0.3, 2: 0.03}[order] * abs(found.upper)
+    weight = 2 * 1.0 + 2 * 0.5 + 0.2  # of body and traction: all of it rests on the bottom
+    bounds = found.bounds["resultant(bottom)"]
+    assert bounds.lower <= weight <= bounds.upper
+    assert bounds.upper - bounds.lower < 1e-4 * weight
 
 
 def test_equilibrium_is_checked_and_can_fail():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import rmesh_nlp as rm
-from rmesh_nlp.certificate.estimates import Estimate, OnMesh, check, ended, estimates
+from rmesh_nlp.certificate.estimates import Estimate, OnMesh, by_equilibrium, check, ended, estimates
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.errors import BadInputError
 from rmesh_nlp.problem.contact_problem import refined
@@ -52,6 +52,25 @@ def test_quantities_of_the_displacement_and_windows_are_corrected() -> None:
         assert abs(one.value - true.value) < abs(one.computed - true.value) / 3
     whole, half = estimated(BODY, "resultant(bottom)", "pressure(bottom, 0.5 + 0*x)")
     assert half.value == pytest.approx(whole.value / 2)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("bound", [0.0, 5.0])
+def test_with_coulomb_friction_the_dual_adds_slips_to_gaps(order: int, bound: float) -> None:
+    rough = rm.Obstacle.graph("bottom", lambda x, y: -0.02 - 0.03 * x, bound, coulomb=0.4)
+    problem, texts = replace(BODY, obstacle=rough, order=order), ("resultant(bottom)", "mean(top, -uy)")
+    found = by_equilibrium(OnMesh.of(ContactSolver(problem)), texts)
+    fine = estimated(replace(refined(refined(problem)), order=2), *texts)
+    for one, true, times in zip(found, fine, (4, 2.5), strict=True):
+        assert abs(one.value - true.value) < abs(one.computed - true.value) / times
+
+
+def test_gaps_between_nodes_count_in_what_is_linear_in_the_displacement() -> None:
+    """Contact alone holds the block: its mean height is that of the foundation, to which order 1 adds."""
+    bowl = rm.Obstacle.graph("bottom", lambda x, y: 0.002 * (x - 2) ** 2)
+    floats = replace(BODY, dirichlet=(rm.Dirichlet("left", (0.0, None)),), obstacle=bowl)
+    (coarse,), (fine,) = (estimated(p, "mean(top, -uy)") for p in (floats, replace(refined(floats), order=2)))
+    assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 3
 
 
 def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> None:
