@@ -185,7 +185,10 @@ def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> t
         if isinstance(obstacle.boundary, Place):
             continue
         if obstacle.level is not None:
-            raise NotCertifiableError("the normal of a curved foundation or pair turns along an edge")
+            raise NotCertifiableError(
+                "the normal of a curved foundation or pair turns along an edge; a foundation by its height "
+                "above x has one normal, and a certificate"
+            )
         normal = np.array(obstacle.normal) != 0
         both = np.unique(problem.mesh.boundaries[obstacle.boundary])[None]
         if obstacle.other:

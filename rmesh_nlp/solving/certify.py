@@ -88,13 +88,13 @@ def bounded(
     if given.continuous is None or final.continuous is None:
         raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
     problem, first = final.problem, given.problem
-    if problem.order == 2 and problem.motion.curves:
-        raise NotCertifiableError(POLYGON)
     resultants = {name: f"resultant({name})" for name in final.contact}
     others = (text for text in quantities if text not in (*resultants.values(), ENERGY))
     nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
     exact = _on_polygon(final, final.continuous)
     after = _bracket(final, exact, refinements)
+    if problem.order == 2 and problem.motion.curves:  # what order 1 cannot do either is said before
+        raise NotCertifiableError(POLYGON)
     before, is_one = after, True
     is_new = not np.array_equal(first.mesh.t, problem.mesh.t)
     if is_new or not np.array_equal(nodes, given.mesh.p):

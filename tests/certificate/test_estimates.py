@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -45,6 +46,19 @@ def test_where_contact_ends_within_an_edge_the_place_is_part_of_the_error() -> N
     assert abs(force.value - FORCE) < force.error
 
 
+def test_change_of_contact_is_part_of_the_error() -> None:
+    """On the next mesh other nodes touch, and the correction alone is a third of the error."""
+    wave = rm.Obstacle.graph("bottom", lambda x, y: -0.005 + 0.003 * ca.sin(3.93 * x + 0.75))
+    pushed = (rm.Traction("top", (-2.8, lambda x, y: -7.4 * (1 + 0.7 * ca.sin(8.3 * x)))),)
+    law = rm.PlaneStrain.from_young(1000, 0.22, (lambda x, y: -3 * ca.sin(5 * x) * ca.cos(4 * y), 0.0))
+    mesh = rm.shapes.rectangle(5, 5, x=(0, 2))
+    coarse = rm.ContactProblem(mesh, law, ("left",), wave, tractions=pushed, order=2)
+    (force,), (true,) = (estimated(p, "resultant(bottom)") for p in (coarse, refined(refined(coarse))))
+    error = abs(force.computed - true.value)
+    assert abs(force.value - force.computed) < error / 2
+    assert error < force.error < 2 * error
+
+
 def test_quantities_of_the_displacement_and_windows_are_corrected() -> None:
     names = "mean(top, -uy)", "pressure(bottom, x)", "energy"
     coarse, fine = estimated(BODY, *names), estimated(replace(refined(BODY), order=2), *names)
@@ -77,6 +91,8 @@ def test_body_on_a_curved_foundation_is_estimated_by_richer_displacements() -> N
     problem = replace(BODY, obstacle=rm.Obstacle.circle("bottom", (3.0, -30.05), 30.0))
     (coarse,), (fine,) = (estimated(p, "resultant(bottom)") for p in (problem, refined(problem)))
     assert abs(coarse.value - fine.value) < abs(coarse.computed - fine.value) / 2
+    (quadratic,) = estimated(replace(problem, order=2), "resultant(bottom)")
+    assert quadratic.error > 1.3 * abs(quadratic.value - quadratic.computed)  # the finer mesh errs as well
 
 
 @pytest.mark.slow
