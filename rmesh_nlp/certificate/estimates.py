@@ -12,7 +12,8 @@ Where nodes touch in equilibrium that do not in the computed solution, their gap
 of the dual solution, say what the change of contact is worth. The error is the largest of all.
 
 With Coulomb friction F the dual displacement w_h has ``w_n + F s w_t = 1`` where a node slides, s the sign of
-its slip, and the friction of the field in equilibrium adds its work on w_h.
+its slip. What friction in equilibrium differs by from bounds that are given adds its work on w_h: along an
+edge where a bound jumps it is the least one.
 
 Where no such field is known (curved foundations, curved bodies, point loads), the problem is solved by richer
 displacements as well: of order 2, or on the mesh refined once.
@@ -150,6 +151,13 @@ class OnMesh:
         dual[free] = self.system.response(self.state.active, load, gap)[index[free]]
         return dual
 
+    def work_of_bounds(self, w: Array) -> float:
+        """Of the bounds where nodes slide, which do not depend on the pressure, on a displacement."""
+        system, index = self.system, self.displacement.index
+        u, free = np.zeros(system.load.size), index >= 0
+        u[index[free]] = w[free]
+        return float((self.state.active.sliding * system.slip_bound) @ (system.tangents @ u))
+
 
 class Quantity(NamedTuple):
     """A quantity on one mesh.
@@ -245,9 +253,6 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
     def gaps(u: Array) -> Array:
         return system.normals @ assembled.of_displacement(u)[free]
 
-    def slips(u: Array) -> Array:
-        return system.tangents @ assembled.of_displacement(u)[free]
-
     def estimate(text: str) -> Estimate:
         computed, w, load, part, weights = _quantity(text, on)
         if load is None and part is None:
@@ -272,11 +277,12 @@ def by_equilibrium(on: OnMesh, texts: Sequence[str]) -> list[Estimate]:
             products = fields.energy(correction + other) - fields.energy(correction - other)
             value = computed + float(np.sum(products)) / 2 + closing
         else:
-            value = float(solved.normal_force @ gaps(along))
-            if not problem.has_energy:
-                beyond = solved.tangential_force + solved.active.sliding * system.slip_bound
-                value += float(beyond @ slips(along))
+            slip = system.tangents @ assembled.of_displacement(along)[free]
+            follows = solved.active.sliding * (system.bound(solved.normal_force) - system.slip_bound)
+            value = float(solved.normal_force @ gaps(along) - follows @ slip)
             end = max(abs(value + float(solved.normal_force @ gap)), abs(closing))
+            if slip.size:
+                value += float((solved.tangential_force + follows) @ slip) + on.work_of_bounds(w)
         local = defect * np.sqrt(fields.energy(other))
         return Estimate(value, max(abs(value - computed), end), computed, local)
 

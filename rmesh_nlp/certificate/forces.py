@@ -57,9 +57,11 @@ def force_bounds(exact: Admissible, lower: float) -> dict[str, tuple[float, floa
         raised = exact.system.offset.copy()
         raised[contact.rows] -= 1.0
         force = exact.system.with_offset(raised).equilibrium(active).normal_force
-        # rounding may change its sign: it is zero where nothing touches, or the load alone gives the force
-        bend = abs(float(np.sum((force - exact.state.normal_force)[contact.rows])))
-        bend *= np.any(active.touching[contact.rows])
+        now = exact.state.normal_force[contact.rows]
+        # where the load alone gives the force it is zero up to rounding, and s large, but not without limit
+        least = ROUNDING * np.sum(now) ** 2 / gap
+        touches = np.any(active.touching[contact.rows])
+        bend = max(float(np.sum(force[contact.rows] - now)), least) if touches else 0.0
         flat = max(size, np.min(gaps[contact.rows]))
         low, high = slope_bounds(upper, lower, gap, bend, flat, continuous.room(contact))
         bounds[name] = max(low, 0.0), high
