@@ -28,7 +28,7 @@ from rmesh_nlp.meshes.geometry import relocated_mesh
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Place
 from rmesh_nlp.problem.body import Body
-from rmesh_nlp.problem.coefficients import on_points
+from rmesh_nlp.problem.coefficients import Coefficient, at, on_points
 from rmesh_nlp.problem.contact_problem import locally_refined
 from rmesh_nlp.problem.data import ContactSet
 
@@ -138,29 +138,30 @@ class Continuous:
         """The quadratic program with gaps shortened by a stand-off (gaps,)."""
         return self._bare.with_offset(self._bare.offset - standoff)
 
-    def shifted(self, contact: ContactSet, by: float) -> Continuous:
-        """The same with the foundation of a contact set raised along its normal, everywhere by a length."""
-        other, offset = copy(self), self._bare.offset.copy()
-        offset[contact.rows] -= by
+    def shifted(self, contact: ContactSet, by: Coefficient) -> Continuous:
+        """The same with the straight foundation of a contact set raised along its normal by a length."""
+        other, offset, gap = copy(self), self._bare.offset.copy(), contact.obstacle.offset
+        offset[contact.rows] -= self.at_gaps(contact, by)
         vars(other).update(_bare=self._bare.with_offset(offset), _reduced=self._reduced)
-        other.cells = [
-            replace(cells, distance=cells.distance - by, at_nodes=cells.at_nodes - by)
-            if cells.contact.number == contact.number
-            else cells
-            for cells in self.cells
-        ]
+        raised = replace(contact.obstacle, offset=lambda x, y: at(gap, x, y) - at(by, x, y))
+        other.cells = [cells for cells in self.cells if cells.contact.number != contact.number]
+        other.cells += cells_of(self.body, self.space, replace(contact, obstacle=raised))
         return other
 
-    def room(self, contact: ContactSet) -> float:
-        """How far that foundation can be raised before it meets nodes or cells that are held."""
-        room = np.inf
+    def at_gaps(self, contact: ContactSet, coefficient: Coefficient) -> Array:
+        """(gaps,) coefficients of a function of position at the nodes of a contact set."""
+        values = on_points(coefficient, self.space.points(self.body.nodes))
+        return self.space.coefficients(values[None])[0, contact.nodes]
+
+    @property
+    def is_open(self) -> bool:
+        """Whether foundations are below the body wherever given displacements alone move it."""
         for cells in self.cells:
-            if cells.contact.number == contact.number:
-                held = cells.rows < 0
-                gaps = cells.at_nodes + self.given_along(cells)[cells.nodes]
-                between = cells.gaps(self.given)[np.all(held, axis=0)]
-                room = min(room, np.min(gaps[held], initial=np.inf), np.min(between, initial=np.inf))
-        return float(room)
+            gaps = cells.along(self.given) + cells.distance
+            held = (cells.shares.T @ (cells.rows >= 0)).T == 0
+            if np.min(gaps[held], initial=0.0) < -PROVED * magnitude(gaps):
+                return False
+        return True
 
     @cached_property
     def _reduced(self) -> _Reduced:

@@ -10,7 +10,7 @@ With a field sigma in equilibrium with the simplified load (f_h, g_h), pressure 
 The simplified loads are the best approximations by polynomials of the degree of the field's tractions, which
 is the order of the displacements. So on each element such a polynomial w can be taken off v in
 the load terms, which are then bounded by ``r_T |v - w|_T``. With that w whose strain is the mean of
-``C^-1 sigma``, or at degree 2 the computed displacement if that is closer,
+``C^-1 sigma``, or the computed displacement if that is closer,
 
     min J >= D(sigma) - sum_T (eta_T r_T + r_T^2 / 2),
 
@@ -114,9 +114,8 @@ def bracket(problem: ContactProblem, nodes: Array, guess: Guess) -> Bracket:
     on_tools = sum(u[:, tool] @ force for tool, force in DisplacementSpace(problem).forces)
     upper = float(computed - load.work(u) - traction.work(u) - on_tools + np.sum(friction))
     through = _slack(balance, u) * skeleton.lengths[conditions.contact] + friction
-    local = field.defect**2 / 2 + spread - load.unbalanced_work(u)
+    local = field.defect**2 / 2 + spread
     local += np.bincount(skeleton.owner[conditions.contact], through, local.size)
-    local -= np.bincount(skeleton.owner, traction.unbalanced_work(u), local.size)
     gap = inside.sign * moments(u[0, skeleton.displaced[:, inside.elements]], conditions.degree, 3)
     local[inside.elements] += np.sum(on_elements * (gap + inside.offset), axis=0)
     of_both = {

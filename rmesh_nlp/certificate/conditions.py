@@ -22,7 +22,7 @@ from rmesh_nlp.assessment.parts import edge_parts, refined, triangle_parts
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.fields import element_of
 from rmesh_nlp.certificate.integrals import Loads, integrals, tractions
-from rmesh_nlp.certificate.polynomials import lowered, powers
+from rmesh_nlp.certificate.polynomials import powers
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.contact.standoff import LATTICES, SAMPLES
 from rmesh_nlp.evaluation import PROVED, Array, Index, Mask, magnitude, numbers_of
@@ -103,12 +103,8 @@ def conditions_of(problem: ContactProblem, skeleton: Skeleton) -> Conditions:
         obstacle = part.obstacle
         edges = Edges(skeleton.body, part.edges)
         gap = integrals(obstacle.clearance, skeleton, part.edges, 2, problem.order)
-        offset[:, part.place] = lowered(gap.moments, degree)
-        offset_doubt[:, part.place] = lowered(gap.doubt, degree)
-        _, places, _, is_seen = _samples(obstacle.clearance, edges)
-        begin, end = places[:, [0, -1]].T
-        is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
-        is_certain &= gap.is_certain and is_seen and not np.any(is_narrow)
+        offset[:, part.place], offset_doubt[:, part.place] = gap.moments, gap.doubt
+        is_certain &= gap.is_certain and is_seen(obstacle.clearance, edges)
         if n == 2:
             below, known = _linear_below(obstacle.friction_law.given, edges)
             friction[:, part.place] = functions(1, powers(degree, 2).T / degree).T @ below
@@ -131,7 +127,7 @@ def _given_displacement(
             if coefficient is None:
                 continue
             part = integrals(coefficient, skeleton, edges, 2, problem.order)
-            held[i, edges], given[i][:, edges] = True, lowered(part.moments, degree)
+            held[i, edges], given[i][:, edges] = True, part.moments
             sides = Edges(skeleton.body, edges)
             at_nodes = _at_nodes(coefficient, sides, problem.order)
             owner, s, values, is_seen = _samples(coefficient, sides)
@@ -207,6 +203,14 @@ def _contact_parts(problem: ContactProblem, skeleton: Skeleton, held: Mask) -> t
         place = slice(first, first := first + edges.size)
         parts.append(ContactPart(number, obstacle, edges, place, others, is_reversed))
     return tuple(parts)
+
+
+def is_seen(coefficient: Coefficient, edges: Edges) -> bool:
+    """Whether nothing of a gap hides between the points of edges at which gaps are looked at."""
+    _, places, _, is_certain = _samples(coefficient, edges)
+    begin, end = places[:, [0, -1]].T
+    is_narrow = (begin > 2 * PROVED) & (end < 1 - 2 * PROVED) & (end - begin < 2 / SAMPLES)
+    return is_certain and not np.any(is_narrow)
 
 
 def _samples(coefficient: Coefficient, edges: Edges) -> tuple[Index, Array, Array, bool]:

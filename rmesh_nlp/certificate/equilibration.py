@@ -129,7 +129,7 @@ def equilibrated(problem: ContactProblem, skeleton: Skeleton, guess: Guess) -> E
         computed=fields.energy(computed),
         energy=fields.energy(field),
         defect=defect,
-        variation=np.minimum(variation, defect) if problem.order <= conditions.degree else variation,
+        variation=np.minimum(variation, defect),
         forces=fields.forces(field),
         balance=balanced,
         residual=fields.imbalance(field, pushing),

@@ -174,7 +174,7 @@ class Quantity(NamedTuple):
     weights: Array = np.zeros(0)
 
 
-def _split(text: str) -> tuple[str, str, str]:
+def split(text: str) -> tuple[str, str, str]:
     """Kind, name and expression of a quantity."""
     kind, _, rest = text.strip().partition("(")
     name, _, weight = rest[:-1].partition(",")
@@ -188,7 +188,7 @@ def check(text: str, problem: ContactProblem) -> None:
     and y, ``force_x``, ``force_y``, ``moment``, ``peak`` and ``contact_length`` of a contact boundary,
     ``mean(NAME, EXPR)`` and ``boundary(NAME, EXPR)``, linear in the displacement, and ``energy``.
     """
-    kind, name, weight = _split(text)
+    kind, name, weight = split(text)
     if kind in RESULTS:
         with located(text):
             contact_on(DisplacementSpace(problem), name)
@@ -199,7 +199,7 @@ def check(text: str, problem: ContactProblem) -> None:
 
 def _quantity(text: str, on: OnMesh) -> Quantity:
     """A quantity by its text, see :func:`check`."""
-    (kind, name, weight), space, nodes = _split(text), on.space, on.nodes
+    (kind, name, weight), space, nodes = split(text), on.space, on.nodes
     gap, push = np.zeros(space.contact_nodes.size), np.zeros(on.u.shape)
     if kind in ("resultant", "pressure"):
         part = contact_on(space, name)

@@ -81,9 +81,8 @@ def hybrid(conditions: Conditions, fields: TraceFields, computed: Array, u: Arra
     held = np.repeat(conditions.held[:, None], k, axis=1)
     held = np.abs(turned(turn, held, none, problem.tools_held)) > 0.5
     base, free = np.where(held, turned(turn, conditions.given), start), np.flatnonzero(~held)
-    of_tools = [force for _, force in DisplacementSpace(problem).forces]
-    of_tools = np.reshape(of_tools, (-1, n)).T
-    applied = turned(turn, conditions.traction.balanced * lengths, none, of_tools)
+    on_tools = np.reshape([force for _, force in DisplacementSpace(problem).forces], (-1, n)).T
+    applied = turned(turn, conditions.traction.balanced * lengths, none, on_tools)
     load = applied.copy()
     load[added] += (fields.load[0] * skeleton.areas)[:, inside.elements].T.ravel()
     load -= turn @ np.bincount(on_edges.ravel(), fields.forces(computed).ravel(), size)

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rmesh_nlp.assessment.integrals import over_edges, over_triangles
-from rmesh_nlp.certificate.fields import element_of
-from rmesh_nlp.certificate.polynomials import lowered, moments, projection
+from rmesh_nlp.certificate.polynomials import projection
 from rmesh_nlp.certificate.skeleton import Skeleton
 from rmesh_nlp.evaluation import Array, Index, magnitude
 from rmesh_nlp.fem.bernstein import functions, size
@@ -60,8 +59,8 @@ def integrals(
 class Loads:
     """Body forces on elements or tractions on edges, and the polynomials that a field balances instead.
 
-    The polynomials are the best approximations of the degree of the field's tractions. Moments are as in
-    :class:`Integrals`, of the displacements' order.
+    The polynomials are the best approximations of the displacements' order, as are the field's tractions.
+    Moments are as in :class:`Integrals`.
     """
 
     nodes: Index  # (functions, cells), nodes of the displacements on each element or edge
@@ -69,8 +68,7 @@ class Loads:
     moments: Array  # (components, functions, cells)
     doubt: Array  # (components, functions, cells)
     balanced: Array  # (components, functions of the field's degree, cells) coefficients
-    unbalanced: Array  # (components, functions, cells) moments of what the polynomials leave
-    remainder: Array  # (cells,), L2 norm of that
+    remainder: Array  # (cells,), L2 norm of what the polynomials leave
     is_certain: bool  # whether it is known where the loads jump and kink
 
     def work(self, displacement: Array) -> float:
@@ -81,10 +79,6 @@ class Loads:
         """How much the energy may be wrong by the doubt of the moments."""
         local = np.abs(displacement[:, self.nodes]) + magnitude(displacement)
         return float(np.sum(self.doubt * local * self.measure))
-
-    def unbalanced_work(self, displacement: Array) -> Array:
-        """(cells,) work of what is not balanced; none if the displacement is of the field's degree."""
-        return np.sum(self.unbalanced * displacement[:, self.nodes], axis=(0, 1)) * self.measure
 
 
 def body_forces(problem: ContactProblem, skeleton: Skeleton) -> Loads:
@@ -107,20 +101,17 @@ def _loads(
     nodes: Index,
     measure: Array,
 ) -> Loads:
-    order, degree = problem.order, element_of(problem).pieces.degree
     value, doubt = np.zeros((2, problem.components, *nodes.shape))
     remainder, is_certain = np.zeros(measure.size), True
     for coefficients, cells in given:
         unmet = np.zeros(len(cells))  # mean square of what the best approximation leaves
         for i, coefficient in enumerate(coefficients):
-            part = integrals(coefficient, skeleton, cells, vertices, order)
+            part = integrals(coefficient, skeleton, cells, vertices, problem.order)
             value[i][:, cells] += part.moments
             doubt[i][:, cells] += part.doubt
             is_certain &= part.is_certain
             if callable(coefficient):
-                tested = lowered(part.moments, degree, vertices)
-                unmet += np.maximum(part.square - np.sum(tested * projection(tested, vertices), axis=0), 0.0)
+                met = np.sum(part.moments * projection(part.moments, vertices), axis=0)
+                unmet += np.maximum(part.square - met, 0.0)
         remainder[cells] += np.sqrt(measure[cells] * unmet)
-    balanced = projection(lowered(value, degree, vertices), vertices)
-    unbalanced = value - moments(balanced, order, vertices)
-    return Loads(nodes, measure, value, doubt, balanced, unbalanced, remainder, is_certain)
+    return Loads(nodes, measure, value, doubt, projection(value, vertices), remainder, is_certain)

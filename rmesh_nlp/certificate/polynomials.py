@@ -73,13 +73,6 @@ def projection(given: Array, vertices: int) -> Array:
     return whole @ given
 
 
-def lowered(given: Array, degree: int, vertices: int = 2) -> Array:
-    """Moments against the functions of a degree, by those of the same or a higher one."""
-    if degree_of(given, vertices) == degree:
-        return given
-    return elevation(2, vertices).T @ given
-
-
 def degree_of(given: Array, vertices: int) -> int:
     """Degree, 1 or 2, of polynomials by the number of their coefficients."""
     return 1 if given.shape[-2] == vertices else 2

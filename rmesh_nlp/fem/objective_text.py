@@ -91,7 +91,7 @@ def load_of(text: str, problem: ContactProblem) -> Traction:
     boundary, *expressions = _split(rest[:-1], ",")
     if kind not in ("boundary", "mean") or len(expressions) != 1 or not rest.endswith(")"):
         raise BadInputError(
-            f"{text!r} has no bounds: mean, boundary and resultants of contact boundaries have"
+            f"{text!r} has no bounds: mean, boundary, pressure and resultants of contact boundaries have"
         )
     x, y, u = ca.SX.sym("x"), ca.SX.sym("y"), ca.SX.sym("u", problem.components)
     try:

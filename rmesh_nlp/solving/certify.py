@@ -12,16 +12,19 @@ from rmesh_nlp.assessment.admissible import Admissible, admissible
 from rmesh_nlp.assessment.energy import load_vector
 from rmesh_nlp.certificate import NotCertifiableError
 from rmesh_nlp.certificate.bracket import BENT, UNKNOWN, Bracket, refined_bracket
+from rmesh_nlp.certificate.conditions import is_seen
 from rmesh_nlp.certificate.equilibration import Guess
-from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, by_equilibrium, estimates, of_contact
+from rmesh_nlp.certificate.estimates import ENERGY, OnMesh, by_equilibrium, estimates, of_contact, split
 from rmesh_nlp.certificate.forces import force_bounds, slope_bounds
 from rmesh_nlp.certificate.skeleton import same_domain
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.system import ContactSystem
 from rmesh_nlp.errors import BadInputError, expect, expect_list, one_line
 from rmesh_nlp.evaluation import ROUNDING, Array
+from rmesh_nlp.expressions import Expression
 from rmesh_nlp.fem.contact_pressure import contact_stresses
 from rmesh_nlp.fem.objective_text import load_of
+from rmesh_nlp.fem.pressure import contact_on
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.optimize.status import Status
 from rmesh_nlp.problem import ContactProblem, Motion, Traction
@@ -57,8 +60,9 @@ def certify(
     ----------
     solution : Solution
     quantities : sequence of str
-        Linear ones that are bounded as well: "mean(top, -uy)" or "boundary(top, x*ux)". The resultants of
-        the contact boundaries, "resultant(bottom)", always are.
+        Linear ones that are bounded as well: "mean(top, -uy)", "boundary(top, x*ux)", and integrals of
+        pressure times a weight, "pressure(bottom, x)". The resultants of the contact boundaries,
+        "resultant(bottom)", and displacements of tools, "tool_y(top)", always are.
     refinements : int, optional
         How often the mesh is refined for the field that proves the lower bound; more make the bounds
         closer and cost four times as much each. By default once on small meshes, see
@@ -88,10 +92,21 @@ def bounded(
     if given.continuous is None or final.continuous is None:
         raise BadInputError(f"there is nothing to certify: the solution is {assessment.status.value}")
     problem, first = final.problem, given.problem
-    resultants = {name: f"resultant({name})" for name in final.contact}
-    others = (text for text in quantities if text not in (*resultants.values(), ENERGY))
-    nodes, loads = final.mesh.p, {text: load_of(text, problem) for text in others}
-    exact = _on_polygon(final, final.continuous)
+    nodes, exact = final.mesh.p, _on_polygon(final, final.continuous)
+    space, windows = exact.continuous.space, []
+    under: dict[str, Callable[[float], ContactProblem]] = {
+        f"tool_{axis}({tool.boundary})": partial(_pressed, exact.problem, number, axis)
+        for number, tool in enumerate(problem.obstacles)
+        for axis in tool.move or ""
+    }
+    parts = dict(zip(final.contact, space.contact_sets, strict=False))
+    for text in dict.fromkeys((*map("resultant({})".format, parts), *quantities)):
+        kind, name, expression = split(text)
+        if kind in ("resultant", "pressure"):
+            weight = Expression(expression) if kind == "pressure" else 1.0
+            windows.append((text, parts.get(name) or contact_on(space, name), weight))
+        elif text not in (*under, ENERGY):
+            under[text] = partial(_loaded, exact.problem, load_of(text, problem))
     after = _bracket(final, exact, refinements)
     if problem.order == 2 and problem.motion.curves:  # what order 1 cannot do either is said before
         raise NotCertifiableError(POLYGON)
@@ -110,18 +125,15 @@ def bounded(
             before = replace(before, local=np.full(problem.mesh.nelements, np.nan))
     before, after = _consistent(before), _consistent(after)
     why = after.why if is_one else (*after.why, *(f"given mesh: {reason}" for reason in before.why))
-    bounds = {
-        resultants[name]: Bounds(low, final.contact[name].normal_force, high, not after.why)
-        for name, (low, high) in force_bounds(exact, after.lower).items()
-    }
+    bounds = dict[str, Bounds]()
+    for text, part, weight in windows:
+        if part.rows.size:  # not every gap is given
+            value = float(final.equilibrium.normal_force[part.rows] @ exact.continuous.at_gaps(part, weight))
+            is_known = not after.why and is_seen(weight, exact.body.edges_of(part.obstacle))
+            low, high = force_bounds(exact, after.lower, part, weight)
+            bounds[text] = Bounds(low, value, high, is_known)
     if ENERGY in quantities:
         bounds[ENERGY] = Bounds(after.lower, final.energy, after.upper, not after.why)
-    under = {text: partial(_loaded, exact.problem, load) for text, load in loads.items()}
-    for number in problem.tools:
-        tool = problem.obstacles[number]
-        for axis, way, moves in zip("xy", np.eye(2), tool.moves, strict=True):
-            if moves:
-                under[f"tool_{axis}({tool.boundary})"] = partial(_pressed, exact.problem, number, way)
     bounds |= {text: _load_bounds(exact, after, more, refinements) for text, more in under.items()}
     return _certificate(before, after, why, bounds)
 
@@ -172,10 +184,11 @@ def _loaded(problem: ContactProblem, load: Traction, s: float) -> ContactProblem
     return replace(problem, tractions=(*problem.tractions, Traction(load.boundary, scaled)))
 
 
-def _pressed(problem: ContactProblem, number: int, way: Array, s: float) -> ContactProblem:
-    """The problem with a force more on a tool, s times ``way`` (2,)."""
+def _pressed(problem: ContactProblem, number: int, axis: str, s: float) -> ContactProblem:
+    """The problem with a force s more on a tool, along x or y."""
     tools = list(problem.obstacles)
-    tools[number] = replace(tools[number], force=tuple(s * way + (tools[number].force or 0.0)))
+    force = zip("xy", tools[number].force or (), strict=True)
+    tools[number] = replace(tools[number], force=tuple(part + s * (name == axis) for name, part in force))
     return replace(problem, obstacle=tuple(tools))
 
 

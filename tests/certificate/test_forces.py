@@ -95,10 +95,30 @@ def test_bounds_hold_values_of_a_finer_mesh_and_close_under_refinement(order: in
 def test_what_energies_may_be_wrong_by_widens_the_bounds_of_a_force(monkeypatch: pytest.MonkeyPatch) -> None:
     exact, found = admissible(body(2, 1, 0.0)), Continuous.solve
     lower = exact.energy - 1e-3 * exact.strain
-    (plain,) = force_bounds(exact, lower).values()
+    (contact,) = exact.continuous.space.contact_sets
+    plain = force_bounds(exact, lower, contact)
     monkeypatch.setattr(Continuous, "solve", lambda *given: replace(found(*given), doubt=1e-3 * exact.strain))
-    (wide,) = force_bounds(exact, lower).values()
+    wide = force_bounds(exact, lower, contact)
     assert 0 <= wide[0] < plain[0] < plain[1] < wide[1]
+
+
+def test_pressure_times_a_weight_is_bounded_and_a_needle_is_not_guaranteed() -> None:
+    hats = [f"pressure(bottom, max(0, 1 - abs(x - {x})))" for x in (0, 1, 2)]
+    needle = "pressure(bottom, exp(-1e10*(x - 0.703)**2))"
+    asked, fine = [*hats, "pressure(bottom, x)"], solved_body(4, 2, 0.0)
+    found, known = (
+        certify(solved_body(4, 2, 0.0), quantities=[*asked, needle]),
+        certify(fine, quantities=asked),
+    )
+    whole = found.bounds["resultant(bottom)"].value
+    for text, true in known.bounds.items():
+        bounds = found.bounds[text]
+        assert bounds.guaranteed
+        assert bounds.lower < true.value < bounds.upper
+        assert bounds.lower < bounds.value < bounds.upper
+        assert bounds.upper - bounds.lower < whole
+    assert sum(found.bounds[hat].value for hat in hats) == pytest.approx(whole)
+    assert not found.bounds[needle].guaranteed
 
 
 def test_what_is_not_proved_under_the_load_of_a_quantity_does_not_bound_it(monkeypatch) -> None:
@@ -129,7 +149,8 @@ def test_a_body_that_does_not_touch_may_carry_nothing() -> None:
 @pytest.mark.parametrize(
     ("quantities", "said"),
     [
-        *(([text], "no bounds") for text in ("mean(top, ux*uy)", "mean(top, uy+1)", "resultant(top)")),
+        *(([text], "no bounds") for text in ("mean(top, ux*uy)", "mean(top, uy+1)", "peak(bottom)")),
+        (["resultant(top)"], "'top' is not a contact boundary"),
         (["mean(middle, uy)"], "middle"),
         ("mean(top, uy)", "quantities must be a list of texts, got 'mean"),
         ([3], "a quantity must be str, got 3"),

@@ -103,16 +103,22 @@ def test_uniform_pressure_through_blocks_is_proved_exactly(order: int) -> None:
         assert [bounds.lower, bounds.upper] == pytest.approx([10, 10], rel=1e-5)
 
 
-def test_force_of_a_crack_with_a_tip_has_a_lower_bound_alone() -> None:
-    """No displacement has one jump up to a tip."""
-    mesh = rectangle(6, 6)
+def test_force_of_a_crack_with_a_tip_has_a_lower_bound_and_windows_have_both() -> None:
+    """No displacement has one jump up to a tip, but those that vanish there."""
+    mesh, window = rectangle(6, 6), "pressure(joint, x - 1/3)"
     on = np.isclose(mesh.p[1], 0.5) & (mesh.p[0] > 0.3)
     mesh = named(mesh, {"joint": mesh.facets[:, np.all(on[mesh.facets], axis=0)].T})
     load, joint = rm.Traction("top", (0.0, -1.0)), rm.Obstacle.interface("joint")
-    found = rm.certify(rm.solve(rm.ContactProblem(mesh, STEEL, "bottom", joint, tractions=load), "fixed"))
-    (bounds,) = found.bounds.values()
+    problem = rm.ContactProblem(mesh, STEEL, "bottom", joint, tractions=load)
+    found, fine = (
+        rm.certify(rm.solve(each, "fixed"), quantities=[window]).bounds
+        for each in (problem, replace(refined(problem), order=2))
+    )
+    bounds = found["resultant(joint)"]
     assert bounds.guaranteed
     assert 0.4 < bounds.lower < bounds.value < bounds.upper == np.inf
+    assert found[window].guaranteed
+    assert 0 < found[window].lower < fine[window].value < found[window].upper < 2 * fine[window].value
 
 
 @pytest.mark.parametrize("name", ["pair, tresca", "tool, rubbing"])
