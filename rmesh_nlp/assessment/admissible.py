@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from rmesh_nlp.assessment.energy import friction_energy, load_vector, shape_integrals, stiffness
 from rmesh_nlp.contact.active_set import solve
 from rmesh_nlp.contact.interior_point import BarrierProgram
-from rmesh_nlp.contact.solver import Directions, coefficients
+from rmesh_nlp.contact.solver import coefficients, contact_rows
 from rmesh_nlp.contact.standoff import Cells, cells_of
 from rmesh_nlp.contact.system import ActiveSet, ContactSystem, Equilibrium
 from rmesh_nlp.discretisation import Discretisation, discretise
@@ -106,8 +106,7 @@ class Continuous:
         nodes, space, index = self.body.nodes, self.space, self.field.index
         free, given, points = np.flatnonzero(index.T.ravel() >= 0), self.given.T.ravel(), space.points(nodes)
         pull = self.stiffness @ given
-        directions = Directions(space, self.field, self.parts.n_u)
-        normals, tangents, along = directions.rows(nodes)
+        normals, tangents, along = contact_rows(self.parts, nodes)
         gaps = [part.obstacle.distances(points[:, part.nodes]) for part in space.contact_sets]
         offset = np.concatenate([np.zeros(0), *gaps])
         for cells in self.cells:  # at edges coefficients, on the arc if there is one

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -17,7 +16,7 @@ from rmesh_nlp.evaluation import ROUNDING, Array, Symmetric
 from rmesh_nlp.fem.assembly import Assembled
 from rmesh_nlp.fem.contact_terms import friction, gaps
 from rmesh_nlp.fem.energy import loads, strain
-from rmesh_nlp.fem.fields import ElementGroup, Field, Fields
+from rmesh_nlp.fem.fields import ElementGroup, Fields
 from rmesh_nlp.fem.space import DisplacementSpace
 from rmesh_nlp.problem import ContactProblem
 from rmesh_nlp.problem.coefficients import on_points
@@ -27,44 +26,38 @@ NO_DESIGN: Mapping[str, float] = {}
 """Of a problem without design variables."""
 
 
-@dataclass(frozen=True)
-class Directions:
-    """Normals and tangents at the contact nodes of a space, with the displacement a function of u (n_u,)."""
+def contact_rows(
+    parts: Discretisation, nodes: Array, at: Mapping[str, float] = NO_DESIGN
+) -> tuple[sp.csr_array, sp.csr_array, Array]:
+    """Sparse rows (gaps, n_u) of normals and tangents, and normal displacements (gaps,) that are given.
 
-    space: DisplacementSpace
-    displacement: Field
-    n_u: int
+    At vertex positions (2, vertices) and a design; a scalar problem has no tangents.
+    """
+    index, given = parts.displacement.index, parts.displacement.values(np.zeros(parts.n_u))
+    free, normals = np.argsort(index, axis=None)[index.size - parts.n_u :], _rows(parts, nodes, at)
+    tangents = _rows(parts, nodes, at, along=True) if len(index) == 2 else normals[:0]
+    return normals[:, free], tangents[:, free], normals @ given.ravel()
 
-    def rows(
-        self, nodes: Array, at: Mapping[str, float] = NO_DESIGN
-    ) -> tuple[sp.csr_array, sp.csr_array, Array]:
-        """Sparse rows (gaps, n_u) of normals and tangents, and normal displacements (gaps,) that are given.
 
-        At vertex positions (2, vertices) and a design; a scalar problem has no tangents.
-        """
-        free = np.argsort(self.displacement.index, axis=None)[self.displacement.index.size - self.n_u :]
-        normals, given = self._rows(nodes, at), self.displacement.values(np.zeros(self.n_u))
-        if len(given) == 1:
-            return normals[:, free], sp.csr_array((0, self.n_u)), normals @ given.ravel()
-        return normals[:, free], self._rows(nodes, at, along=True)[:, free], normals @ given.ravel()
-
-    def _rows(self, nodes: Array, at: Mapping[str, float], *, along: bool = False) -> sp.csr_array:
-        """Rows for all displacement components, those of x first, as :func:`contact_terms.directions`."""
-        shape, entries = self.displacement.index.shape, [np.zeros((3, 0))]
-        for part in self.space.contact_sets:
-            obstacle, factors = at_design(part.obstacle, at), part.factors
-            for which, vertices, _ in self.space.kinds(part.nodes):
-                carriers = self.space.carriers(part, which, vertices)
-                vectors = self.space.normals(obstacle, nodes, carriers[: len(carriers) // factors.size])
-                vectors = np.stack([vectors[1], -vectors[0]]) if along else vectors
-                values = np.concatenate([factor * vectors for factor in factors], axis=1)
-                row = np.broadcast_to(part.rows[which], values.shape)
-                column = carriers + shape[1] * np.arange(shape[0])[:, None, None]
-                used = np.abs(values) > ROUNDING
-                entries.append(np.stack([values[used], row[used], column[used]]))
-        values, row, column = np.hstack(entries)
-        where = row.astype(np.int32), column.astype(np.int32)
-        return sp.csr_array((values, where), shape=(self.space.contact_nodes.size, shape[0] * shape[1]))
+def _rows(
+    parts: Discretisation, nodes: Array, at: Mapping[str, float], *, along: bool = False
+) -> sp.csr_array:
+    """Rows for all displacement components, those of x first, as :func:`edge_gaps.directions`."""
+    (components, n), entries, space = parts.displacement.shape, [np.zeros((3, 0))], parts.space
+    for part in space.contact_sets:
+        obstacle, factors = at_design(part.obstacle, at), part.factors
+        for which, vertices, _ in space.kinds(part.nodes):
+            carriers = space.carriers(part, which, vertices)
+            vectors = space.normals(obstacle, nodes, carriers[: len(carriers) // factors.size])
+            vectors = np.stack([vectors[1], -vectors[0]]) if along else vectors
+            values = np.concatenate([factor * vectors for factor in factors], axis=1)
+            row = np.broadcast_to(part.rows[which], values.shape)
+            column = carriers + n * np.arange(components)[:, None, None]
+            used = np.abs(values) > ROUNDING
+            entries.append(np.stack([values[used], row[used], column[used]]))
+    values, row, column = np.hstack(entries)
+    where = row.astype(np.int32), column.astype(np.int32)
+    return sp.csr_array((values, where), shape=(parts.n_contact, components * n))
 
 
 def coefficients(space: DisplacementSpace, nodes: Array, at: Mapping[str, float] = NO_DESIGN) -> Array | None:
@@ -108,8 +101,7 @@ class ContactSolver:
         self._loads = _AtZero(parts, loads(on, problem.rule), self.n_u)
         self._friction = _AtZero(parts, friction(on), parts.n_s)
         self._curved = any(part.level is not None for part in problem.obstacles)
-        self._directions = Directions(parts.space, self.displacement, self.n_u)
-        self.normals, self.tangents, _ = self._directions.rows(problem.mesh.p, problem.start)
+        self.normals, self.tangents, _ = contact_rows(parts, problem.mesh.p, problem.start)
         self.frictional = np.zeros(parts.n_contact, dtype=bool)
         self.frictional[parts.friction_rows] = True
         if parts.floats:
@@ -124,7 +116,7 @@ class ContactSolver:
         work, (push,) = self._loads(given)
         normals, tangents = self.normals, self.tangents
         if self._curved:
-            normals, tangents, _ = self._directions.rows(nodes, at)
+            normals, tangents, _ = contact_rows(self.discretisation, nodes, at)
         return ContactSystem(
             stiffness=self._elastic.matrix(hessian),
             load=-pull - push,
@@ -163,7 +155,9 @@ class ContactSolver:
     def slips(self, nodes: Array, u: Array, design: Array | None = None) -> Array:
         """Displacements (gaps,) along the tangents at vertex positions (2, vertices) and a design."""
         turns = self._curved and self.problem.frictional
-        tangents = self._directions.rows(nodes, self._named(design))[1] if turns else self.tangents
+        tangents = (
+            contact_rows(self.discretisation, nodes, self._named(design))[1] if turns else self.tangents
+        )
         return tangents @ u
 
     def _named(self, design: Array | None) -> dict[str, float]:

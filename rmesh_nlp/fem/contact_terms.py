@@ -19,7 +19,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.cells import Cell, Straight
-from rmesh_nlp.fem.edge_gaps import at_places, directions, edge_gaps, holds_along_edges
+from rmesh_nlp.fem.edge_gaps import at_places, directions, displaced, edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -58,12 +58,11 @@ def gap_function(obstacle: Obstacle, shares: Array, factors: Array = OWN) -> ca.
     """
     X, (obstacle, moved) = ca.SX.sym("X", 2, shares.size), obstacle.unmoved
     normals, distance = directions(obstacle, X, shares), obstacle.distance(*ca.vertsplit(X @ shares))
-    to_places = at_places(factors, normals.shape[1])
-    u = ca.SX.sym("u", normals.shape[0], to_places.shape[0])
+    u, met = displaced(normals, factors)
     if shares.size == 2:
         ends = [obstacle.distance(*ca.vertsplit(end)) for end in ca.horzsplit(X)]
         distance = 2 * distance - (ends[0] + ends[1]) / 2
-    gap = ca.dot(normals, u @ to_places - ca.repmat(moved, 1, normals.shape[1])) + distance
+    gap = ca.dot(normals, met - ca.repmat(moved, 1, met.shape[1])) + distance
     return ca.Function("gap", [ca.vec(X), ca.vec(u)], [0, gap], OPEN)
 
 
@@ -71,9 +70,8 @@ def slip_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Funct
     """``(X_i, u, s_i) -> (0, (s - u_t, s + u_t))`` of one contact node."""
     X, s = ca.SX.sym("X", 2, shares.size), ca.SX.sym("s")
     tangents = directions(obstacle, X, shares, along=True)
-    to_places = at_places(factors, tangents.shape[1])
-    u = ca.SX.sym("u", 2, to_places.shape[0])
-    slip = ca.dot(tangents, u @ to_places)
+    u, met = displaced(tangents, factors)
+    slip = ca.dot(tangents, met)
     return ca.Function("slip", [ca.vec(X), ca.vec(u), s], [0, ca.vertcat(s - slip, s + slip)], OPEN)
 
 

@@ -24,7 +24,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -198,8 +198,7 @@ def _gap_function(
     X, t = kind.sym("X", 2, vertices), kind.sym("t", vertices)
     own_shares = np.full(1 + patch.at_edge, 1 / (1 + patch.at_edge))
     normals = directions(obstacle, X[:, : own_shares.size], own_shares)
-    to_places = at_places(part.factors, normals.shape[1])
-    u = kind.sym("u", normals.shape[0], to_places.shape[0])
+    u, met = displaced(normals, part.factors, kind)
     constants = kind.sym("constants", 2 * nodes * n)
     free, given = (ca.reshape(part, nodes, n) for part in ca.vertsplit(constants, nodes * n))
 
@@ -226,7 +225,7 @@ def _gap_function(
             weight = ca.if_else(weight > 0, weight, np.inf)
         power += ca.sum1(ca.fmax(height / (unit * weight), 0) ** POWER)
     off = unit * power ** (1 / POWER) * (INSIDE if interior else 1.0)
-    gap = ca.dot(normals, u @ to_places - ca.repmat(moved, 1, normals.shape[1])) + own - off
+    gap = ca.dot(normals, met - ca.repmat(moved, 1, met.shape[1])) + own - off
     columns = [ca.vec(X), ca.vec(u), constants] + ([] if curve is None else [t])
     return ca.Function("edge_gap", columns, [0, gap], OPEN)
 
@@ -248,6 +247,13 @@ def directions(obstacle: Obstacle, X: Expression, shares: Array, *, along: bool 
 def at_places(factors: Array, places: int) -> ca.DM:
     """(nodes, places) matrix from the displacements of carriers to their sums times factors by places."""
     return ca.DM(np.kron(factors[:, None], np.eye(places)))
+
+
+def displaced(directions: Expression, factors: Array, kind: Any = ca.SX) -> tuple[Expression, Expression]:
+    """Displacements (components, nodes) of a gap's carriers, and (components, places) their sums."""
+    components, places = directions.shape
+    u = kind.sym("u", components, factors.size * places)
+    return u, u @ at_places(factors, places)
 
 
 def _samples(corners: int, interior: bool) -> Array:
