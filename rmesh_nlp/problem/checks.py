@@ -241,7 +241,7 @@ def _check_tools(problem: ProblemData) -> None:
             along = cross(moved[:, None], obstacle.normals(problem.mesh.p[:, nodes]))
             if magnitude(along) > ROUNDING * magnitude(moved):
                 said = f"with friction a foundation can be moved along its normal only, not by {moved}: "
-                said += "place it where it ends, or press it by a force"
+                said += "move what holds the body the other way (dirichlet), or press it by a force"
                 raise ProblemError((*place, "displacement"), said)
 
 

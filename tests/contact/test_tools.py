@@ -10,6 +10,7 @@ import rmesh_nlp as rm
 from rmesh_nlp.contact.solver import ContactSolver
 from rmesh_nlp.fem.objective_text import parse_objective
 from rmesh_nlp.io.vtu import fields_of
+from rmesh_nlp.meshes.curves import Circle
 from rmesh_nlp.meshes.shapes import rectangle
 from rmesh_nlp.models.reduced_model import ReducedObjective
 from rmesh_nlp.problem.contact_problem import locally_refined
@@ -196,3 +197,43 @@ REFUSED = {
 def test_refused(said: str) -> None:
     with pytest.raises(rm.BadInputError, match=said):
         REFUSED[said]()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_shaft_that_is_all_that_holds_a_ring_has_the_pressure_of_lame(order: int) -> None:
+    a, b, n = 17.5, 35.0, 4
+    grid = rectangle(n, 6 * n, x=(a, b), y=(-np.pi / 2, np.pi / 2))
+    (r, t), names = grid.p, {"axis": ("bottom", "top"), "bore": ("left",), "outside": ("right",)}
+    facets = {name: np.concatenate([grid.boundaries[each] for each in of]) for name, of in names.items()}
+    mesh = replace(grid, doflocs=np.stack([r * np.cos(t), r * np.sin(t)]), _boundaries=facets)
+    curves = {name: Circle((0.0, 0.0), radius) for name, radius in (("bore", a), ("outside", b))}
+    law, shaft = rm.PlaneStress.from_young(1.0, 0.3), rm.Obstacle.circle("bore", (0, 0), a + 0.1)
+    given, motion = rm.Dirichlet("axis", (0.0, None)), rm.Motion(0.0, curves=curves)
+    solution = rm.solve(rm.ContactProblem(mesh, law, given, shaft, motion, order=order), "fixed")
+    lame = 0.1 / (a * ((b**2 + a**2) / (b**2 - a**2) + 0.3))
+    assert solution.contact["bore"]["normal_force"] / (np.pi * a) == pytest.approx(
+        lame, rel={1: 0.02, 2: 1e-3}[order]
+    )
+
+
+@pytest.mark.parametrize("friction", [0.0, 80.0])
+def test_supports_that_move_the_other_way_stand_for_a_tool_that_moves(friction: float) -> None:
+    tool, down = replace(PUNCH, friction=friction), (0.0, -0.01)
+    given = rm.solve(pressed(replace(tool, displacement=down)), "fixed").contact["top"]
+    other = replace(pressed(tool), dirichlet=(rm.Dirichlet("bottom", (0.0, 0.01)),))
+    assert rm.solve(other, "fixed").contact["top"]["force_y"] == pytest.approx(given["force_y"], rel=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_derivatives_by_the_shape_of_a_tool_under_a_force(order: int) -> None:
+    radius, slope = rm.DesignVariable("R", 2.0, (0.5, 8.0)), rm.DesignVariable("s", 0.05, (-0.3, 0.3))
+    of_radius = rm.Obstacle.circle("top", (0.9, 1 + radius.symbol), radius.symbol)
+    of_slope = rm.Obstacle("top", (0.0, -1.0), lambda x, y: slope.symbol * x)
+    for tool, variable in ((of_radius, radius), (of_slope, slope)):
+        tool = replace(tool, force=(0.0, -FORCE))
+        outer = Outer.of(pressed(tool, order=order, motion=rm.Motion(0.0), design=variable))
+        function = ReducedObjective(outer.energy, parse_objective("mean(right, ux)"))
+        q, d = np.zeros(outer.n), np.full(outer.n, 1e-5)
+        change = (function(q + d).value - function(q - d).value) / 2
+        assert function(q).gradient @ d == pytest.approx(change, rel=1e-6)
+        assert change != 0
