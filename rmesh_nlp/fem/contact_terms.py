@@ -19,7 +19,7 @@ import numpy as np
 
 from rmesh_nlp.evaluation import Array, Index
 from rmesh_nlp.fem.cells import Cell, Straight
-from rmesh_nlp.fem.edge_gaps import at_places, directions, displaced, edge_gaps, holds_along_edges
+from rmesh_nlp.fem.edge_gaps import directions, displaced, edge_gaps, holds_along_edges
 from rmesh_nlp.fem.element import local_symbols
 from rmesh_nlp.fem.fields import NONE, ElementGroup, Field, Fields, plain_field, unknown_field
 from rmesh_nlp.fem.space import DisplacementSpace
@@ -82,7 +82,7 @@ def force_function(obstacle: Obstacle, shares: Array, factors: Array) -> ca.Func
     if obstacle.friction_law:
         force += (minus - plus) * directions(obstacle, X, shares, along=True)
         used += [minus, plus]
-    rows = ca.vec(force @ at_places(factors, force.shape[1]).T)
+    rows = ca.vec(ca.horzcat(*(factor * force for factor in factors)))
     return ca.Function("contact_force", used, [0, rows], OPEN)
 
 

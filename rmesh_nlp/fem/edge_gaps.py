@@ -244,16 +244,11 @@ def directions(obstacle: Obstacle, X: Expression, shares: Array, *, along: bool 
     return ca.horzcat(own, *((own - direction(*ca.vertsplit(end))) / 2 for end in ca.horzsplit(X)))
 
 
-def at_places(factors: Array, places: int) -> ca.DM:
-    """(nodes, places) matrix from the displacements of carriers to their sums times factors by places."""
-    return ca.DM(np.kron(factors[:, None], np.eye(places)))
-
-
 def displaced(directions: Expression, factors: Array, kind: Any = ca.SX) -> tuple[Expression, Expression]:
     """Displacements (components, nodes) of a gap's carriers, and (components, places) their sums."""
     components, places = directions.shape
     u = kind.sym("u", components, factors.size * places)
-    return u, u @ at_places(factors, places)
+    return u, sum(factor * part for factor, part in zip(factors, ca.horzsplit(u, places), strict=True))
 
 
 def _samples(corners: int, interior: bool) -> Array:
