@@ -32,9 +32,10 @@ class Units:
 
     @property
     def line_force(self) -> str:
-        """Unit of contact forces: force per unit of depth, or force; empty unless both units are named."""
-        line = self.force if self.per else f"{self.force}/{self.length}"
-        return line if self.length and self.force else ""
+        """Unit of contact forces: force per unit of depth if both are named, or of the revolution."""
+        if self.per:
+            return ", ".join(filter(None, (self.force, "whole revolution")))
+        return f"{self.force}/{self.length}" if self.length and self.force else ""
 
     @property
     def energy(self) -> str:

@@ -101,7 +101,7 @@ def test_force_is_of_the_whole_revolution_and_contact_alone_holds_it() -> None:
     assert record["resultant"] == pytest.approx(20 * np.pi * (4 - 0.25), rel=1e-9)
     assert record["units"] == {"length": "mm", "force": "N", "per": "revolution"}
     rows = dict(solution.summary())
-    assert "bottom: normal force [N]" in rows
+    assert "bottom: normal force [N, whole revolution]" in rows
     assert "bottom: peak pressure [N/mm²]" in rows
     for objective in ("energy", "level-pressure(bottom)", "mean(right, ux) + area"):
         assert rm.verify_gradient(problem, objective).order == pytest.approx(2, abs=0.1), objective
