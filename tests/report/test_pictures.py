@@ -182,7 +182,7 @@ def test_both_sides_of_a_pair_are_in_fields_pictures_record_and_tables(order: in
     result = saved(solution, tmp_path)
     state = read_vtu(result.vtu).final
     for part in DisplacementSpace(problem).contact_sets:
-        own, other = part.carriers
+        own, other = part.carriers(part.nodes)
         for name in ("pressure", "gap"):
             values = getattr(state, name)
             np.testing.assert_array_equal(values[own], values[other])
