@@ -57,18 +57,17 @@ def _of_mesh(path: Path, beside: Path) -> Values:
     mesh = _read(path)
     y, groups, outer = mesh.p[1], named_by_user(mesh.boundaries), mesh.boundary_facets()
     at = {y[mesh.facets[:, part]].mean(): name for name, part in groups.items() if np.isin(part, outer).all()}
-    at = at if len(at) > 1 else {0.0: "lowest-tenth", 1.0: "highest-tenth"}
-    tenth = np.ptp(y) / 10
+    comment = "# " * (len(at) > 1)
+    at = at if comment else {0.0: "lowest-tenth", 1.0: "highest-tenth"}
     return {
         "form": "mesh_template.toml",
         "mesh": Path(os.path.relpath(path, beside.parent)).as_posix(),
         "names": ", ".join([*groups, *named_by_user(mesh.subdomains)]),
+        "comment": comment,
         "first": at[min(at)],
         "last": at[max(at)],
         "low": y.min(),
-        "below": y.min() + tenth,
-        "above": y.max() - tenth,
-        "depth": -tenth / 100,
+        "tenth": np.ptp(y) / 10,
     }
 
 
@@ -100,7 +99,7 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
     Console().print(rich_table(f"{path}: {said}", rows))
     for message in messages:
         print(f"warning: {message}")
-    target = path.with_suffix(".png") if picture is None else picture
+    target = picture or path.with_suffix(".png")
     try:
         load("report.problem_picture").draw_problem(problem.at_design(), target)
     except (OSError, ValueError) as error:

@@ -78,17 +78,19 @@ def read_tables(path: str | Path, kind: type[T]) -> T:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file as they stand there; an expression without quotes is named in the error."""
+    meant = f"; a problem file is meant, as {path}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)"
+    meant *= path.suffix != ".toml"
     try:
         raw = path.read_bytes()
     except OSError as error:
-        raise ProblemFileError([f"{path}: cannot be read: {error.strerror}"]) from error
+        raise ProblemFileError([f"{path}: cannot be read: {error.strerror}{meant}"]) from error
     try:
         data = tomllib.loads(raw.decode())
         if _depth(data) > DEEPEST:
             raise RecursionError
     except ValueError as error:  # of the decoding and of endless whole numbers as well
-        hint = messages.unquoted(raw, str(error))
-        raise ProblemFileError([f"{path}: {hint or f'is not valid TOML: {one_line(error)}'}"]) from error
+        said = messages.unquoted(raw, str(error)) or f"is not valid TOML: {one_line(error)}{meant}"
+        raise ProblemFileError([f"{path}: {said}"]) from error
     except RecursionError as error:
         said = f"tables and lists are nested more than {DEEPEST} deep"
         raise ProblemFileError([f"{path}: {said}"]) from error

@@ -26,8 +26,10 @@ def read_file(path: Path, kind: str) -> meshio.Mesh:
     answer = _meshio.ask(packed((str(path.absolute()), kind)), None, SECONDS, MEGABYTES)
     made = answer.why if answer.line is None else unpacked(answer.line)
     if isinstance(made, str):
-        said = f"{path}: cannot be read as a mesh of the format {kind} ({made})"
-        raise BadInputError(f"{said}: if it is not damaged, write it as .msh of gmsh or .vtu")
+        raise BadInputError(
+            f"{path}: cannot be read as a mesh of the format {kind} ({made}): if it is not damaged, "
+            "write it as .msh of gmsh or .vtu"
+        )
     return made
 
 

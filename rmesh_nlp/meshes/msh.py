@@ -49,8 +49,10 @@ def read_msh(data: bytes) -> FileMesh:
         )
     table, elements = (_by_entities if version >= b"4" else _by_elements)(data, version, order)
     titles = _content(data, b"PhysicalNames").decode(errors="replace")
-    found = re.findall(r'^\s*(\d+)\s+(\d+)\s+"(.*)"', titles, re.M)
-    names = {(int(dimension), int(tag)): name for dimension, tag, name in found}
+    names = {
+        (int(dimension), int(tag)): name
+        for dimension, tag, name in re.findall(r'^\s*(\d+)\s+(\d+)\s+"(.*)"', titles, re.M)
+    }
     index, blocks = positions(table[:, 0]), list[Block]()
     for kind, nodes, groups in elements:
         corners, _ = KINDS[kind]
@@ -83,15 +85,20 @@ def _by_elements(data: bytes, version: bytes, order: str) -> Parts:
     in_nodes, in_elements = (b"NOD", b"ELM") if version < b"2" else (b"Nodes", b"Elements")
     rest = (_content(data, in_nodes) or _content(data, b"ParametricNodes")).partition(b"\n")[2]
     if order:
-        nodes = np.frombuffer(rest, [("tag", "<i4"), ("at", "<f8", 3)], len(rest) // 28)
-        table = np.column_stack([nodes["tag"], nodes["at"]])
+        records = np.frombuffer(rest, [("tag", "<i4"), ("at", "<f8", 3)], len(rest) // 28)
+        table = np.column_stack([records["tag"], records["at"]])
     else:
         table = np.loadtxt(rest.splitlines(), usecols=range(4), ndmin=2)
-    rest, cells = _content(data, in_elements).partition(b"\n")[2], defaultdict[Any, list[list[int]]](list)
-    for kind, group, own in _in_binary(rest) if order else _in_text(rest, version < b"2"):
-        cells[kind, group].append(own)
-    rows = ((kind, group, np.array(each)) for (kind, group), each in cells.items())
-    return table, [(kind, nodes.reshape(len(nodes), _size(kind)), [group]) for kind, group, nodes in rows]
+    count, _, rest = _content(data, in_elements).partition(b"\n")
+    cells = defaultdict[Any, list[list[int]]](list)
+    for kind, group, nodes in _in_binary(rest) if order else _in_text(rest, version < b"2"):
+        cells[kind, group].append(nodes)
+    if sum(map(len, cells.values())) != int(count or 0):
+        raise BadInputError(DAMAGED)
+    return table, [
+        (kind, np.array(rows).reshape(len(rows), _size(kind)), [group])
+        for (kind, group), rows in cells.items()
+    ]
 
 
 def _in_text(rest: bytes, is_first: bool) -> Iterator[tuple[int, int, list[int]]]:

@@ -72,7 +72,7 @@ def read_mesh(path: str | Path, pairs: Collection[tuple[str, str]] = ()) -> Mesh
     kind = _format(path)
     data = path.read_bytes() if kind == "gmsh" else b""
     if kind == "abaqus" or b"$MeshFormat" in data or b"$NOD" in data:
-        with located(f"{path}: cannot be read", (ValueError, LookupError, ArithmeticError)):
+        with located(f"{path}: cannot be read", (ValueError, TypeError, LookupError, ArithmeticError)):
             own = read_msh(data) if data else read_inp(path)
         with located(path):
             return triangulated(own, pairs)

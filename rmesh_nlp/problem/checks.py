@@ -272,7 +272,7 @@ def _check_shared_nodes(problem: ProblemData) -> None:
         normals = np.hstack([obstacle.normals(problem.mesh.p[:, [node]]) for obstacle in meeting])
         said = f"node {node} belongs to {number} contact boundaries"
         if number > 2 or np.linalg.matrix_rank(normals[~held[:, node]], tol=SEVEN_DIGITS) < number:
-            said += " and cannot obey all their gaps: end one of them before it"
+            said += " and cannot obey all their gaps: end one before it, or name one boundary of both"
             raise ProblemError("contact", said)
         if any(obstacle.friction_law for obstacle in meeting):
             raise ProblemError("contact", f"{said}, one of them with friction: end one of them before it")

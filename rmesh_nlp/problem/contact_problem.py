@@ -229,7 +229,7 @@ class ContactProblem(Shown, ProblemData):
             ("mesh", f"{mesh.p.shape[1]} nodes, {mesh.nelements} triangles"),
             ("extent", f"({figure(x0)}, {figure(x1)}) x ({figure(y0)}, {figure(y1)})"),
             ("boundaries (edges, length)", ", ".join(edges)),
-            ("subdomains (triangles)", ", ".join(parts) or "none"),
+            ("subdomains (triangles)", ", ".join(parts)),
         ]
         stress = after(self.units.stress)
         if self.order == 2:

@@ -37,3 +37,13 @@ def test_a_problem_of_a_mesh_file_has_its_names_and_runs(rmesh) -> None:
         assert rmesh(f"new {name}.toml --mesh meshes/{name}.msh").code == 0
         assert load_problem(f"{name}.toml").obstacles[0].boundary == lowest
         assert rmesh(f"solve {name}.toml -f fixed --no-figures --out {name}").code == 0
+
+
+@pytest.mark.parametrize("command", ["solve body.msh", "solve b", "advise body.msh", "advise b", "check 6.1"])
+def test_what_is_no_problem_file_is_told_what_is_meant(rmesh, command: str) -> None:
+    Path("b.toml").write_text("")
+    write_mesh(rectangle(1, 1), "body.msh")
+    said = rmesh(command)
+    assert said.code == 2
+    assert said.err.count("\n") == 1
+    assert f"as {command.split()[1]}.toml (of a mesh: rmesh new my.toml --mesh MESH writes one)" in said.err

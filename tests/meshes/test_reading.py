@@ -111,6 +111,7 @@ OLD += "$Elements\n1\n1 2 0 1 2 3\n$EndElements\n"
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 2 0 1 2 9"), "the node 9 of an element is missing"),
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 2 7 1 2 3"), "cannot be read: "),
         ("a.msh", OLD.replace("1 2 0 1 2 3", "1 4 0 1 2 3"), "has elements of gmsh's type 4: only points"),
+        ("a.msh", OLD.replace("\n1\n1 2 0", "\n2\n1 2 0"), "is damaged or ends early"),
         ("a.msh", OLD.partition("$EndElements")[0], "is damaged or ends early: write it again with gmsh"),
         ("a.msh", '(0 "Fluent")\n(2 2)', "of the format ansys ("),
         ("a.xdmf", "", "it is empty: write it again"),
