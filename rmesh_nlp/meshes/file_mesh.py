@@ -81,8 +81,7 @@ def triangulated(file: FileMesh, pairs: Collection[tuple[str, str]] = ()) -> Mes
             "has no triangles or quadrilaterals: export the surface too; gmsh saves only what is in a "
             'physical group once there is one, so add Physical Surface("body") = {1};'
         )
-    corners = np.unique(np.concatenate(faces))
-    p, said = _plane(file.points, corners)
+    p, said = _plane(file.points, np.concatenate(faces))
     triangles, count, quads = list[Index](), 0, 0
     edges, parts = defaultdict[str, list[NDArray]](list), defaultdict[str, list[NDArray]](list)
     for block in file.blocks:

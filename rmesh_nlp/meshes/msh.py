@@ -84,6 +84,8 @@ def _by_elements(data: bytes, version: bytes, order: str) -> Parts:
     """Versions 1 and 2: an element is there once for each of its groups."""
     in_nodes, in_elements = (b"NOD", b"ELM") if version < b"2" else (b"Nodes", b"Elements")
     rest = (_content(data, in_nodes) or _content(data, b"ParametricNodes")).partition(b"\n")[2]
+    if not rest:
+        raise BadInputError(DAMAGED)
     if order:
         records = np.frombuffer(rest, [("tag", "<i4"), ("at", "<f8", 3)], len(rest) // 28)
         table = np.column_stack([records["tag"], records["at"]])

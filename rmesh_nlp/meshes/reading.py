@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skfem import MeshTri
 from skfem.io.meshio import from_meshio
 
-from rmesh_nlp.errors import BadInputError, expect_path, located
+from rmesh_nlp.errors import BadInputError, expect_path, located, unknown
 from rmesh_nlp.meshes.abaqus import read_inp
 from rmesh_nlp.meshes.arrays import from_arrays
 from rmesh_nlp.meshes.by_meshio import read_file
@@ -27,10 +27,7 @@ def _format(path: Path) -> str:
     """The format of the extension of a file with content."""
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        choices = ", ".join(sorted(FORMATS))
-        raise BadInputError(
-            f"{path}: cannot be read as a mesh: the extension {suffix!r} is none of {choices}"
-        )
+        raise BadInputError(f"{path}: cannot be read as a mesh: {unknown('extension', suffix, FORMATS)}")
     if not path.is_file() or not path.stat().st_size:
         said = "it is empty: write it again" if path.is_file() else "there is no such file"
         raise BadInputError(f"{path}: cannot be read as a mesh: {said}")
