@@ -128,18 +128,18 @@ def nearest_branch(
     values: Array,
     jacobian: sp.csr_matrix,
     radius: float,
+    slope: Array | None,
     budget: Budget | None = None,
-    relaxed: bool = False,
 ) -> tuple[Array, Mask] | None:
     """The branch that the linearised rows are nearest to: ``(z + step, zero members)``.
 
     The rows have ``values`` and a Jacobian at ``z``.
 
-    Their violation is minimised over complementary steps of at most ``radius`` (the feasibility phase of
-    MPECopt); ``z`` is complementary and within its bounds. ``relaxed`` steps need not be complementary: a
-    linear program, whose least violation is at most that of all branches.
+    Their violation is minimised first, then ``slope^T step``, over complementary steps of at most ``radius``
+    (the feasibility phase of MPECopt); ``z`` is complementary and within its bounds. Without a slope steps
+    need not be complementary: a linear program, whose least violation is at most that of all branches.
     """
-    nlp, m = lifted.nlp, lifted.nlp.n_g
+    nlp, m, cost = lifted.nlp, lifted.nlp.n_g, 0.0 * z if slope is None else slope
     members = z / radius
     lower, upper = np.maximum(-1.0, (nlp.lbx - z) / radius), np.minimum(1.0, (nlp.ubx - z) / radius)
     zero, is_open = lifted.smaller(members), np.max(members[lifted.pairs], axis=0) <= 1.0
@@ -152,14 +152,14 @@ def nearest_branch(
         (nlp.ubg - values) / radius,
     )
     direction = _milp(
-        np.append(np.zeros(z.size), elastic + 1.0), rows, np.append(lower, elastic),
+        np.append(cost, elastic + 1e3 * max(1.0, magnitude(cost))), rows, np.append(lower, elastic),
         np.append(upper, elastic + np.inf), lifted, zero[0],
-        np.flatnonzero(is_open), members, budget, relaxed,
+        np.flatnonzero(is_open), members, budget, slope is None,
     )  # fmt: skip
     if direction is None:
         return None
     trial = z + radius * direction.step
-    return trial, lifted.smaller(trial) if relaxed else direction.zero
+    return trial, lifted.smaller(trial) if slope is None else direction.zero
 
 
 def limits(budget: Budget | None) -> dict[str, float]:

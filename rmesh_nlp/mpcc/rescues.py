@@ -58,23 +58,24 @@ def rescue(run: Run, paths: list[Path], x0: Array, z0: Array) -> None:
 
 
 def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
-    """Look for a feasible complementary point near ``z``.
+    """Look for a feasible complementary point near ``z``, on the lower one of branches that do as well.
 
     Ipopt minimises the sum of the violations of all rows on the branch next to ``z``. Where a linear program
     without complementarity does not lower the sum within a trust region, no branch does: the point is a
     local minimum of the violation to first order, and "locally infeasible" rests on it. It is asked of ``z``
     first, where an infeasible relaxation may have ended. Else a linear program with equilibrium constraints
-    (LPEC) names the branch that lowers it most. The region shrinks where the branch does not keep what the
-    linearisation promised. A solver that stops at a violation proves nothing. The LPEC is that of MPECopt:
-    A. Nurkanovic and S. Leyffer, A globally convergent method for computing B-stationary points of
-    mathematical programs with equilibrium constraints, arXiv 2501.13835, 2025.
+    (LPEC) names the branch that lowers it most, the first time the one with the lower objective of those that
+    do as well. The region shrinks where the branch does not keep what the linearisation promised. A solver
+    that stops at a violation proves nothing. The LPEC is that of MPECopt: A. Nurkanovic and S. Leyffer, A
+    globally convergent method for computing B-stationary points of mathematical programs with equilibrium
+    constraints, arXiv 2501.13835, 2025.
 
     CONVERGED: the point is feasible and complementary; INFEASIBLE: a local minimum of a positive violation,
     to first order; STALLED: neither was shown.
     """
     lifted, nlp = run.lifted, run.lifted.nlp
     z = np.clip(z, nlp.lbx, nlp.ubx)
-    if _nearest(run, z, np.inf, relaxed=True).shown is Status.INFEASIBLE:
+    if _nearest(run, z, np.inf).shown is Status.INFEASIBLE:
         return z, Status.INFEASIBLE
     own = lifted.smaller(z)
     z[lifted.pairs[own]] = 0.0
@@ -82,9 +83,9 @@ def phase_one(run: Run, z: Array) -> tuple[Array, Status]:
     for k in range(_STEPS):
         if run.exact(z):
             return z, Status.CONVERGED
-        near = _nearest(run, z, radius, relaxed=True)
+        near = _nearest(run, z, radius)
         if near.shown is None and near.rest <= _FLAT * near.violation:
-            near = _nearest(run, z, radius, relaxed=False)
+            near = _nearest(run, z, radius, lifted.value(z, run.p)[1] * (k == 0))
         if near.shown is not None:
             return z, near.shown
         trial, zero = near.z, near.zero
@@ -114,12 +115,15 @@ class _Nearest(NamedTuple):
     rest: float = 0.0
 
 
-def _nearest(run: Run, z: Array, radius: float, relaxed: bool) -> _Nearest:
-    """Look within ``radius``, and within what linear programs can see; ``relaxed``: off branches too."""
+def _nearest(run: Run, z: Array, radius: float, slope: Array | None = None) -> _Nearest:
+    """Look within ``radius``, and within what linear programs can see; without a slope off branches too.
+
+    Of several steps that do as well the one down the slope is taken; such a program shows no minimum.
+    """
     nlp, size = run.lifted.nlp, 1.0 + magnitude(z)
     nothing = _Nearest(Status.STALLED, z, run.lifted.smaller(z), radius)
     _, rows, jacobian = run.lifted.linearise(z, run.p)
-    if not (is_finite(rows) and is_finite(jacobian.data)):
+    if not all(map(is_finite, (rows, jacobian.data, 0.0 if slope is None else slope))):
         return nothing
     steep = steepness(jacobian)
     away = beyond(rows, nlp.lbg, nlp.ubg)
@@ -127,13 +131,13 @@ def _nearest(run: Run, z: Array, radius: float, relaxed: bool) -> _Nearest:
     radius = min(radius, size, seen / _SEEN)
     if min(seen, radius / size) <= _SEEN:  # too small to show anything
         return nothing
-    near = nearest_branch(run.lifted, z, rows, jacobian, radius, run.budget, relaxed)
+    near = nearest_branch(run.lifted, z, rows, jacobian, radius, slope, run.budget)
     if near is None:
         return nothing
     rest = float(np.sum(beyond(rows + jacobian @ (near[0] - z), nlp.lbg, nlp.ubg)))
     falls, level = (violation - rest) * max(1.0, size / radius), _LEVEL * min(violation, size)
     shown = None
-    if falls <= level:  # it cannot rise: then the program was too coarse
+    if falls <= level and not np.any(slope):  # it cannot rise: then the program was too coarse
         shown = Status.INFEASIBLE if falls >= -level else Status.STALLED
     return _Nearest(shown, *near, radius, violation, rest)
 

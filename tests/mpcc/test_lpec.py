@@ -85,11 +85,17 @@ def test_search_that_was_given_up_decides_only_by_a_descent(x_is, status, fun, d
     assert 0 < options[0]["time_limit"] <= 2.5
 
 
-def test_nearest_branch_is_the_one_that_meets_the_rows():
+@pytest.mark.parametrize(
+    ("mpcc", "slope", "end"),
+    [(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0), (-1.0, 0.0), 1e-3),
+     (MPCC(XY, -x - 2 * y, None, x, y), (-1.0, -2.0), 4e-3),
+     (MPCC(XY, y, 0.1 * y - 3e-4, x, y, lbg=0), (0.0, 1.0), 3e-3)],  # dearer than the violation
+)  # fmt: skip
+def test_nearest_branch_meets_the_rows_first_and_then_lowers_the_objective(mpcc, slope, end):
     """y = x + 1e-3 holds on x = 0 alone, though the point is nearer to y = 0."""
-    lifted, z = lift(MPCC(XY, -x, y - x - 1e-3, x, y, lbg=0, ubg=0)), np.array([1e-3, 0.0])
-    z, zero = nearest_branch(lifted, z, *lifted.linearise(z, np.ones(1))[1:], 4e-3)
-    assert (z, zero.tolist()) == (pytest.approx([0, 1e-3], abs=1e-12), [[True], [False]])
+    lifted, z = lift(mpcc), np.array([1e-3, 0.0])
+    z, zero = nearest_branch(lifted, z, *lifted.linearise(z, np.ones(1))[1:], 4e-3, np.array(slope))
+    assert (z, zero.tolist()) == (pytest.approx([0, end], abs=1e-12), [[True], [False]])
 
 
 v = ca.SX.sym("v", 3)
