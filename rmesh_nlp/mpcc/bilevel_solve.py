@@ -101,7 +101,7 @@ def solve_bilevel(
     level, chosen = program.lower_level, Options.of(options).having({"starts": starts, **changes})
     assert level is not None
     parameters, budget = program.parameters(p), chosen.budget()
-    violations, made = _moving(level), list[ca.Function]()
+    violations, made = _moving(level), 0
     has_pairs = violations is not None and not violations.is_empty()
     points, before = [program.start(x0, parameters)], np.full(level.size, np.inf)
     found: list[MPCCResult] = []
@@ -119,11 +119,11 @@ def solve_bilevel(
         found += [end for end in ends if end.success]
         end = min(ends, key=_rank)
         lowest, at = _lower(level, end, parameters), end.x[: level.size]
-        is_stuck = violations is None or len(made) == cuts or np.allclose(at, before)
+        is_stuck = violations is None or made == cuts or np.allclose(at, before)
         if lowest is None or is_stuck or budget.is_over():
             break
         before, y = at, _inside(level, violations, end, lowest, parameters)
-        program = _with_cut(program, level, violations, y, made)
+        program, made = _with_cut(program, level, violations, y), made + 1
         points = [points[0], at, level.start(at[: level.n_upper], lowest, p=parameters)]
     is_proved = end.success and lowest is None
     others = (other for other in sorted(found, key=_rank) if not is_proved or is_below(other.f, end.f))
@@ -133,7 +133,7 @@ def solve_bilevel(
         said = f"{status.message} The MPCC has a point with f = {end.f:g} that no cut excludes."
         best = replace(best, status=status, success=False, message=said)
     x, y, _ = level.split(best.x)
-    return BilevelResult(x, y, best.f, best.success, len(made), best)
+    return BilevelResult(x, y, best.f, best.success, made, best)
 
 
 def _rank(end: MPCCResult) -> tuple[bool, float]:
@@ -179,26 +179,23 @@ def _inside(level: LowerLevel, violations: Symbolic, end: MPCCResult, lowest: Ar
     return inside.x[:-1] if inside.converged and inside.x[-1] > ZERO else lowest
 
 
-def _with_cut(
-    program: MPCC, level: LowerLevel, violations: Symbolic, y: Array, made: list[ca.Function]
-) -> MPCC:
-    """The program with the cut by ``y``, which is added to those ``made``."""
+def _with_cut(program: MPCC, level: LowerLevel, violations: Symbolic, y: Array) -> MPCC:
+    """The program with the cut by ``y``."""
     nlp, kind, upper = level.nlp, type(program.x), ca.vertcat(program.parts["upper"], program.p)
     values = ca.Function("lower", [nlp.x, nlp.p], [nlp.f, ca.mmax(violations)])
     value, violation = values(ca.DM(y), upper)
     gain = values(program.parts["lower"], upper)[0] - value
     if violations.is_empty():
-        made.append(values)
         return program.extended(g=gain, ubg=0)
-    made.append(ca.Function("cut", [program.parts["lower"], upper], [ca.vertcat(gain, -violation)]))
+    cut = ca.Function("cut", [program.parts["lower"], upper], [ca.vertcat(gain, -violation)])
     s, w = kind.sym("s"), kind.sym("w")
     longer = program.extended(
         x=ca.vertcat(s, w), lbx=0, G=s, H=w, g=ca.vertcat(gain - s, -violation - w), ubg=0
     )
 
     def completion(own: Array, p: Array) -> Array:
-        """The least s and w of each cut."""
+        """Those of the cuts before, then the least s and w."""
         x, y, _ = level.split(own)
-        return np.maximum(np.concatenate([flat(cut(y, np.append(x, p))) for cut in made]), 0.0)
+        return np.append(program.start(own, p)[own.size :], np.maximum(flat(cut(y, np.append(x, p))), 0.0))
 
     return replace(longer, n_added=longer.n_x - level.size, completion=completion)
