@@ -88,7 +88,8 @@ def _vector(nodes: Array, pressure: ContactStress, friction: ContactStress) -> d
         return {}
     acting = np.flatnonzero((pressure.nodal != 0) | (friction.nodal != 0))
     for which, vertices, _ in space.kinds(acting):
-        places, own = space.places(obstacle, acting[which], vertices), acting[which]
+        own = acting[which]
+        places = space.places(obstacle, own, vertices)
         n_x, n_y = space.normals(obstacle, nodes, places)
         f_x, f_y = pressure.nodal[own] * (n_x, n_y) + friction.nodal[own] * (n_y, -n_x)
         x, y = space.points(nodes)[:, places]

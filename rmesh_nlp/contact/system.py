@@ -96,17 +96,17 @@ class ContactSystem:
     @property
     def of_gaps(self) -> ContactSystem | None:
         """The program in gaps and slips alone, all else in equilibrium; None as of :meth:`condensed`."""
-        rotated, gaps = self.rotated, np.arange(self.offset.size)
+        rotated, n, rigid = self.rotated, self.offset.size, self.rigid
         slips = np.flatnonzero(rotated.slips)
         last = np.append(rotated.normal, rotated.tangent[slips])
         if last.size == 0 or last.size**2 > self.stiffness.nnz:
             return None
-        part, rigid = Condensed(rotated.K, rotated.F, last), self.rigid
-        own, along = np.eye(last.size)[gaps], np.zeros((self.tangents.shape[0], last.size))
-        along[slips, gaps.size + np.arange(slips.size)] = 1
+        part, one = Condensed(rotated.K, rotated.F, last), np.eye(last.size)
+        along = np.zeros((self.tangents.shape[0], last.size))
+        along[slips] = one[n:]
         if rigid is not None:
-            rigid = np.vstack([self.normals @ rigid, self.tangents[slips] @ rigid])
-        rows = {"normals": sp.csr_array(own), "tangents": sp.csr_array(along)}
+            rigid = sp.vstack([self.normals, self.tangents[slips]]) @ rigid
+        rows = {"normals": sp.csr_array(one[:n]), "tangents": sp.csr_array(along)}
         return replace(self, stiffness=sp.csc_array(part.S), load=part.load, rigid=rigid, **rows)
 
     @cached_property

@@ -63,7 +63,8 @@ from rmesh_nlp.problem import (
     Shape,
     Units,
 )
-from rmesh_nlp.problem.obstacle import GAPS, MOVES, unit
+from rmesh_nlp.problem.obstacle import GAPS, MOVES
+from rmesh_nlp.problem.surfaces import unit
 from rmesh_nlp.settings import Values
 
 SHAPES: Mapping[str, Callable[..., MeshTri]] = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache, partial
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -13,8 +13,6 @@ from rmesh_nlp.display import figure
 from rmesh_nlp.errors import BadInputError, require
 from rmesh_nlp.evaluation import Array, Expression, is_finite
 from rmesh_nlp.problem.coefficients import (
-    OPEN,
-    POSITION,
     Coefficient,
     PiecewiseLinear,
     PositionFunction,
@@ -25,10 +23,8 @@ from rmesh_nlp.problem.coefficients import (
 )
 from rmesh_nlp.problem.conditions import as_tuple
 from rmesh_nlp.problem.friction import Friction
+from rmesh_nlp.problem.surfaces import Centre, Vector, above, gradient, minus, off_circle, off_line, unit
 from rmesh_nlp.settings import check_positive
-
-Vector = tuple[float, float]
-Centre = tuple[float | ca.SX, float | ca.SX]
 
 MOVES = ("x", "y", "xy")
 """Coordinates along which a tool may move."""
@@ -38,14 +34,6 @@ BEHIND = "'s other side"
 
 GAPS = ("node", "edge")
 """Where gaps hold: at contact nodes, or along their edges."""
-
-
-def unit(normal: Vector) -> Vector:
-    """The vector of length 1 in a direction; a BadInputError if it is none."""
-    is_direction = np.shape(normal) == (2,) and is_finite(normal) and np.any(normal)
-    require(is_direction, "normal", "be a non-zero vector", normal)
-    length = float(np.hypot(*normal))
-    return normal[0] / length, normal[1] / length
 
 
 class Place(Enum):
@@ -164,7 +152,7 @@ class Obstacle:
         """
         n = unit(normal)
         require(len(as_tuple(point)) == 2, "point", "have 2 components", point)
-        return cls(boundary, n, partial(_off_line, n, point), friction=friction, coulomb=coulomb)
+        return cls(boundary, n, partial(off_line, n, point), friction=friction, coulomb=coulomb)
 
     @classmethod
     def graph(
@@ -176,7 +164,7 @@ class Obstacle:
         height is any smooth function or a :class:`PiecewiseLinear`, called as height(x, y).
         """
         kinks = height.kinks if isinstance(height, PiecewiseLinear) else ()
-        return cls(boundary, (0.0, 1.0), partial(_above, height), friction, kinks, coulomb=coulomb)
+        return cls(boundary, (0.0, 1.0), partial(above, height), friction, kinks, coulomb=coulomb)
 
     @classmethod
     def curve(
@@ -233,7 +221,7 @@ class Obstacle:
         the first, of a straight line or of a circle among the curves of the motion. The interference is in
         units of length; a negative one is a gap. Relocation moves both nodes of a pair alike.
         """
-        gap = partial(_minus, interference) if callable(interference) else -interference
+        gap = partial(minus, interference) if callable(interference) else -interference
         return cls(first, offset=gap, friction=friction, coulomb=coulomb, other=second)
 
     @classmethod
@@ -254,7 +242,7 @@ class Obstacle:
     @classmethod
     def interior(cls, psi: Coefficient) -> Obstacle:
         """The scalar obstacle problem ``u >= psi`` in the whole domain, imposed at the nodes."""
-        return cls(Place.INTERIOR, (1.0,), partial(_minus, psi))
+        return cls(Place.INTERIOR, (1.0,), partial(minus, psi))
 
     @property
     def place(self) -> str:
@@ -276,7 +264,7 @@ class Obstacle:
         """Unit normal at a point as a CasADi column."""
         if self.level is None:
             return ca.DM(self.normal)
-        slope = _gradient(self.level)(x, y)
+        slope = gradient(self.level)(x, y)
         return slope / ca.norm_2(slope)
 
     def tangential(self, x: Expression, y: Expression) -> Expression:
@@ -289,7 +277,7 @@ class Obstacle:
         if self.level is None or self.other:
             gap = at(self.offset, x, y)
         else:
-            gap = at(self.level, x, y) / ca.norm_2(_gradient(self.level)(x, y))
+            gap = at(self.level, x, y) / ca.norm_2(gradient(self.level)(x, y))
         if self.displacement is None:
             return gap
         return gap - ca.dot(self.direction(x, y), ca.DM(self.displacement))
@@ -314,7 +302,7 @@ class Obstacle:
         """Unit normals (components, ...) at ``points`` (2, ...)."""
         if self.level is None:
             return np.multiply.outer(np.array(self.normal), np.ones(points.shape[1:]))
-        slope = evaluated(_gradient(self.level), points)
+        slope = evaluated(gradient(self.level), points)
         return slope / np.linalg.norm(slope, axis=0)
 
     def distances(self, points: Array) -> Array:
@@ -349,38 +337,8 @@ class Obstacle:
         return (self.normal[1], -self.normal[0])
 
 
-# gaps of foundations: functions of a module, so that problems can be pickled
-
-
-def _off_line(n: Vector, point: Centre, x: Expression, y: Expression) -> Expression:
-    return n[0] * (x - point[0]) + n[1] * (y - point[1])
-
-
-def _above(height: Coefficient, x: Expression, y: Expression) -> Expression:
-    return y - at(height, x, y)
-
-
-def off_circle(
-    centre: Centre, radius: float | ca.SX, sign: float, x: Expression, y: Expression
-) -> Expression:
-    """Distance from a circle, negative on the other side of it; outside is positive for a sign of 1."""
-    return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
-
-
-def _minus(psi: Coefficient, x: Expression, y: Expression) -> Expression:
-    return -at(psi, x, y)
-
-
 FOOT_STEPS = 5
 """Newton steps from a node to a curved foundation."""
-
-
-@lru_cache(maxsize=32)
-def _gradient(level: PositionFunction) -> ca.Function:
-    """``(x, y) -> (d level / dx, d level / dy)``, a column."""
-    x, y = POSITION
-    slope = ca.gradient(ca.SX(at(level, x, y)), ca.vertcat(x, y))
-    return ca.Function("slope", [x, y], [ca.densify(slope)], OPEN)
 
 
 NO_CONTACT: tuple[Obstacle, ...] = ()

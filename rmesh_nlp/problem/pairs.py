@@ -20,7 +20,8 @@ from rmesh_nlp.evaluation import Array, Index, largest_side
 from rmesh_nlp.meshes.curves import Circle, Curve
 from rmesh_nlp.meshes.geometry import SEVEN_DIGITS, nodes_of
 from rmesh_nlp.meshes.interfaces import opened
-from rmesh_nlp.problem.obstacle import BEHIND, Obstacle, off_circle
+from rmesh_nlp.problem.obstacle import BEHIND, Obstacle
+from rmesh_nlp.problem.surfaces import off_circle
 
 Curves = Mapping[str, Curve]
 

@@ -174,14 +174,14 @@ class Relocated:
     @property
     def tools(self) -> dict[str, dict[str, list[float]]]:
         """Displacement of each foundation that moves, and its force on the body, by contact boundary."""
-        if not (contact := self.final.contact):
-            return {}
+        contact = self.final.contact
+        obstacles = self.final.placed.obstacles if contact else ()
         return {
             name: {
                 "displacement": list(obstacle.displacement),
                 "force": [result.force_x or 0.0, result.force_y or 0.0],
             }
-            for (name, result), obstacle in zip(contact.items(), self.final.placed.obstacles, strict=True)
+            for (name, result), obstacle in zip(contact.items(), obstacles, strict=True)
             if obstacle.displacement is not None
         }
 

@@ -1,0 +1,53 @@
+"""Surfaces of foundations: their gaps are functions of a module, so that problems can be pickled."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from rmesh_nlp.errors import require
+from rmesh_nlp.evaluation import Expression, is_finite
+from rmesh_nlp.problem.coefficients import OPEN, POSITION, Coefficient, PositionFunction, at
+
+Vector = tuple[float, float]
+Centre = tuple[float | ca.SX, float | ca.SX]
+
+
+def unit(normal: Vector) -> Vector:
+    """The vector of length 1 in a direction; a BadInputError if it is none."""
+    is_direction = np.shape(normal) == (2,) and is_finite(normal) and np.any(normal)
+    require(is_direction, "normal", "be a non-zero vector", normal)
+    length = float(np.hypot(*normal))
+    return normal[0] / length, normal[1] / length
+
+
+def off_line(n: Vector, point: Centre, x: Expression, y: Expression) -> Expression:
+    """Distance from a line through a point with a unit normal."""
+    return n[0] * (x - point[0]) + n[1] * (y - point[1])
+
+
+def above(height: Coefficient, x: Expression, y: Expression) -> Expression:
+    """Distance from a graph along y."""
+    return y - at(height, x, y)
+
+
+def off_circle(
+    centre: Centre, radius: float | ca.SX, sign: float, x: Expression, y: Expression
+) -> Expression:
+    """Distance from a circle, negative on the other side of it; outside is positive for a sign of 1."""
+    return sign * (ca.sqrt((x - centre[0]) ** 2 + (y - centre[1]) ** 2) - radius)
+
+
+def minus(psi: Coefficient, x: Expression, y: Expression) -> Expression:
+    """The opposite of a coefficient."""
+    return -at(psi, x, y)
+
+
+@lru_cache(maxsize=32)
+def gradient(level: PositionFunction) -> ca.Function:
+    """``(x, y) -> (d level / dx, d level / dy)``, a column."""
+    x, y = POSITION
+    slope = ca.gradient(ca.SX(at(level, x, y)), ca.vertcat(x, y))
+    return ca.Function("slope", [x, y], [ca.densify(slope)], OPEN)
