@@ -3,8 +3,9 @@
 Between nodes a convex foundation passes into an edge of length h by ``k h^2 / 8`` at a curvature k of
 foundation and body, and relocation could gain by longer edges. Here every node keeps off by as much as its
 edges need; then the admissible displacements of the mesh are admissible for the continuous problem, if the
-normal of the foundation is the same along an edge. Where it turns by ``n_2 - n_1`` the middle of the edge may
-enter by ``(n_2 - n_1) . (u_1 - u_2) / 4``, which the assessment counts.
+normal of the foundation is the same along an edge. Where it turns by ``n_2 - n_1`` the middle of an edge of
+order 1 may enter by ``(n_2 - n_1) . (u_1 - u_2) / 4``, which the assessment counts. At order 2 a gap
+is exact in the middle of its edge (:func:`directions`); what is left is of the fourth power of that angle.
 
 On an edge the foundation rises above the interpolant of its distances at the nodes by
 ``a = I d - d``, on the true curve of the body where it has one. A node keeps off by
