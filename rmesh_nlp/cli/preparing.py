@@ -83,8 +83,8 @@ def check(path: Path, picture: Path | None = None, order: int | None = None) -> 
         names = "outside", *named_by_user(mesh.boundaries)
         mesh = named(mesh, {"outside": lambda x: x[0] == x[0]})
         problem = ContactProblem(mesh, Laplace(0.0), names, name=path.name)
-        unit = "mm" if np.ptp(mesh.p) > 2 else "m"
-        rows, said = problem.summary()[:4], f"a mesh, by its size in {unit}"
+        said = f"a mesh, by its size in {'mm' if np.ptp(mesh.p) > 2 else 'm'}"
+        rows = problem.summary()[:4]
         messages = [sign.message for sign in curve_warnings(problem, names)]
     elif is_study(path):
         if order is not None:

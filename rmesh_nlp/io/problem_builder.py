@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from rmesh_nlp.fem.constraints import checked
 from rmesh_nlp.io.problem_messages import outwards
 from rmesh_nlp.io.problem_schema import FOUNDATIONS, CurveTable, ProblemTable, StepTable
 from rmesh_nlp.io.problem_values import SYMMETRY
-from rmesh_nlp.meshes import named
+from rmesh_nlp.meshes import MeshRepairWarning, named
 from rmesh_nlp.meshes.curves import Curve, fitted
 from rmesh_nlp.meshes.geometry import node_at
 from rmesh_nlp.problem import (
@@ -120,13 +121,17 @@ def _mesh(table: ProblemTable) -> MeshTri:
                     return on_points(c, p, "the condition") > 0.5
 
                 of: Any = holds
-                if (
-                    kind == "boundaries" and name in inside
-                ):  # edges of which both ends and the middle are on it
-                    ends = mesh.p[:, mesh.facets]
-                    of = mesh.facets[
-                        :, np.all([*map(holds, (*ends.transpose(1, 0, 2), ends.mean(axis=1)))], 0)
-                    ].T
+                cells = mesh.p[:, mesh.facets if kind == "boundaries" else mesh.t]
+                middle = cells.mean(axis=1, keepdims=True)
+                if kind == "subdomains":
+                    within = holds(0.99 * cells + 0.01 * middle)
+                    if cut := np.ptp(1 * within, axis=0).sum():
+                        said = (
+                            f"the subdomain {name!r} ends inside {cut} triangles, off the lines of the mesh"
+                        )
+                        warnings.warn(said, MeshRepairWarning, stacklevel=2)
+                elif name in inside:  # edges of which both ends and the middle are on it
+                    of = mesh.facets[:, holds(np.hstack([cells, middle])).all(axis=0)].T
                 mesh = named(mesh, **{kind: {name: of}})
     return mesh
 

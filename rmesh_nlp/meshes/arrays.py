@@ -127,7 +127,7 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
             raise BadInputError(
                 f"the boundary {name!r} must be an array of shape (edges, 2), got {edges.shape}"
             )
-        ends = number[edges.reshape(-1, 2).T.astype(np.int64)]
+        ends = number[edges.reshape(-1, 2).T]
         wanted = np.min(ends, axis=0) * size + np.max(ends, axis=0)
         found = np.searchsorted(keys, wanted) % keys.size  # scikit-fem sorts facets
         for a, b in edges[keys[found] != wanted]:
@@ -139,7 +139,7 @@ def _named(mesh: MeshTri, boundaries: ByName, subdomains: ByName, number: Index)
     facets = {
         name: _chosen(mesh.p[:, mesh.facets], value, mesh.boundary_facets())
         if callable(value)
-        else facets_of(name, np.asarray(value))
+        else facets_of(name, np.asarray(value, int))
         for name, value in boundaries.items()
     }
     elements = {

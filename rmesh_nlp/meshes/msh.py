@@ -19,8 +19,8 @@ from rmesh_nlp.meshes.file_mesh import TITLES, USABLE, Block, FileMesh, position
 KINDS = {
     15: (1, 1),
     1: (2, 2), 8: (2, 3), 26: (2, 4),
-    2: (3, 3), 9: (3, 6), 20: (3, 9), 21: (3, 10),
-    3: (4, 4), 10: (4, 9), 16: (4, 8), 36: (4, 16), 39: (4, 12),
+    2: (3, 3), 9: (3, 6), 21: (3, 10),
+    3: (4, 4), 10: (4, 9), 16: (4, 8), 36: (4, 16),
 }  # fmt: skip
 """Corners, which come first, and nodes of the types of elements that can be used: orders 1 to 3."""
 

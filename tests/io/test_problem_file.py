@@ -331,3 +331,11 @@ def test_a_pickled_problem_of_a_file_has_the_same_solution(write, name):
     with ca.global_unpickle_context() if problem.design else nullcontext():
         copy = pickle.loads(text)
     assert ContactSolver(copy.at_design()).given.energy == ContactSolver(problem.at_design()).given.energy
+
+
+def test_a_subdomain_off_the_lines_of_the_mesh_is_told(write, recwarn) -> None:
+    """Its edge is a line of the mesh, or inside triangles."""
+    for at, count in (("0.5", 0), ("0.6", 1)):
+        text = 'mesh = { shape = "rectangle", nx = 4, ny = 4 }\ndirichlet = { left = 0 }\n'
+        load_problem(write(f'{text}subdomains = {{ hard = "x > {at}" }}\n{LAW}'))
+        assert sum("'hard' ends inside 8 triangles" in str(one.message) for one in recwarn) == count
