@@ -79,4 +79,4 @@ def figure(value: Any) -> str:
 def markdown(frame: pd.DataFrame) -> str:
     """The columns of a data frame, cells by :func:`figure`."""
     cells = [[figure(cell) for cell in row] for row in frame.astype(object).itertuples(index=False)]
-    return Table([str(name) for name in frame.columns], [("", cells)]).markdown()
+    return Table([str(name) for name in frame.columns], cells).markdown()
